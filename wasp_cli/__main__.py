@@ -1,0 +1,6 @@
+"""`python -m wasp_cli` is `wasp`."""
+
+from wasp_cli.app import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""The base of every configuration model, and the mark of values that the paper leaves open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Config(BaseModel):
+    """A frozen configuration: unknown keys are errors, values never change after validation."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+
+def assumed(default: Any, why: str, **constraints: Any) -> Any:
+    """A field whose value is not in the paper. `why` says where the value comes from; reports list it."""
+    return Field(default=default, description=why, json_schema_extra={"in_paper": False}, **constraints)
+
+
+def from_paper(default: Any, where: str, **constraints: Any) -> Any:
+    """A field whose value the paper states. `where` names the place."""
+    return Field(default=default, description=where, json_schema_extra={"in_paper": True}, **constraints)
+
+
+def assumptions(model: Config, prefix: str = "") -> list[tuple[str, Any, str]]:
+    """Every assumed field of a resolved model as (dotted name, value in force, why), in field order."""
+    found: list[tuple[str, Any, str]] = []
+    for name, info in type(model).model_fields.items():
+        value = getattr(model, name)
+        extra = info.json_schema_extra
+        if isinstance(value, Config):
+            found += assumptions(value, f"{prefix}{name}.")
+        elif isinstance(extra, dict) and extra.get("in_paper") is False:
+            found.append((f"{prefix}{name}", value, info.description or ""))
+    return found

@@ -1,0 +1,87 @@
+"""The expected errors of `wasp`, each with the exit code that the command line returns for it.
+
+    WaspError                       1   something expected went wrong
+    ├── CellsFailed                 1   a run ended with failed or blocked nodes
+    ├── StoreError                  1   the results folder cannot be read or written
+    ├── ArtifactError               1   an artifact is damaged or does not fit what reads it
+    ├── TaskError                   1   a task was driven wrongly (bad action, step after the end)
+    ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
+    ├── UsageError                  2   a command-line argument is wrong
+    │   └── UnknownName             2   a name that no registry knows
+    └── SpecError                   3   a spec does not read or does not validate
+
+An expected error prints as one message and a hint, never as a traceback.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import ClassVar
+
+
+class WaspError(Exception):
+    """Base of every expected error: `message` says what and where, `hint` how to fix it."""
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, message: str, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __reduce__(self) -> tuple[type[WaspError], tuple[str, str | None]]:
+        return type(self), (self.message, self.hint)
+
+
+class CellsFailed(WaspError):
+    """A run ended, and some of its nodes failed or were blocked by a failed one."""
+
+
+class StoreError(WaspError):
+    """The results folder cannot be read or written."""
+
+
+class ArtifactError(WaspError):
+    """An artifact is damaged, or does not fit the component that reads it."""
+
+
+class TaskError(WaspError):
+    """A task was driven wrongly: a non-finite or misshapen action, a step after the end."""
+
+
+class TrainingError(WaspError):
+    """A learning stage cannot go on: a non-finite loss, or data without what it needs."""
+
+
+class UsageError(WaspError):
+    """A command-line argument is wrong."""
+
+    exit_code = 2
+
+
+class UnknownName(UsageError):
+    """A name that no registry knows; the message suggests close ones."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        known = sorted(known)
+        super().__init__(f"unknown {kind} '{name}'", did_you_mean(name, known))
+        self.kind, self.name, self.known = kind, name, known
+
+    def __reduce__(self) -> tuple[type[UnknownName], tuple[str, str, list[str]]]:  # type: ignore[override]
+        return type(self), (self.kind, self.name, self.known)
+
+
+class SpecError(WaspError):
+    """A spec file does not read or does not validate. `message` holds every problem with its position."""
+
+    exit_code = 3
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A hint that names the closest known names, or all of them when none is close."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    if close:
+        return "did you mean " + " or ".join(f"'{c}'" for c in close) + "?"
+    return "known: " + ", ".join(known)

@@ -1,0 +1,1 @@
+"""Loops that turn interaction and data into weights."""

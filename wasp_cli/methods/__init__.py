@@ -1,0 +1,1 @@
+"""Assistants: everything that the main table compares."""

@@ -1,0 +1,66 @@
+"""Decision-time configuration of every assistant. Light: `wasp plan` reads it without torch."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import model_validator
+
+from wasp_cli.config import Config, assumed, from_paper
+
+
+class HumanConfig(Config):
+    """Human-only and Expert: the operator's command is executed as it is."""
+
+
+class IDAConfig(Config):
+    """IDA: override by the expert when a Q ensemble votes for it."""
+
+    vote: float = assumed(0.99, "class default of the authors' code", gt=-1.0, le=1.0)
+    quantile: float = assumed(0.95, "tau_Q: quantile of the advantage under the unimpaired expert with exploration noise", gt=0.0, lt=1.0)
+
+
+class DiffusionConfig(Config):
+    """Diffusion: partial forward and reverse diffusion of the operator's command."""
+
+    ratio: float = assumed(0.4, "forward diffusion ratio gamma_fwd of the original's main experiments", ge=0.0, le=1.0)
+
+
+class SafeRLConfig(Config):
+    """SafeRL-Res: the deterministic mean of the residual policy."""
+
+
+WASPVariant = Literal["full", "safety-only", "task-only", "no-case2", "no-rollout"]
+
+
+class WASPConfig(Config):
+    """WASP: gates (section 4.2) and residual planning (section 4.3). N candidates, M rollouts, H horizon, L residuals."""
+
+    variant: WASPVariant = "full"
+    horizon: int = from_paper(15, "H, section 5.1", ge=1)
+    residual_steps: int = from_paper(5, "L, section 5.1", ge=1)
+    probe: int = from_paper(300, "N_probe, section 5.1", ge=1)
+    candidates: int = from_paper(300, "N, section 5.1", ge=2)
+    elites: int = from_paper(100, "N_e, section 5.1", ge=1)
+    iterations: int = from_paper(6, "I, section 5.1", ge=1)
+    rollouts: int = assumed(1, "M: rollouts per candidate, with common random numbers over candidates", ge=1)
+    gate_rollouts: int = assumed(4, "rollouts of the nominal gate and of the winner's re-scoring", ge=1)
+    feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
+    alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
+    tau_c: float = assumed(0.3, "expected costly decision steps within H above which the safety gate fires", gt=0.0)
+    tau_r: float | Literal["calibrated"] = assumed("calibrated", "95th percentile of the re-scored gain under the unimpaired expert")
+    tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
+    bootstrap_cost: bool = assumed(False, "V_c after H in Eq. 7-8 for the cost; the plain sum ranks better")
+    initial_std: float = assumed(0.5, "standard deviation of the first residual distribution", gt=0.0)
+    std_floor: float = assumed(0.05, "keeps the distribution from collapsing", gt=0.0)
+    momentum: float = assumed(0.1, "weight of the old mean in a CEM update", ge=0.0, lt=1.0)
+    composition: Literal["per_step", "hold"] = assumed("per_step", "Eq. 13: a^H_{t+k} + delta_{t+k} as the text says; `hold` is the printed formula")
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> WASPConfig:
+        if self.residual_steps > self.horizon:
+            raise ValueError(f"residual_steps ({self.residual_steps}) is longer than horizon ({self.horizon})")
+        for name in ("elites", "feasible"):
+            if getattr(self, name) > self.candidates:
+                raise ValueError(f"{name} ({getattr(self, name)}) is more than candidates ({self.candidates})")
+        return self

@@ -1,0 +1,45 @@
+"""The assistants by name. Adding one is a module with its class, a config in `configs` and one line here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wasp_cli.registry import Registry
+
+
+@dataclass(frozen=True)
+class MethodInfo:
+    """What is known of an assistant without importing torch."""
+
+    name: str
+    title: str
+    """Name in tables."""
+    target: str
+    """Import string of the `Assistant` class."""
+    config: str
+    """Import string of its config model."""
+    needs: tuple[str, ...] = ()
+    """Stage kinds whose artifacts it reads, besides `world_model` and `policies`."""
+    calibrated: bool = False
+    """Whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)."""
+    impaired: bool = True
+    """False for the reference row: it runs the unimpaired operator, once for all variants."""
+    variants: tuple[str, ...] = ("full",)
+    """Ablations that are configurations of the same class."""
+
+
+METHODS: Registry[MethodInfo] = Registry(
+    "method",
+    "wasp.methods",
+    (
+        MethodInfo("human", "Human-only", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig"),
+        MethodInfo("ida", "IDA", "wasp_cli.methods.ida:IDA", "wasp_cli.methods.configs:IDAConfig", ("ida_q",), calibrated=True),
+        MethodInfo("diffusion", "Diffusion", "wasp_cli.methods.diffusion:Diffusion", "wasp_cli.methods.configs:DiffusionConfig", ("denoiser",)),
+        MethodInfo("saferl", "SafeRL-Res", "wasp_cli.methods.saferl:SafeRLRes", "wasp_cli.methods.configs:SafeRLConfig", ("residual",)),
+        MethodInfo(
+            "wasp", "WASP", "wasp_cli.methods.wasp.assistant:WASP", "wasp_cli.methods.configs:WASPConfig", ("critics",), calibrated=True,
+            variants=("full", "safety-only", "task-only", "no-case2", "no-rollout"),
+        ),
+        MethodInfo("expert", "Expert", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", impaired=False),
+    ),
+)

@@ -1,0 +1,1 @@
+"""Networks: world model, critics, policies, denoiser, Q ensemble."""

@@ -1,0 +1,69 @@
+"""The contract of a world model.
+
+Dimension letters: B batch rows (any leading shape works), A actions, D deterministic size, Z flat stochastic size
+(S variables x C classes), F = D + Z features.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+
+class Latent(NamedTuple):
+    """The latent state: recurrent part h [..., D] and one-hot stochastic part z [..., Z]."""
+
+    h: Tensor
+    z: Tensor
+
+    @property
+    def features(self) -> Tensor:
+        """[..., D + Z]"""
+        return torch.cat([self.h, self.z], -1)
+
+    def rows(self, index: Tensor) -> Latent:
+        """Select along the first dimension."""
+        return Latent(self.h[index], self.z[index])
+
+    def expand_rows(self, copies: int) -> Latent:
+        """[B, .] -> [B * copies, .], the copies of a row adjacent."""
+        return Latent(self.h.repeat_interleave(copies, 0), self.z.repeat_interleave(copies, 0))
+
+
+class WorldModel(Protocol):
+    """What gates, planner and closed loop ask of a world model. Frozen at evaluation."""
+
+    action_size: int
+    noise_size: int
+    """Gumbel variables per imagined step and row."""
+
+    def initial(self, batch: int) -> Latent: ...
+
+    def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
+        """The posterior after executing `action` [B, A] and seeing `pixels` uint8 [B, 6, 64, 64].
+
+        Rows with `first` [B] start anew: h, z and the action are masked.
+        """
+        ...
+
+    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
+        """One prior step; `noise` [B, noise_size] are standard Gumbel draws."""
+        ...
+
+    def reward(self, latent: Latent) -> Tensor:
+        """[B] mean reward that the arrived state scores (Eq. 6, read at t+k+1 for a_{t+k})."""
+        ...
+
+    def cost(self, latent: Latent) -> Tensor:
+        """[B] probability of a cost event at the arrived state."""
+        ...
+
+
+class Critics(Protocol):
+    """V_r and V_c (Eq. 7)."""
+
+    def value_r(self, latent: Latent) -> Tensor: ...
+
+    def value_c(self, latent: Latent) -> Tensor: ...

@@ -1,0 +1,40 @@
+"""The operator variants by name. Adding one is a module with its class and one line here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wasp_cli.registry import Registry
+
+
+@dataclass(frozen=True)
+class OperatorInfo:
+    """What is known of an operator variant without importing torch."""
+
+    name: str
+    title: str
+    target: str
+    """Import string of the `Operator` class."""
+    low: float
+    high: float
+    """Range of the severity value."""
+    unit: str
+    """Meaning of the severity value, for people."""
+
+
+OPERATORS: Registry[OperatorInfo] = Registry(
+    "operator variant",
+    "wasp.operators",
+    (
+        OperatorInfo("noisy", "Noisy", "wasp_cli.operators.noisy:NoisyOperator", 0.0, 1.0, "probability of a uniform action"),
+        OperatorInfo("laggy", "Laggy", "wasp_cli.operators.laggy:LaggyOperator", 0.0, 1.0, "probability of repeating the last command"),
+        OperatorInfo(
+            "limited-skill", "Limited skill", "wasp_cli.operators.limited:LimitedSkillOperator", 0.0, 1.0,
+            "fraction of the expert's interactions",
+        ),
+        OperatorInfo("reaction-time", "Reaction time", "wasp_cli.operators.delayed:DelayedOperator", 0.0, 10.0, "delay in seconds"),
+    ),
+)
+
+UNIMPAIRED = "none"
+"""The variant of the Expert row: the full-skill policy without an impairment."""

@@ -1,0 +1,78 @@
+"""Names to things: one registry per package, import strings inside, entry points for third parties.
+
+Listing names imports nothing heavy; `load` imports the module of the entry that is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from importlib.metadata import entry_points
+from typing import Any, Generic, Protocol, TypeVar
+
+from wasp_cli.errors import UnknownName, WaspError
+
+
+class Entry(Protocol):
+    """What a registry holds: at least a name and an import string `module:attribute`."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def target(self) -> str: ...
+
+
+E = TypeVar("E", bound=Entry)
+
+
+class Registry(Mapping[str, E], Generic[E]):
+    """The entries of one package. `group` is the entry-point group through which others add theirs."""
+
+    def __init__(self, kind: str, group: str | None, entries: tuple[E, ...]) -> None:
+        self.kind = kind
+        self._group = group
+        self._own = {entry.name: entry for entry in entries}
+        self._all: dict[str, E] | None = None
+
+    def _entries(self) -> dict[str, E]:
+        if self._all is None:
+            found = dict(self._own)
+            # A plugin's entry point names an object that is an entry of this registry.
+            for point in entry_points(group=self._group) if self._group else ():
+                entry: E = point.load()
+                if entry.name in self._own:
+                    raise WaspError(f"plugin '{point.value}' redefines the built-in {self.kind} '{entry.name}'")
+                found[entry.name] = entry
+            self._all = found
+        return self._all
+
+    def __getitem__(self, name: str) -> E:
+        try:
+            return self._entries()[name]
+        except KeyError:
+            raise UnknownName(self.kind, name, self._entries()) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries())
+
+    def __len__(self) -> int:
+        return len(self._entries())
+
+    def load(self, name: str) -> Any:
+        """Import and return what the entry's `target` names."""
+        return load_target(self[name].target)
+
+
+def load_target(target: str) -> Any:
+    """Import `module:attribute`."""
+    module, _, attribute = target.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def module_of(target: str) -> str:
+    """The module part of an import string."""
+    return target.partition(":")[0]

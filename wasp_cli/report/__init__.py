@@ -1,0 +1,1 @@
+"""A store to tables: pure functions over rows."""

@@ -1,0 +1,1 @@
+"""A plan to a filled store: joblib workers, journal, progress."""

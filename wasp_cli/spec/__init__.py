@@ -1,0 +1,1 @@
+"""Text to a frozen model: pydantic models, YAML with positions, presets."""

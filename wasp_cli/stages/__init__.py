@@ -1,0 +1,1 @@
+"""One file per node kind: the only bridge between orchestration and science."""

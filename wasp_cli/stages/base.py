@@ -1,0 +1,56 @@
+"""The contract of a stage: what turns upstream artifacts into one artifact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from wasp_cli.config import Config
+
+Progress = Callable[[float, str], None]
+"""Called with the finished share in [0, 1] and a short text such as 'update 300/800, loss 41.2'."""
+
+
+def no_progress(share: float, text: str) -> None:
+    """A progress callback for callers that do not show any."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One node's work, as a worker receives it."""
+
+    kind: str
+    task: str
+    seed: int
+    """Names the random streams of this node; every node of a training chain has the same."""
+    config: Config
+    """The validated section of this stage (an instance of the stage's `config`)."""
+    settings: Mapping[str, Any]
+    """The spec's shared settings that the stage named in its `settings`, and no others."""
+    axes: Mapping[str, Any]
+    """What else identifies the node: method, variant, severity, value, ... (evaluate, calibration)."""
+    inputs: Mapping[str, Path]
+    """Folders of the upstream artifacts, by stage kind."""
+    out_dir: Path
+    """Empty folder; what the stage leaves there becomes the artifact."""
+    work_dir: Path
+    """Survives an interruption; resumable stages keep their checkpoint here."""
+    progress: Progress = field(default=no_progress)
+    threads: int = 1
+
+
+class Stage(Protocol):
+    """A node kind. Heavy imports go inside `run`, so that planning needs no torch."""
+
+    kind: ClassVar[str]
+    config: ClassVar[type[Config]]
+    settings: ClassVar[tuple[str, ...]]
+    """Names of shared spec settings that enter the node's configuration and key."""
+    needs: ClassVar[tuple[str, ...]]
+    """Stage kinds of the same task and seed whose artifacts `run` reads (methods add theirs in `evaluate` and `calibration`)."""
+
+    def run(self, job: Job) -> Mapping[str, Any]:
+        """Fill `job.out_dir` and return the numbers worth showing (JSON values; they go to the manifest)."""
+        ...

@@ -1,0 +1,210 @@
+"""The configuration section of every stage: sizes and budgets. Light: `wasp plan` reads it without torch.
+
+Defaults are the `cpu` preset; the other presets override them (`spec.presets`).
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from wasp_cli.config import Config, assumed, from_paper
+
+
+class ReturnsConfig(Config):
+    """Constants of the TD-lambda returns (Eq. 7-8), shared by critics, gates and planner."""
+
+    gamma_r: float = assumed(0.99, "discount of the reward return", gt=0.0, le=1.0)
+    gamma_c: float = assumed(0.95, "discount of the cost return; V_c at 0.997 made the gate nearly useless", gt=0.0, le=1.0)
+    lam: float = assumed(0.95, "lambda, as in DreamerV3 and SafeDreamer", gt=0.0, le=1.0)
+
+
+class ExpertConfig(Config):
+    """PPO with an adaptive Lagrange multiplier on privileged observations."""
+
+    interactions: int = assumed(1_500_000, "decision steps", ge=1)
+    envs: int = assumed(32, "episodes side by side", ge=1)
+    rollout: int = assumed(128, "decision steps per environment and update", ge=1)
+    epochs: int = assumed(8, "passes over a rollout", ge=1)
+    batch: int = assumed(1024, "minibatch", ge=2)
+    learning_rate: float = assumed(4e-4, "decays linearly to a tenth", gt=0.0)
+    gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
+    gae_lambda: float = assumed(0.95, "GAE", gt=0.0, le=1.0)
+    hidden: tuple[int, ...] = assumed((128, 128), "layers of actor and value network")
+    entropy: float = assumed(0.003, "entropy bonus", ge=0.0)
+    log_std_init: float = assumed(-0.3, "initial exploration")
+    log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
+    cost_limit: float = from_paper(25.0, "per 1000 env steps; the benchmark's convention", ge=0.0)
+    multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
+    multiplier_lr: float = assumed(0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+    checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
+    evaluation_episodes: int = assumed(20, "episodes of the final evaluation of each checkpoint", ge=1)
+
+    @model_validator(mode="after")
+    def _checkpoints_rise_to_one(self) -> ExpertConfig:
+        if list(self.checkpoints) != sorted(set(self.checkpoints)) or not self.checkpoints or self.checkpoints[-1] != 1.0 or self.checkpoints[0] <= 0:
+            raise ValueError("checkpoints must rise and end at 1.0")
+        return self
+
+
+class MixtureConfig(Config):
+    """Shares of the behaviours in the dataset; they must sum to 1."""
+
+    expert: float = assumed(0.20, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    noisy: float = assumed(0.28, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.22, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    early: float = assumed(0.10, "the first two checkpoints", ge=0.0, le=1.0)
+    bursts: float = assumed(0.12, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _shares_sum_to_one(self) -> MixtureConfig:
+        total = sum(getattr(self, name) for name in type(self).model_fields)
+        if abs(total - 1.0) > 1e-6:
+            raise ValueError(f"the shares sum to {total:g}, not 1")
+        return self
+
+
+class DatasetConfig(Config):
+    """Episodes with images from a mixture of behaviours."""
+
+    steps: int = assumed(100_000, "decision steps", ge=1)
+    envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    mixture: MixtureConfig = MixtureConfig()
+
+
+class WorldModelConfig(Config):
+    """RSSM with categorical latents and heads for image, reward, cost and continuation (Eq. 6)."""
+
+    deter: int = assumed(256, "size of h", ge=1)
+    hidden: int = assumed(128, "width of the layers around the GRU", ge=1)
+    variables: int = assumed(16, "categorical variables in z", ge=1)
+    classes: int = assumed(16, "classes of each", ge=2)
+    depth: int = assumed(16, "channels of the first convolution", ge=1)
+    head: int = assumed(128, "width of the two layers of each head", ge=1)
+    unimix: float = assumed(0.01, "share of a uniform distribution mixed into every categorical", ge=0.0, lt=1.0)
+    batch: int = assumed(16, "sequences per update", ge=1)
+    length: int = assumed(32, "decision steps per sequence", ge=2)
+    updates: int = assumed(2000, "gradient steps", ge=1)
+    learning_rate: float = assumed(8e-4, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    warmup: int = assumed(200, "updates of linear warm-up", ge=0)
+    clip: float = assumed(300.0, "gradient norm", gt=0.0)
+    alpha_q: float = assumed(0.1, "Eq. 6: weight of the representation term", ge=0.0)
+    alpha_p: float = assumed(1.0, "Eq. 6: weight of the prediction term", ge=0.0)
+    free_nats: float = assumed(1.0, "KL below which no gradient flows, on the sum over variables", ge=0.0)
+    beta_o: float = assumed(1.0, "Eq. 6: image, squared error summed over pixels", ge=0.0)
+    beta_r: float = assumed(5.0, "Eq. 6: reward", ge=0.0)
+    beta_c: float = assumed(20.0, "Eq. 6: cost; 1 drowns in the image sum", ge=0.0)
+    beta_n: float = assumed(1.0, "continuation; not in Eq. 6, Race1 ends at the goal", ge=0.0)
+    reward_scale: float = assumed(5.0, "rewards are multiplied by it before the squared error", gt=0.0)
+    cost_weight: float = assumed(5.0, "weight of costly steps; its logarithm is removed from the logit at inference", ge=1.0)
+    cost_windows: float = assumed(1 / 3, "share of sequences that contain a costly step", ge=0.0, le=1.0)
+    decode_share: float = assumed(0.25, "share of the steps whose image is decoded", gt=0.0, le=1.0)
+    refit_updates: int = assumed(600, "last step: reward and cost heads on prior latents, model frozen", ge=0)
+    refit_horizon: int = assumed(15, "imagined steps of the refit", ge=1)
+    checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", ge=1)
+
+
+class PoliciesConfig(Config):
+    """Latent actors distilled from the expert checkpoints."""
+
+    hidden: tuple[int, ...] = assumed((128, 128), "layers of a latent actor")
+    updates: int = assumed(1500, "gradient steps per skill", ge=1)
+    batch: int = assumed(512, "latents per update", ge=1)
+    learning_rate: float = assumed(1e-3, "Adam, linear decay", gt=0.0)
+    evaluation_episodes: int = assumed(10, "episodes of the latent expert in the real task", ge=1)
+
+
+class CriticsConfig(Config):
+    """V_r and V_c on imagined rollouts of the nominal expert."""
+
+    hidden: tuple[int, ...] = assumed((128, 128), "layers of a critic")
+    updates: int = assumed(1000, "gradient steps", ge=1)
+    starts: int = assumed(256, "imagined rollouts per update", ge=1)
+    horizon: int = from_paper(15, "H", ge=1)
+    learning_rate: float = assumed(5e-4, "Adam", gt=0.0)
+    slow: float = assumed(0.02, "share of the online critic that enters the target critic per update", gt=0.0, le=1.0)
+
+
+class HeldoutConfig(Config):
+    """Episodes of the unimpaired expert on seeds of their own, for every threshold."""
+
+    episodes: int = assumed(20, "held-out episodes", ge=1)
+
+
+class CalibrationConfig(Config):
+    """Thresholds from the held-out episodes."""
+
+    window: int = from_paper(15, "W, section 5.3", ge=1)
+    quantile: float = assumed(0.95, "tau_r: quantile of the re-scored gain", gt=0.0, lt=1.0)
+    decisions: int = assumed(1500, "held-out decisions at which the task gate is probed", ge=1)
+    tau_R_fraction: float = assumed(0.1, "tau_R as a fraction of the expert's mean W-step return", ge=0.0)
+
+
+class EnsembleConfig(Config):
+    """IDA's Q ensemble for the expert, TD on real and noisy transitions."""
+
+    members: int = assumed(5, "ensemble size, as in TS2C", ge=1)
+    hidden: tuple[int, ...] = assumed((256, 256), "layers of a member")
+    updates: int = assumed(4000, "gradient steps", ge=1)
+    batch: int = assumed(256, "transitions per update", ge=1)
+    learning_rate: float = assumed(3e-4, "Adam", gt=0.0)
+    target_rate: float = assumed(0.005, "share of the online network that enters the target per update", gt=0.0, le=1.0)
+
+
+class DenoiserConfig(Config):
+    """Diffusion's action denoiser, conditioned on the latent features."""
+
+    steps: int = assumed(50, "T: diffusion steps of the original", ge=2)
+    beta_min: float = assumed(1e-4, "first beta of the sigmoid schedule", gt=0.0, lt=1.0)
+    beta_max: float = assumed(0.26, "last beta of the sigmoid schedule", gt=0.0, lt=1.0)
+    hidden: tuple[int, ...] = assumed((128, 128, 128), "layers")
+    updates: int = assumed(10_000, "gradient steps (the original has 30,000)", ge=1)
+    batch: int = assumed(1024, "transitions per update (the original has 4096)", ge=1)
+    learning_rate: float = assumed(1e-3, "Adam", gt=0.0)
+    ema: float = assumed(0.999, "decay of the averaged weights that are used", ge=0.0, lt=1.0)
+
+
+LADDER: dict[str, tuple[float, ...]] = {
+    "noisy": (0.2, 0.4, 0.6),
+    "laggy": (0.5, 0.7, 0.85),
+    "limited-skill": (0.50, 0.25, 0.10),
+    "reaction-time": (0.16, 0.24, 0.40),
+}
+
+
+class ResidualConfig(Config):
+    """SafeRL-Res: PPO with a Lagrange multiplier on Eq. 5 over (h, z, a^H) in the real task."""
+
+    interactions: int = assumed(300_000, "decision steps (the original has 100 M)", ge=1)
+    envs: int = assumed(16, "episodes side by side", ge=1)
+    rollout: int = assumed(128, "decision steps per environment and update", ge=1)
+    epochs: int = assumed(4, "passes over a rollout", ge=1)
+    batch: int = assumed(256, "minibatch", ge=2)
+    learning_rate: float = assumed(3e-4, "Adam", gt=0.0)
+    gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
+    hidden: tuple[int, ...] = assumed((128, 128), "layers of actor and value network")
+    entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
+    log_std_init: float = assumed(-1.6, "initial exploration of the residual")
+    alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
+    cost_limit: float = from_paper(25.0, "kappa per 1000 env steps", ge=0.0)
+    value_warmup: float = assumed(0.02, "share of the interactions that train only the value function", ge=0.0, lt=1.0)
+    multiplier_delay: float = assumed(0.05, "share of the interactions before the multiplier moves", ge=0.0, lt=1.0)
+    multiplier_init: float = assumed(0.3, "penalty per costly decision step", ge=0.0)
+    multiplier_lr: float = assumed(0.05, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+    operators: dict[str, tuple[float, ...]] = Field(default=LADDER, description="operators mixed per episode")
+
+
+class EvaluateConfig(Config):
+    """One cell of the grid."""
+
+    episodes: int = assumed(30, "episodes per cell", ge=1)
+    success_goals: int | None = Field(default=None, description="goals that count as success; the task's own number when null", ge=1)
+    safe_cost: float = from_paper(25.0, "kappa: episode cost up to which a success is a safe success", ge=0.0)
+
+
+SeedPlan = Literal["per-seed", "shared"]
+"""Whether every evaluation seed trains its own models, or all share those of the first seed."""

@@ -1,0 +1,1 @@
+"""Bytes on disk: every path is made here."""

@@ -1,0 +1,1 @@
+"""Constrained Markov decision processes on MuJoCo, stepped as batches."""
