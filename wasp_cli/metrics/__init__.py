@@ -1,1 +1,1 @@
-"""Numbers from recorded steps."""
+"""Numbers from the steps of an episode: the columns of the tables and the counterfactual measures (numpy only)."""

@@ -1,0 +1,210 @@
+"""From the steps of one episode to its row, and from rows to the numbers of a cell.
+
+Dimension letters: T decision steps of an episode, A actions, E episodes. A decision step is `action_repeat` env steps
+under one action; every rate counts decision steps, and an episode that ran into its time limit counts like any other.
+
+Definitions (the paper's section 5.2 where it is unambiguous):
+
+    return        sum of env rewards
+    success       at least `success_goals` goals within the time limit
+    safe_success  success, and cost <= `safe_cost`
+    cost          sum over env steps of the 0/1 cost
+    viol          decision steps with cost / decision steps;  viol_env: the same per env step;  violated: any cost at all
+    int_rate      share of decision steps with ||a - a_h|| > 1e-6;  int_rate_05, int_rate_10: > 0.05, > 0.10
+    mag           mean ||a - a_h|| over all decision steps;  mag_int: over the intervened ones;  mag = int_rate x mag_int
+    smoothness    mean ||a_t - a_{t-1}||^2
+    safety_gate   share of decision steps at which the safety gate (task_gate: the task gate) called for the planner
+    case2         share of Case II among the planner's iterations, mean over the steps that planned
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.integer]
+Bools = NDArray[np.bool_]
+
+INTERVENED = 1e-6
+"""The paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0 everywhere."""
+
+GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_ALWAYS = 0, 1, 2, 3
+"""Values of `Trajectory.gate`: the command stands; safety gate; task gate; the method acts without a gate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The decision steps of one finished episode. Undefined numbers are NaN, an undefined `safe` is -1."""
+
+    reward: Floats
+    """[T] sum over the env steps of the decision step"""
+    cost: Bools
+    """[T] any cost within the decision step (c_t)"""
+    cost_env: Ints
+    """[T] env steps with cost"""
+    env_steps: Ints
+    """[T] env steps executed"""
+    goals: Ints
+    """[T] goals (stages) reached"""
+    a_h: Floats
+    """[T, A] operator command, clipped to the bounds"""
+    a: Floats
+    """[T, A] executed action, clipped to the bounds"""
+    gate: Ints
+    """[T] one of GATE_*"""
+    g_cost: Floats
+    """[T] estimated cost return of the nominal command (Eq. 9)"""
+    delta_g: Floats
+    """[T] estimated gain of the probe's winner (Eq. 12)"""
+    signal: Floats
+    """[T] the method's own decision value, such as IDA's vote"""
+    case2_share: Floats
+    """[T] share of the planner's iterations that were Case II"""
+    safe: Ints
+    """[T] safe candidates in the planner's last iteration"""
+
+    def __post_init__(self) -> None:
+        steps = len(self.reward)
+        if steps == 0:
+            raise ValueError("an episode has at least one step")
+        for field in fields(self):
+            shape = np.shape(getattr(self, field.name))
+            wanted = (steps, *np.shape(self.a)[1:]) if field.name in ("a", "a_h") else (steps,)
+            if shape != wanted:
+                raise ValueError(f"{field.name} has shape {shape}, not {wanted}")
+        for name in ("reward", "a", "a_h"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"{name} is not finite")
+
+    @property
+    def steps(self) -> int:
+        """T"""
+        return len(self.reward)
+
+    @property
+    def deviation(self) -> Floats:
+        """[T] ||a - a_h||, exactly 0 where it is rounding."""
+        norm: Floats = np.linalg.norm(np.asarray(self.a, np.float64) - np.asarray(self.a_h, np.float64), axis=1)
+        return np.where(norm > INTERVENED, norm, 0.0)
+
+
+@dataclass(frozen=True)
+class EpisodeMetrics:
+    """The row of one episode. None is undefined, never 0."""
+
+    decisions: int
+    """decision steps T"""
+    env_steps: int
+    intervened: int
+    """decision steps with an intervention"""
+    planned: int
+    """decision steps at which `case2` is defined"""
+    return_: float
+    success: bool
+    safe_success: bool
+    goals: int
+    cost: int
+    viol: float
+    viol_env: float
+    violated: bool
+    int_rate: float
+    int_rate_05: float
+    int_rate_10: float
+    mag: float
+    mag_int: float | None
+    smoothness: float | None
+    safety_gate: float
+    task_gate: float
+    case2: float | None
+
+
+def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float) -> EpisodeMetrics:
+    """Reduce an episode to its row.
+
+    Args:
+        trajectory: the decision steps.
+        success_goals: goals within the time limit that count as success.
+        safe_cost: kappa, the episode cost up to which a success is a safe success.
+    """
+    steps, env_steps = trajectory.steps, int(trajectory.env_steps.sum())
+    deviation = trajectory.deviation
+    intervened = deviation > 0.0
+    cost, goals = int(trajectory.cost_env.sum()), int(trajectory.goals.sum())
+    success = goals >= success_goals
+    planned = ~np.isnan(trajectory.case2_share)
+    jumps = np.square(np.diff(trajectory.a, axis=0)).sum(1)
+    return EpisodeMetrics(
+        decisions=steps,
+        env_steps=env_steps,
+        intervened=int(intervened.sum()),
+        planned=int(planned.sum()),
+        return_=float(trajectory.reward.sum()),
+        success=success,
+        safe_success=success and cost <= safe_cost,
+        goals=goals,
+        cost=cost,
+        viol=float(trajectory.cost.mean()),
+        viol_env=cost / env_steps,
+        violated=bool(trajectory.cost.any()),
+        int_rate=float(intervened.mean()),
+        int_rate_05=float((deviation > 0.05).mean()),
+        int_rate_10=float((deviation > 0.10).mean()),
+        mag=float(deviation.mean()),
+        mag_int=float(deviation[intervened].mean()) if intervened.any() else None,
+        smoothness=float(jumps.mean()) if steps > 1 else None,
+        safety_gate=float((trajectory.gate == GATE_SAFETY).mean()),
+        task_gate=float((trajectory.gate == GATE_TASK).mean()),
+        case2=float(trajectory.case2_share[planned].mean()) if planned.any() else None,
+    )
+
+
+WEIGHTS: dict[str, str | None] = {
+    "return": None,
+    "success": None,
+    "safe_success": None,
+    "goals": None,
+    "cost": None,
+    "violated": None,
+    "viol": "decisions",
+    "viol_env": "env_steps",
+    "int_rate": "decisions",
+    "int_rate_05": "decisions",
+    "int_rate_10": "decisions",
+    "mag": "decisions",
+    "mag_int": "intervened",
+    "smoothness": "decisions",
+    "safety_gate": "decisions",
+    "task_gate": "decisions",
+    "case2": "planned",
+}
+"""How a column pools over episodes: its weight column, so that rates are ratios of sums; None is one weight per episode."""
+
+
+def pool(columns: Mapping[str, NDArray[np.generic]], groups: NDArray[np.intp] | None = None) -> dict[str, Floats]:
+    """Pool episode rows into cells: the weighted mean of every column of WEIGHTS.
+
+    Args:
+        columns: [E] each, with the names of WEIGHTS and the weights; undefined entries are NaN.
+        groups: [E] the cell of each row, numbered from 0; one cell when None.
+
+    Returns:
+        [cells] per column; NaN where no episode of a cell defines it.
+    """
+    rows = len(columns["decisions"])
+    groups = np.zeros(rows, np.intp) if groups is None else groups
+    cells = int(groups.max()) + 1 if rows else 0
+    pooled: dict[str, Floats] = {}
+    for name, weight_name in WEIGHTS.items():
+        value = np.asarray(columns[name], np.float64)
+        weight = np.ones(rows) if weight_name is None else np.asarray(columns[weight_name], np.float64)
+        if name == "smoothness":
+            weight = weight - 1.0  # T steps have T - 1 differences
+        weight = np.where(np.isnan(value), 0.0, weight)
+        total = np.bincount(groups, weight * np.nan_to_num(value), cells)
+        mass = np.bincount(groups, weight, cells)
+        pooled[name] = np.divide(total, mass, out=np.full(cells, np.nan), where=mass > 0)
+    return pooled

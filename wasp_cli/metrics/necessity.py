@@ -1,0 +1,60 @@
+"""Was an intervention necessary? The counterfactual measures of the paper's section 5.3.
+
+At an intervened step two branches run for W decision steps from the same state with common random numbers: the assisted
+one executes the method's action first, the counterfactual one the operator's command; then both follow the operator.
+
+Dimension letters: N intervened steps, W steps of a branch (terms after the end of an episode are 0).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class Necessity(NamedTuple):
+    """What N interventions were worth."""
+
+    rho: Floats
+    """[N] risk: mean cost of the counterfactual branch (Eq. 19)"""
+    delta_c: Floats
+    """[N] cost avoided (Eq. 20)"""
+    delta_r: Floats
+    """[N] reward gained (Eq. 20)"""
+    unnecessary: Bools
+    """[N] neither avoided cost nor gained more than tau_R (Eq. 21)"""
+
+    @property
+    def uir(self) -> float:
+        """Unnecessary intervention rate (Eq. 21); NaN, not 0, when nothing was intervened."""
+        return float(self.unnecessary.mean()) if len(self.unnecessary) else float("nan")
+
+
+def necessity(cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst: Floats, tau_R: float) -> Necessity:
+    """Eq. 19-21 for N interventions.
+
+    Args:
+        cost_cf: [N, W] cost of the counterfactual branch per step.
+        cost_asst: [N, W] cost of the assisted branch.
+        reward_cf: [N, W] reward of the counterfactual branch.
+        reward_asst: [N, W] reward of the assisted branch.
+        tau_R: return improvement below which an intervention that avoids no cost is unnecessary.
+    """
+    shape = np.shape(cost_cf)
+    if len(shape) != 2 or shape[1] == 0 or any(np.shape(x) != shape for x in (cost_asst, reward_cf, reward_asst)):
+        raise ValueError("the branches need the same shape [N, W] with W >= 1")
+    delta_c = cost_cf.sum(1) - cost_asst.sum(1)
+    delta_r = reward_asst.sum(1) - reward_cf.sum(1)
+    return Necessity(cost_cf.mean(1), delta_c, delta_r, (delta_c <= 0.0) & (delta_r <= tau_R))
+
+
+def padded(steps: Floats, width: int) -> Floats:
+    """[W'] -> [W]: a branch that ended early, continued with zeros (or cut, when it is longer)."""
+    out = np.zeros(width)
+    out[: len(steps)] = steps[:width]
+    return out

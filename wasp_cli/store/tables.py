@@ -1,0 +1,266 @@
+"""The one Parquet file of a cell: a row per episode, its steps nested inside.
+
+    thresholds = Thresholds(tau_c=0.3, tau_r=0.41)
+    rows = [episode_metrics(trajectory, success_goals, safe_cost) for trajectory in trajectories]
+    cell = CellIdentity("goal1", "wasp", "full", "noisy", 0.4, seed=0)
+    write_cell(path, cell, trajectories, rows, thresholds, decision_ms, episode_seeds)
+
+    read_episodes(paths)   the episode columns of many cells, in the order of `paths`; steps are not read from disk
+    read_steps(path)       the steps of one cell, flat: `episode`, then the fields of STEP
+    same_rows(a, b)        whether two files hold the same rows, timing aside
+
+A cell is one atomic file, and other tools read it, such as DuckDB:
+`select episode, unnest(steps, recursive := true) from 'cell.parquet'`.
+Undefined numbers are null. Everything but the TIMING columns is a function of the cell's key.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from wasp_cli.errors import StoreError
+from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
+
+VERSION = 1
+"""Grows with every change of SCHEMA; a file of a newer version is refused."""
+
+VERSION_KEY = b"wasp.cell"
+
+STEP = pa.struct(
+    [
+        pa.field("t", pa.int32(), nullable=False),
+        pa.field("reward", pa.float32(), nullable=False),
+        pa.field("cost", pa.bool_(), nullable=False),
+        pa.field("cost_env", pa.int16(), nullable=False),
+        pa.field("env_steps", pa.int16(), nullable=False),
+        pa.field("goals", pa.int16(), nullable=False),
+        pa.field("a_h", pa.list_(pa.float32()), nullable=False),
+        pa.field("a", pa.list_(pa.float32()), nullable=False),
+        pa.field("deviation", pa.float32(), nullable=False),
+        pa.field("gate", pa.int8(), nullable=False),
+        pa.field("g_cost", pa.float32()),
+        pa.field("delta_g", pa.float32()),
+        pa.field("signal", pa.float32()),
+        pa.field("safe", pa.int16()),
+        pa.field("case2_share", pa.float32()),
+    ]
+)
+"""A decision step; the meaning of the fields is that of `metrics.episode.Trajectory`."""
+
+IDENTITY = (
+    pa.field("task", pa.string(), nullable=False),
+    pa.field("method", pa.string(), nullable=False),
+    pa.field("assistant_variant", pa.string(), nullable=False),
+    pa.field("variant", pa.string(), nullable=False),
+    pa.field("value", pa.float64()),
+    pa.field("seed", pa.int64(), nullable=False),
+    pa.field("episode", pa.int32(), nullable=False),
+    pa.field("episode_seed", pa.int64(), nullable=False),
+)
+METRICS = (
+    pa.field("decisions", pa.int32(), nullable=False),
+    pa.field("env_steps", pa.int32(), nullable=False),
+    pa.field("intervened", pa.int32(), nullable=False),
+    pa.field("planned", pa.int32(), nullable=False),
+    pa.field("return", pa.float64(), nullable=False),
+    pa.field("success", pa.bool_(), nullable=False),
+    pa.field("safe_success", pa.bool_(), nullable=False),
+    pa.field("goals", pa.int32(), nullable=False),
+    pa.field("cost", pa.int32(), nullable=False),
+    pa.field("viol", pa.float64(), nullable=False),
+    pa.field("viol_env", pa.float64(), nullable=False),
+    pa.field("violated", pa.bool_(), nullable=False),
+    pa.field("int_rate", pa.float64(), nullable=False),
+    pa.field("int_rate_05", pa.float64(), nullable=False),
+    pa.field("int_rate_10", pa.float64(), nullable=False),
+    pa.field("mag", pa.float64(), nullable=False),
+    pa.field("mag_int", pa.float64()),
+    pa.field("smoothness", pa.float64()),
+    pa.field("safety_gate", pa.float64(), nullable=False),
+    pa.field("task_gate", pa.float64(), nullable=False),
+    pa.field("case2", pa.float64()),
+)
+THRESHOLDS = (pa.field("tau_c", pa.float64()), pa.field("tau_r", pa.float64()), pa.field("tau_q", pa.float64()))
+TIMES = (
+    pa.field("decision_p50_ms", pa.float32()),
+    pa.field("decision_p95_ms", pa.float32()),
+    pa.field("decision_ms", pa.list_(pa.float32()), nullable=False),
+)
+
+SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES, pa.field("steps", pa.list_(STEP), nullable=False)]).with_metadata(
+    {VERSION_KEY: str(VERSION).encode()}
+)
+
+TIMING = tuple(field.name for field in TIMES)
+"""Columns that differ between two computations of one cell."""
+
+EPISODE_COLUMNS = tuple(name for name in SCHEMA.names if name not in ("decision_ms", "steps"))
+
+
+@dataclass(frozen=True)
+class CellIdentity:
+    """What the rows of a cell have in common, named by what was computed (severity names belong to a spec)."""
+
+    task: str
+    method: str
+    assistant_variant: str
+    variant: str
+    """operator variant"""
+    value: float | None
+    """severity value of the operator; None for the unimpaired one"""
+    seed: int
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """The thresholds in force in a cell; None where the method has no such threshold."""
+
+    tau_c: float | None = None
+    tau_r: float | None = None
+    tau_q: float | None = None
+
+
+def write_cell(
+    path: Path,
+    identity: CellIdentity,
+    trajectories: Sequence[Trajectory],
+    metrics: Sequence[EpisodeMetrics],
+    thresholds: Thresholds,
+    decision_ms: Sequence[NDArray[np.floating]],
+    episode_seeds: Sequence[int],
+) -> None:
+    """Write the table of a cell. The file appears complete or not at all; the same input gives the same bytes.
+
+    Args:
+        path: the file to be.
+        identity: what all rows share.
+        trajectories: E episodes.
+        metrics: their rows, from `metrics.episode.episode_metrics`.
+        thresholds: in force for all rows.
+        decision_ms: per episode [T], wall time of each decision in milliseconds.
+        episode_seeds: the seed of each episode's layout and operator noise.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    table = cell_table(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds)
+    part = path.with_name(path.name + ".part")
+    try:
+        with part.open("wb") as file:
+            # Nobody filters inside a cell, and the statistics of the nested columns would be a third of a small file.
+            pq.write_table(table, file, compression="zstd", compression_level=3, write_statistics=False)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def cell_table(
+    identity: CellIdentity,
+    trajectories: Sequence[Trajectory],
+    metrics: Sequence[EpisodeMetrics],
+    thresholds: Thresholds,
+    decision_ms: Sequence[NDArray[np.floating]],
+    episode_seeds: Sequence[int],
+) -> pa.Table:
+    """The table of a cell in memory; see `write_cell`."""
+    episodes = len(trajectories)
+    if not episodes == len(metrics) == len(decision_ms) == len(episode_seeds):
+        raise ValueError(f"{episodes} trajectories, {len(metrics)} rows, {len(decision_ms)} timings, {len(episode_seeds)} seeds")
+    columns: dict[str, Any] = {name: [value] * episodes for name, value in (asdict(identity) | asdict(thresholds)).items()}
+    columns |= {"episode": list(range(episodes)), "episode_seed": [int(seed) for seed in episode_seeds]}
+    for field in METRICS:
+        attribute = "return_" if field.name == "return" else field.name
+        columns[field.name] = [getattr(row, attribute) for row in metrics]
+    for name, share in (("decision_p50_ms", 50), ("decision_p95_ms", 95)):
+        columns[name] = [float(np.percentile(times, share)) if len(times) else None for times in decision_ms]
+    columns["decision_ms"] = [np.asarray(times, np.float32) for times in decision_ms]
+    columns["steps"] = _steps(trajectories)
+    return pa.table([_array(columns[field.name], field.type) for field in SCHEMA], schema=SCHEMA)
+
+
+def _array(values: Any, kind: pa.DataType) -> pa.Array:
+    return values if isinstance(values, pa.Array) else pa.array(values, kind)
+
+
+def _steps(trajectories: Sequence[Trajectory]) -> pa.Array:
+    """list<STEP> with one entry per episode, built from flat columns."""
+
+    def flat(name: str) -> NDArray[Any]:
+        return np.concatenate([np.asarray(getattr(trajectory, name)) for trajectory in trajectories])
+
+    lengths = [trajectory.steps for trajectory in trajectories]
+    columns: dict[str, pa.Array] = {"t": pa.array(np.concatenate([np.arange(n) for n in lengths]), pa.int32())}
+    for field in list(STEP)[1:]:
+        values = flat(field.name)
+        if pa.types.is_list(field.type):
+            ends = np.arange(0, values.size + 1, values.shape[1], dtype=np.int32)
+            columns[field.name] = pa.ListArray.from_arrays(ends, pa.array(values.astype(np.float32).ravel()), type=field.type)
+        elif field.name == "safe":
+            columns[field.name] = pa.array(values.astype(np.int16), field.type, mask=values < 0)
+        elif pa.types.is_float32(field.type):
+            columns[field.name] = pa.array(values.astype(np.float32), field.type, from_pandas=True)  # NaN becomes null
+        else:
+            columns[field.name] = pa.array(values).cast(field.type)
+    steps = pa.StructArray.from_arrays(list(columns.values()), fields=list(STEP))
+    return pa.ListArray.from_arrays(np.cumsum([0, *lengths], dtype=np.int32), steps, type=pa.list_(STEP))
+
+
+def read_episodes(paths: Iterable[Path]) -> pa.Table:
+    """The episode columns of many cells, one below the other in the order of `paths`.
+
+    Raises:
+        StoreError: a file is missing, damaged, of a newer version, or no cell table.
+    """
+    schema = pa.schema([SCHEMA.field(name) for name in EPISODE_COLUMNS])
+    tables = [_read(path, EPISODE_COLUMNS).cast(schema) for path in paths]
+    return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
+
+
+def read_steps(path: Path) -> pa.Table:
+    """The steps of a cell, flat: `episode`, then the fields of STEP.
+
+    Raises:
+        StoreError: as `read_episodes`.
+    """
+    table = _read(path, ("episode", "steps"))
+    nested = table["steps"].combine_chunks()
+    lengths = np.asarray(nested.value_lengths())
+    flat = nested.flatten()
+    episode = pa.array(np.repeat(np.asarray(table["episode"]), lengths), pa.int32())
+    return pa.table([episode, *(flat.field(i) for i in range(STEP.num_fields))], names=["episode", *(field.name for field in STEP)])
+
+
+def same_rows(a: Path, b: Path) -> bool:
+    """Whether two cell files hold the same rows when the TIMING columns are left out."""
+    names = tuple(name for name in SCHEMA.names if name not in TIMING)
+    return bool(_read(a, names).equals(_read(b, names)))
+
+
+def _read(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Some columns of a cell file, after its version was checked."""
+    try:
+        with pq.ParquetFile(path) as file:
+            marked = (file.schema_arrow.metadata or {}).get(VERSION_KEY)
+            if marked is None:
+                raise StoreError(f"{path} is a Parquet file, but not the table of a cell")
+            if int(marked) > VERSION:
+                raise StoreError(
+                    f"{path} has table version {int(marked)}, this wasp reads up to {VERSION}",
+                    "upgrade wasp, or use another results folder",
+                )
+            return file.read(columns=list(columns))
+    except FileNotFoundError as error:
+        raise StoreError(f"{path} does not exist", "run the spec again: finished cells are kept") from error
+    except (pa.ArrowInvalid, pa.ArrowIOError) as error:
+        raise StoreError(f"{path} is damaged or was cut off: {error}", "delete its folder and run the spec again") from error
