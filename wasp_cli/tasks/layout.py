@@ -1,0 +1,150 @@
+"""Random layouts of goal tasks: rejection sampling from a legacy numpy stream, draw for draw as the reference package does it.
+
+The order of the draws is part of the task's definition: a seed names the same layout here and there, bit for bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.errors import TaskError
+from wasp_cli.tasks.base import Floats
+
+TRIES_PER_THING = 100
+TRIES_PER_LAYOUT = 10_000
+TRIES_PER_GOAL = 10_000
+SEED_LIMIT = 2**32
+
+
+@dataclass(frozen=True)
+class Thing:
+    """One object to be placed in a square around the origin."""
+
+    name: str
+    keepout: float
+    """Radius that no other thing's keepout circle may enter, in m."""
+    half_side: float = 1.5
+    """Half the side of the square that has to hold the keepout circle, in m."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where an episode starts. Positions in m, angles in rad, world frame."""
+
+    agent_xy: Floats
+    agent_yaw: float
+    goal_xy: Floats
+    others_xy: Floats
+    """[K, 2] of the remaining things, in order."""
+    others_yaw: Floats
+    """[K]"""
+
+
+def random_stream(seed: int) -> np.random.RandomState:
+    """The stream of one episode.
+
+    Raises:
+        TaskError: the seed is outside [0, 2^32).
+    """
+    if not 0 <= int(seed) < SEED_LIMIT:
+        raise TaskError(f"seed {seed} is out of range", "a seed is an integer from 0 to 4294967295")
+    return np.random.RandomState(int(seed))  # noqa: NPY002  the reference package's layouts are defined on this legacy stream
+
+
+def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others: tuple[Thing, ...]) -> Layout:
+    """Draw agent, goal and others apart from each other, then their yaws, then the goal once more.
+
+    Raises:
+        TaskError: no free place was found (a layout that is too crowded).
+    """
+    things = (agent, goal, *others)
+    for _ in range(TRIES_PER_LAYOUT):
+        places = _try_layout(stream, things)
+        if places is not None:
+            break
+    else:
+        raise TaskError("no layout found: the things do not fit into their squares")
+    yaws = [float(stream.uniform(0.0, 2.0 * np.pi)) for _ in things]
+    goal_xy = draw_goal(stream, goal, (agent, *others), np.stack([places[0], *places[2:]]))
+    if goal_xy is None:
+        raise TaskError("no layout found: there is no free place for the goal")
+    return Layout(places[0], yaws[0], goal_xy, np.stack(places[2:]), np.array(yaws[2:]))
+
+
+def draw_goal(stream: np.random.RandomState, goal: Thing, others: tuple[Thing, ...], others_xy: Floats) -> Floats | None:
+    """A free place [2] for the goal among the others [K, 2], or None when none was found."""
+    limits = np.array([thing.keepout + goal.keepout for thing in others])
+    for _ in range(TRIES_PER_GOAL):
+        place = _draw(stream, goal)
+        if _free(place, others_xy, limits):
+            return place
+    return None
+
+
+def _try_layout(stream: np.random.RandomState, things: tuple[Thing, ...]) -> list[Floats] | None:
+    places: list[Floats] = []
+    for index, thing in enumerate(things):
+        limits = np.array([other.keepout + thing.keepout for other in things[:index]])
+        for _ in range(TRIES_PER_THING):
+            place = _draw(stream, thing)
+            if not places or _free(place, np.stack(places), limits):
+                places.append(place)
+                break
+        else:
+            return None
+    return places
+
+
+def _draw(stream: np.random.RandomState, thing: Thing) -> Floats:
+    low, high = -thing.half_side + thing.keepout, thing.half_side - thing.keepout
+    return np.array([stream.uniform(low, high), stream.uniform(low, high)])
+
+
+def _free(place: Floats, others_xy: Floats, limits: Floats) -> bool:
+    return bool((np.sqrt(np.sum(np.square(others_xy - place), axis=1)) >= limits).all())
+
+
+class Streams:
+    """The random streams of B episodes, each with the draws that its env steps owe it.
+
+    Every env step consumes one uniform double. They are drawn only when a goal is drawn, which is the same stream and much faster.
+    """
+
+    def __init__(self, batch: int) -> None:
+        self._streams = [random_stream(0) for _ in range(batch)]
+        self._owed = np.zeros(batch, np.int64)
+
+    def start(self, row: int, seed: int) -> np.random.RandomState:
+        """Seed a row's stream anew and return it."""
+        self._streams[row] = random_stream(seed)
+        self._owed[row] = 0
+        return self._streams[row]
+
+    def pass_step(self, rows: NDArray[np.intp]) -> None:
+        """Account for one env step of these rows."""
+        self._owed[rows] += 1
+
+    def __getitem__(self, row: int) -> np.random.RandomState:
+        """A row's stream, at the place where its env steps have brought it."""
+        stream = self._streams[row]
+        stream.random_sample(int(self._owed[row]))
+        self._owed[row] = 0
+        return stream
+
+    def snapshot(self) -> dict[str, NDArray[np.uint32] | NDArray[np.int64]]:
+        """Plain arrays: `stream_key` [B, 624], `stream_position` [B], `stream_owed` [B]."""
+        states = [stream.get_state(legacy=True) for stream in self._streams]
+        return {
+            "stream_key": np.stack([np.asarray(state[1], np.uint32) for state in states]),
+            "stream_position": np.array([state[2] for state in states], np.int64),
+            "stream_owed": self._owed.copy(),
+        }
+
+    def restore(self, key: NDArray[np.uint32], position: NDArray[np.int64], owed: NDArray[np.int64]) -> None:
+        """Return to a snapshot. (Uniform draws leave no cached Gaussian, so key and position are the whole state.)"""
+        for stream, row_key, row_position in zip(self._streams, key, position, strict=True):
+            stream.set_state(("MT19937", row_key, int(row_position), 0, 0.0))
+        self._owed = owed.copy()
