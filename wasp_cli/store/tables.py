@@ -156,8 +156,7 @@ def write_cell(
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:
-            # Nobody filters inside a cell, and the statistics of the nested columns would be a third of a small file.
-            pq.write_table(table, file, compression="zstd", compression_level=3, write_statistics=False)
+            pq.write_table(table, file, compression="zstd", compression_level=3)
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)

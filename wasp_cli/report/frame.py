@@ -1,0 +1,163 @@
+"""The numbers of every cell that a report is about, and the names of those that are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from wasp_cli.errors import StoreError
+from wasp_cli.metrics.episode import WEIGHTS, pool
+from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes
+
+Floats = NDArray[np.float64]
+
+POOLING = ("decisions", "env_steps", "intervened", "planned")
+"""Columns that weigh others (metrics.episode.WEIGHTS)."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cell that the report should cover."""
+
+    identity: CellIdentity
+    label: str
+    path: Path
+    severity: str | None = None
+    """The spec's name of the severity value."""
+    failure: str | None = None
+    """Why its last computation failed, where that is known."""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A wanted cell without readable rows."""
+
+    identity: CellIdentity
+    label: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class CellNumbers:
+    """One cell, pooled over its episodes."""
+
+    identity: CellIdentity
+    severity: str | None
+    episodes: int
+    pooled: Mapping[str, float]
+    """By column of metrics.episode.WEIGHTS, and `decision_p50_ms`, `decision_p95_ms`; NaN is undefined."""
+    costs: Floats
+    """[E] cost of each episode"""
+    thresholds: Thresholds = field(default_factory=Thresholds)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a report is made from."""
+
+    cells: tuple[CellNumbers, ...]
+    missing: tuple[Missing, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """What a row of a table stands for: the cells of one assistant on one task."""
+
+    task: str
+    method: str
+    assistant_variant: str
+    cells: tuple[CellNumbers, ...]
+    absent: int
+    """Cells that are missing."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the row may be compared with others."""
+        return self.absent == 0
+
+    def of_variant(self, variant: str) -> list[CellNumbers]:
+        """The cells of one operator variant."""
+        return [cell for cell in self.cells if cell.identity.variant == variant]
+
+
+def groups(frame: Frame) -> list[Group]:
+    """The rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
+    order: dict[tuple[str, str, str], list[CellNumbers]] = {}
+    absent: dict[tuple[str, str, str], int] = {}
+    for cell in frame.cells:
+        order.setdefault(_row(cell.identity), []).append(cell)
+    for gap in frame.missing:
+        order.setdefault(_row(gap.identity), [])
+        absent[_row(gap.identity)] = absent.get(_row(gap.identity), 0) + 1
+    found = [Group(*row, tuple(cells), absent.get(row, 0)) for row, cells in order.items()]
+    tasks = list(dict.fromkeys(group.task for group in found))
+    methods = list(dict.fromkeys(group.method for group in found))
+    return sorted(found, key=lambda group: (tasks.index(group.task), methods.index(group.method)))
+
+
+def _row(identity: CellIdentity) -> tuple[str, str, str]:
+    return identity.task, identity.method, identity.assistant_variant
+
+
+def read_frame(wanted: Iterable[Wanted]) -> Frame:
+    """Read the cells that exist; name those that do not, or that cannot be read."""
+    found: list[tuple[Wanted, pa.Table]] = []
+    missing: list[Missing] = []
+    for cell in wanted:
+        if not cell.path.exists():
+            missing.append(Missing(cell.identity, cell.label, f"failed: {cell.failure}" if cell.failure else "not computed yet"))
+            continue
+        try:
+            table = read_episodes([cell.path])
+            _require_identity(table, cell)
+        except StoreError as error:
+            # A report names a damaged cell and goes on; it never averages without it in silence.
+            missing.append(Missing(cell.identity, cell.label, error.message))
+        else:
+            found.append((cell, table))
+    return Frame(tuple(pool_cells(found)), tuple(missing))
+
+
+def pool_cells(tables: list[tuple[Wanted, pa.Table]]) -> list[CellNumbers]:
+    """Pool the episodes of every cell: rates are ratios of sums."""
+    if not tables:
+        return []
+    rows = pa.concat_tables([table for _, table in tables])
+    sizes = np.array([table.num_rows for _, table in tables])
+    groups = np.repeat(np.arange(len(tables)), sizes)
+    pooled = pool({name: _floats(rows, name) for name in (*WEIGHTS, *POOLING)}, groups)
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    cost, times = _floats(rows, "cost"), {name: _floats(rows, name) for name in ("decision_p50_ms", "decision_p95_ms")}
+    cells = []
+    for i, (cell, table) in enumerate(tables):
+        part = slice(int(starts[i]), int(starts[i + 1]))
+        numbers = {name: float(values[i]) for name, values in pooled.items()}
+        numbers |= {name: _median(values[part]) for name, values in times.items()}
+        first = {name: table[name][0].as_py() for name in ("tau_c", "tau_r", "tau_q")}
+        cells.append(CellNumbers(cell.identity, cell.severity, int(sizes[i]), numbers, cost[part], Thresholds(**first)))
+    return cells
+
+
+def _require_identity(table: pa.Table, cell: Wanted) -> None:
+    """The rows of a file are those of the cell that its place says."""
+    if table.num_rows == 0:
+        raise StoreError(f"{cell.path} has no episodes")
+    row = table.slice(0, 1).to_pylist()[0]
+    found = CellIdentity(**{name: row[name] for name in CellIdentity.__dataclass_fields__})
+    if found != cell.identity:
+        raise StoreError(f"{cell.path} holds another cell: {found}")
+
+
+def _floats(table: pa.Table, name: str) -> Floats:
+    """A column as float64; null is NaN."""
+    return np.asarray(table[name].cast(pa.float64()).to_numpy(), np.float64)
+
+
+def _median(values: Floats) -> float:
+    defined = values[~np.isnan(values)]
+    return float(np.median(defined)) if len(defined) else float("nan")

@@ -1,0 +1,81 @@
+"""From cells to a row of a table: means over cells, spread over seeds, and how coarse that spread is.
+
+Episodes of one seed share its trained models, so they are not independent: the unit of every spread is the seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from wasp_cli.report.frame import CellNumbers, Floats
+from wasp_cli.report.table import UNDEFINED, Value
+from wasp_cli.store.tables import CellIdentity
+
+
+def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
+    """Per seed the mean of a pooled column over its cells; cells that leave it undefined are left out."""
+    by_seed: dict[int, list[float]] = {}
+    for cell in cells:
+        number = cell.pooled[key]
+        if not math.isnan(number):
+            by_seed.setdefault(cell.identity.seed, []).append(number)
+    return {seed: float(np.mean(numbers)) for seed, numbers in sorted(by_seed.items())}
+
+
+def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
+    """Mean and sample standard deviation of seed-level numbers."""
+    numbers = list(means)
+    if not numbers:
+        return UNDEFINED
+    sd = float(np.std(numbers, ddof=1)) if len(numbers) > 1 else None
+    return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked)
+
+
+def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
+    """A pooled column over cells: mean over seeds of the seed-level means."""
+    return over_seeds(seed_means(cells, key).values(), ranked)
+
+
+def over_episodes(cells: Sequence[CellNumbers], reduce: Callable[[Floats], float]) -> Value:
+    """A statistic of the episode costs of all cells together; it has no spread."""
+    if not cells:
+        return UNDEFINED
+    seeds = {cell.identity.seed for cell in cells}
+    return Value(float(reduce(np.concatenate([cell.costs for cell in cells]))), n=len(seeds), ranked=False)
+
+
+def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:
+    """Mean difference to the reference over the cells that both have (same task, operator, severity and seed)."""
+    by_condition = {_condition(cell.identity): cell.pooled[key] for cell in reference}
+    differences: dict[int, list[float]] = {}
+    for cell in cells:
+        other = by_condition.get(_condition(cell.identity), math.nan)
+        if not math.isnan(cell.pooled[key] - other):
+            differences.setdefault(cell.identity.seed, []).append(cell.pooled[key] - other)
+    return float(np.mean([np.mean(numbers) for numbers in differences.values()])) if differences else None
+
+
+def distinct_resamples(seeds: int) -> int:
+    """How many different bootstrap resamples a number of seeds has: C(2n - 1, n)."""
+    return math.comb(2 * seeds - 1, seeds) if seeds > 0 else 0
+
+
+def spread_note(cells: Sequence[CellNumbers]) -> str:
+    """What the ± of a table means, and how much it can be trusted."""
+    seeds = len({cell.identity.seed for cell in cells})
+    if not seeds:
+        return "No cell has been computed yet."
+    if seeds == 1:
+        return "One seed: no ±. Differences between methods may be chance; add seeds to the spec."
+    return (
+        f"± is the standard deviation over the means of {seeds} seeds, not over episodes. "
+        f"{seeds} seeds have {distinct_resamples(seeds):,} distinct bootstrap resamples"
+        + (", so any interval is coarse." if seeds < 6 else ".")
+    )
+
+
+def _condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
+    return identity.task, identity.variant, identity.value, identity.seed

@@ -1,0 +1,199 @@
+"""One table as a value: what stands in it, apart from how it is printed.
+
+A renderer is a function from a `Table`; `RENDERERS` has those that write a file, by file ending.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from rich import box
+from rich.console import Group
+from rich.markup import escape
+from rich.table import Table as RichTable
+from rich.text import Text
+
+MISSING = "n/a"
+"""Printed where a number is undefined or its cells are missing."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number of a table. None is undefined."""
+
+    mean: float | None
+    sd: float | None = None
+    """Spread over seed-level means; None with fewer than two seeds."""
+    n: int = 0
+    """Seeds behind the mean."""
+    delta: float | None = None
+    """Difference to a reference row, where a table has one."""
+    ranked: bool = True
+    """Whether it may be the best of its column."""
+
+
+UNDEFINED = Value(None, ranked=False)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A numeric column."""
+
+    key: str
+    """Name in data files."""
+    title: str
+    better: Literal["up", "down"] | None = None
+    digits: int = 2
+    scale: float = 1.0
+    """Printed number per stored number: 100 for percent."""
+
+    @property
+    def heading(self) -> str:
+        """The title with the direction in which numbers get better."""
+        return self.title + {"up": " ↑", "down": " ↓", None: ""}[self.better]
+
+    def number(self, value: float | None, sign: bool = False) -> str:
+        """A printed number; no negative zero."""
+        if value is None or not math.isfinite(value):
+            return MISSING
+        rounded = round(value * self.scale, self.digits) + 0.0
+        return f"{rounded:{'+' if sign else ''}.{self.digits}f}"
+
+    def cell(self, value: Value) -> str:
+        """`mean ± sd (difference)`."""
+        if value.mean is None:
+            return MISSING
+        text = self.number(value.mean)
+        if value.sd is not None:
+            text += f" ± {self.number(value.sd)}"
+        if value.delta is not None:
+            text += f" ({self.number(value.delta, sign=True)})"
+        return text
+
+
+@dataclass(frozen=True)
+class Row:
+    """Labels, then one value per column."""
+
+    labels: tuple[str, ...]
+    values: tuple[Value, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of values. Rows with the same first label form a group, in which the best value of each column is marked."""
+
+    name: str
+    """Name of the files."""
+    title: str
+    labels: tuple[str, ...]
+    """Headings of the label columns."""
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
+    grouped: bool = True
+    """Whether the first label forms groups; otherwise all rows are one."""
+    ranked: bool = True
+    marks: frozenset[tuple[int, int]] = field(init=False, compare=False)
+    """(row, column) of the best values."""
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row.labels) != len(self.labels) or len(row.values) != len(self.columns):
+                raise ValueError(f"row {row.labels} does not fit the columns of table {self.name}")
+        object.__setattr__(self, "marks", frozenset(self._best()) if self.ranked else frozenset())
+
+    def group(self, row: int) -> str:
+        """What a row is compared within."""
+        return self.rows[row].labels[0] if self.grouped else ""
+
+    def starts_group(self, row: int) -> bool:
+        """Whether a row is the first of its group."""
+        return row == 0 or self.group(row) != self.group(row - 1)
+
+    def _best(self) -> set[tuple[int, int]]:
+        """Best as printed: rows that print the same number share the mark, and nobody has it when all print the same."""
+        best: set[tuple[int, int]] = set()
+        for c, column in enumerate(self.columns):
+            if column.better is None:
+                continue
+            groups: dict[str, dict[int, float]] = {}
+            for r, row in enumerate(self.rows):
+                value = row.values[c]
+                if value.ranked and value.mean is not None and math.isfinite(value.mean):
+                    groups.setdefault(self.group(r), {})[r] = float(column.number(value.mean))
+            for printed in groups.values():
+                winner = max(printed.values()) if column.better == "up" else min(printed.values())
+                if len(set(printed.values())) > 1:
+                    best |= {(r, c) for r, number in printed.items() if number == winner}
+        return best
+
+
+def markdown(table: Table) -> str:
+    """A Markdown section: title, table with the best values bold, notes."""
+
+    def line(cells: list[str]) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+    lines = [f"## {table.title}", "", line([*table.labels, *(column.heading for column in table.columns)])]
+    lines.append("|" + " --- |" * len(table.labels) + " ---: |" * len(table.columns))
+    for r, row in enumerate(table.rows):
+        cells = [column.cell(value) for column, value in zip(table.columns, row.values, strict=True)]
+        cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
+        lines.append(line([*_labels(table, r), *cells]))
+    if table.notes:
+        lines += ["", *(f"- {note}" for note in table.notes)]
+    return "\n".join(lines) + "\n"
+
+
+def csv_text(table: Table) -> str:
+    """Full precision, one line per row; `_sd` and `_delta` columns where the table has any, `seeds` last."""
+    with_sd = [c for c in range(len(table.columns)) if any(row.values[c].sd is not None for row in table.rows)]
+    with_delta = [c for c in range(len(table.columns)) if any(row.values[c].delta is not None for row in table.rows)]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    header = [label.lower().replace(" ", "_") for label in table.labels]
+    for c, column in enumerate(table.columns):
+        header += [column.key, *[f"{column.key}_sd"] * (c in with_sd), *[f"{column.key}_delta"] * (c in with_delta)]
+    writer.writerow([*header, "seeds"])
+    for row in table.rows:
+        cells: list[str | float | None] = list(row.labels)
+        for c, value in enumerate(row.values):
+            cells += [value.mean, *[value.sd] * (c in with_sd), *[value.delta] * (c in with_delta)]
+        writer.writerow([*("" if cell is None else cell for cell in cells), max((value.n for value in row.values), default=0)])
+    return out.getvalue()
+
+
+def terminal(table: Table) -> Group:
+    """For a rich console; the best values are bold."""
+    rich = RichTable(title=escape(table.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for label in table.labels:
+        rich.add_column(escape(label), no_wrap=True)
+    for column in table.columns:
+        rich.add_column(escape(column.heading), justify="right")
+    for r, row in enumerate(table.rows):
+        if r and table.grouped and table.starts_group(r):
+            rich.add_section()
+        cells = [
+            Text(column.cell(value), style="bold green" if (r, c) in table.marks else "")
+            for c, (column, value) in enumerate(zip(table.columns, row.values, strict=True))
+        ]
+        rich.add_row(*(Text(label) for label in _labels(table, r)), *cells)
+    return Group(rich, *(Text(f"  {note}", style="dim") for note in table.notes))
+
+
+def _labels(table: Table, row: int) -> list[str]:
+    """The labels of a row; a group is named once."""
+    labels = list(table.rows[row].labels)
+    if table.grouped and not table.starts_group(row):
+        labels[0] = ""
+    return labels
+
+
+RENDERERS: dict[str, Callable[[Table], str]] = {"md": markdown, "csv": csv_text}
+"""A table as the text of a file, by its ending."""
