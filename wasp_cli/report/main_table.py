@@ -21,19 +21,19 @@ PAPER_COLUMNS = (
     Column("int_rate", "Int.", "down"),
     Column("mag", "Mag.", "down"),
 )
-MORE_COLUMNS = (Column("mag_int", "Mag.|int", "down"), Column("decision_p50_ms", "ms", digits=1))
+MORE_COLUMNS = (Column("mag_int", "Mag.|int", "down"), Column("decision_p50_ms", "ms", digits=1, spread=False))
 DETAIL_COLUMNS = (
-    Column("goals", "Goals", "up"),
-    Column("safe_success", "Safe succ. (%)", "up", digits=1, scale=100.0),
-    Column("violated", "Violated (%)", "down", digits=1, scale=100.0),
-    Column("viol_env", "Viol./env step", "down", digits=3),
-    Column("int_rate_05", "Int. > 0.05"),
-    Column("int_rate_10", "Int. > 0.10"),
-    Column("smoothness", "Jump²", "down", digits=3),
-    Column("safety_gate", "Safety gate", digits=3),
-    Column("task_gate", "Task gate", digits=3),
-    Column("case2", "Case II", digits=3),
-    Column("decision_p95_ms", "p95 ms", digits=1),
+    Column("goals", "Goals", "up", spread=False),
+    Column("safe_success", "Safe succ. (%)", "up", digits=1, scale=100.0, spread=False),
+    Column("violated", "Violated (%)", "down", digits=1, scale=100.0, spread=False),
+    Column("viol_env", "Viol./env step", "down", digits=3, spread=False),
+    Column("int_rate_05", "Int. > 0.05", spread=False),
+    Column("int_rate_10", "Int. > 0.10", spread=False),
+    Column("smoothness", "Jump²", "down", digits=3, spread=False),
+    Column("safety_gate", "Safety gate", digits=3, spread=False),
+    Column("task_gate", "Task gate", digits=3, spread=False),
+    Column("case2", "Case II", digits=3, spread=False),
+    Column("decision_p95_ms", "p95 ms", digits=1, spread=False),
 )
 COST_COLUMNS = (Column("cost_median", "Cost, median", digits=1), Column("cost_worst", "Cost, worst", digits=0))
 AUTONOMY = frozenset({"int_rate", "mag", "mag_int"})

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from rich import box
-from rich.console import Group
+from rich.console import Console, Group
 from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -51,6 +51,8 @@ class Column:
     digits: int = 2
     scale: float = 1.0
     """Printed number per stored number: 100 for percent."""
+    spread: bool = True
+    """Whether ± is printed; data files have it anyway."""
 
     @property
     def heading(self) -> str:
@@ -64,12 +66,12 @@ class Column:
         rounded = round(value * self.scale, self.digits) + 0.0
         return f"{rounded:{'+' if sign else ''}.{self.digits}f}"
 
-    def cell(self, value: Value) -> str:
+    def cell(self, value: Value, spread: bool = True) -> str:
         """`mean ± sd (difference)`."""
         if value.mean is None:
             return MISSING
         text = self.number(value.mean)
-        if value.sd is not None:
+        if value.sd is not None and self.spread and spread:
             text += f" ± {self.number(value.sd)}"
         if value.delta is not None:
             text += f" ({self.number(value.delta, sign=True)})"
@@ -169,8 +171,17 @@ def csv_text(table: Table) -> str:
     return out.getvalue()
 
 
-def terminal(table: Table) -> Group:
-    """For a rich console; the best values are bold."""
+def terminal(table: Table, width: int = 120) -> Group:
+    """For a rich console of some width; the best values are bold. Where ± does not fit, only the means are shown."""
+    rich = _rich(table, spread=True)
+    notes = list(table.notes)
+    if _natural_width(rich) > width:
+        rich = _rich(table, spread=False)
+        notes.insert(0, "The terminal is too narrow for ±; the files have it.")
+    return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
+
+
+def _rich(table: Table, spread: bool) -> RichTable:
     rich = RichTable(title=escape(table.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for label in table.labels:
         rich.add_column(escape(label), no_wrap=True)
@@ -180,11 +191,17 @@ def terminal(table: Table) -> Group:
         if r and table.grouped and table.starts_group(r):
             rich.add_section()
         cells = [
-            Text(column.cell(value), style="bold green" if (r, c) in table.marks else "")
+            Text(column.cell(value, spread), style="bold green" if (r, c) in table.marks else "")
             for c, (column, value) in enumerate(zip(table.columns, row.values, strict=True))
         ]
         rich.add_row(*(Text(label) for label in _labels(table, r)), *cells)
-    return Group(rich, *(Text(f"  {note}", style="dim") for note in table.notes))
+    return rich
+
+
+def _natural_width(rich: RichTable) -> int:
+    """Characters that a table takes when nothing is wrapped."""
+    unbounded = Console(width=10_000)
+    return rich.__rich_measure__(unbounded, unbounded.options).maximum
 
 
 def _labels(table: Table, row: int) -> list[str]:
