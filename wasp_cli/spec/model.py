@@ -1,0 +1,188 @@
+"""The specification of an experiment: what a YAML file in `specs/` says, validated and frozen.
+
+The sections of the stages and of the methods come from the registries, so that a new one needs no line here.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import AfterValidator, Field, ValidationError, create_model, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from wasp_cli.config import Config, assumed
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.registry import load_target
+from wasp_cli.spec.names import NO_REPEATS, MethodName, OperatorName, Seed, SeverityName, SpecName, TaskName, VariantName, unknown
+from wasp_cli.spec.presets import PRESETS, merged
+from wasp_cli.stages.configs import ReturnsConfig
+from wasp_cli.stages.registry import STAGES
+
+Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
+Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
+Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
+"""Where, what, and the value that is wrong."""
+
+
+def _refuse(problems: list[Problem]) -> None:
+    """Raise every problem at its own place; a plain ValueError would point at the whole section."""
+    if problems:
+        raise ValidationError.from_exception_data("Spec", [InitErrorDetails(type=what, loc=where, input=value) for where, what, value in problems])
+
+
+def _in_range(operators: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    _refuse(
+        [
+            ((variant, severity), _out_of_range(variant), value)
+            for variant, severities in operators.items()
+            for severity, value in severities.items()
+            if not OPERATORS[variant].low <= value <= OPERATORS[variant].high
+        ]
+    )
+    return operators
+
+
+def _out_of_range(variant: str) -> PydanticCustomError:
+    info = OPERATORS[variant]
+    context = {"low": f"{info.low:g}", "high": f"{info.high:g}", "unit": info.unit}
+    return PydanticCustomError("severity_range", "should lie between {low} and {high} ({unit})", context)
+
+
+class Spec(Config):
+    """What to run. Sections of stages and methods are fields of the subclass that `spec_type` builds."""
+
+    name: SpecName = Field(description="names the reports; enters no key")
+    preset: Preset = Field(default="cpu", description="every size and budget; what this file says goes over it")
+    tasks: Annotated[tuple[TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
+    methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(min_length=1, description="the assistants")]
+    variants: Annotated[tuple[VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
+        default=("full",), description="ablations of the methods that have them; the others run once"
+    )
+    operators: Annotated[dict[OperatorName, Severities], AfterValidator(_in_range)] = Field(
+        default={}, description="operator variants with their severities, as name: value"
+    )
+    seeds: Annotated[tuple[Seed, ...], NO_REPEATS, Field(min_length=1, description="evaluation seeds")]
+    training_seed: Seed | None = Field(default=None, description="null: every seed trains its own models; a number: all share the models of that seed")
+    episodes: int = assumed(30, "episodes per cell and seed", ge=1)
+    action_repeat: int = assumed(4, "env steps per decision step", ge=1)
+    returns: ReturnsConfig = ReturnsConfig()
+
+    def stage(self, kind: str) -> Config:
+        """The section of a stage."""
+        section: Config = getattr(self, kind)
+        return section
+
+    def method(self, name: str, variant: str = "full") -> Config:
+        """The configuration of a method in one of its variants."""
+        info = METHODS[name]
+        section: Config = getattr(self, name) if name in method_sections() else load_target(info.config)()
+        if len(info.variants) > 1:
+            # Validated again, since a variant may ask for more of the other fields than the section did.
+            section = type(section).model_validate({**section.model_dump(), "variant": variant})
+        return section
+
+    def variants_of(self, method: str) -> tuple[str, ...]:
+        """The ablations of a method that this spec asks for; a method without ablations runs in its only one."""
+        known = METHODS[method].variants
+        return known if len(known) == 1 else tuple(variant for variant in self.variants if variant in known)
+
+    def chain_seed(self, seed: int) -> int:
+        """The seed whose training chain the evaluation seed `seed` uses."""
+        return seed if self.training_seed is None else self.training_seed
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Spec:
+        _refuse(_variant_problems(self) + _operator_problems(self) + _skill_problems(self))
+        return self
+
+
+def _variant_problems(spec: Spec) -> list[Problem]:
+    problems: list[Problem] = []
+    offered = {variant for method in spec.methods for variant in METHODS[method].variants}
+    for index, variant in enumerate(spec.variants):
+        if variant not in offered:
+            problems.append((("variants", index), unknown("variant of the listed methods", variant, offered), variant))
+    for name in method_sections():
+        if "variant" in getattr(spec, name).model_fields_set and len(METHODS[name].variants) > 1:
+            what = PydanticCustomError("misplaced", "the variants of '{name}' are listed in `variants:` at the top", {"name": name})
+            problems.append(((name, "variant"), what, None))
+    return problems
+
+
+def _operator_problems(spec: Spec) -> list[Problem]:
+    if spec.operators or not any(METHODS[method].impaired for method in spec.methods):
+        return []
+    return [(("operators",), PydanticCustomError("missing", "the listed methods assist an operator; name at least one variant", {}), None)]
+
+
+def _skill_problems(spec: Spec) -> list[Problem]:
+    """A limited skill is a checkpoint of the expert, wherever it is asked for."""
+    checkpoints: tuple[float, ...] = getattr(spec, "expert").checkpoints  # noqa: B009  (a field of the built subclass)
+    hint = "checkpoints: " + ", ".join(f"{share:g}" for share in checkpoints)
+    what = PydanticCustomError("no_checkpoint", "no such value in expert.checkpoints", {"hint": hint})
+    problems: list[Problem] = [
+        (("operators", "limited-skill", severity), what, value)
+        for severity, value in spec.operators.get("limited-skill", {}).items()
+        if value not in checkpoints
+    ]
+    mixed: dict[str, tuple[float, ...]] = getattr(spec, "residual").operators  # noqa: B009
+    for variant, values in mixed.items():
+        if variant not in OPERATORS:
+            problems.append((("residual", "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
+            continue
+        for index, value in enumerate(values):
+            if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
+                problems.append((("residual", "operators", variant, index), _out_of_range(variant), value))
+            elif variant == "limited-skill" and value not in checkpoints:
+                problems.append((("residual", "operators", variant, index), what, value))
+    return problems
+
+
+def method_sections() -> list[str]:
+    """The methods that have a section of their own: those whose name is not also a stage's."""
+    return [name for name in METHODS if name not in STAGES]
+
+
+@cache
+def spec_type() -> type[Spec]:
+    """`Spec` with one section for each registered stage and method."""
+    models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
+    models |= {name: load_target(METHODS[name].config) for name in method_sections()}
+    fields: dict[str, Any] = {name: (model, Field(default_factory=model)) for name, model in models.items()}
+    return create_model("Spec", __base__=Spec, __doc__=Spec.__doc__, **fields)
+
+
+def preset_names() -> tuple[str, ...]:
+    """The presets, smallest first."""
+    return get_args(Preset)
+
+
+def validate(document: Mapping[str, Any]) -> Spec:
+    """Build the spec that a plain document describes, over the preset that it names.
+
+    Raises:
+        ValidationError: with every problem, each at its place in the document.
+    """
+    preset = document.get("preset", "cpu")
+    resolved = merged(PRESETS.get(preset, {}) if isinstance(preset, str) else {}, document)
+    resolved = _with_episodes(resolved)
+    # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
+    return spec_type().model_validate_json(json.dumps(resolved), strict=True)
+
+
+def _with_episodes(document: dict[str, Any]) -> dict[str, Any]:
+    """`episodes` at the top is the canonical spelling; the section of `evaluate` follows it."""
+    section = document.get("evaluate", {})
+    default = Spec.model_fields["episodes"].default
+    if not isinstance(section, dict):
+        return document
+    if "episodes" in section and "episodes" not in document:
+        return {**document, "episodes": section["episodes"]}
+    episodes = document.get("episodes", default)
+    # A wrong value is reported once, at the top.
+    usable = isinstance(episodes, int) and not isinstance(episodes, bool) and episodes >= 1
+    return {**document, "evaluate": {**section, "episodes": episodes if usable else default}}

@@ -1,0 +1,53 @@
+"""Checked names: what a spec may write wherever it names a task, a method, an operator variant or itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from wasp_cli.errors import did_you_mean
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.tasks.registry import TASKS
+
+
+def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
+    """The error for a name that no registry has; its context carries the hint."""
+    hint = did_you_mean(name, sorted(known))
+    return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
+
+
+def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
+    def check(name: str) -> str:
+        if name not in (known := list(names())):
+            raise unknown(kind, name, known)
+        return name
+
+    return AfterValidator(check)
+
+
+def assistant_variants() -> list[str]:
+    """Every ablation of every method, in registry order, without repeats."""
+    return list(dict.fromkeys(variant for method in METHODS.values() for variant in method.variants))
+
+
+def _no_repeats(items: Sequence[Any]) -> Sequence[Any]:
+    for index, item in enumerate(items):
+        if item in items[:index]:
+            raise PydanticCustomError("repeated", "'{item}' is listed twice", {"item": str(item)})
+    return items
+
+
+NO_REPEATS = AfterValidator(_no_repeats)
+
+# The names of specs become folders and those of severities parts of file names, hence the narrow alphabets.
+SpecName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$")]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+TaskName = Annotated[str, _known("task", lambda: TASKS)]
+MethodName = Annotated[str, _known("method", lambda: METHODS)]
+VariantName = Annotated[str, _known("assistant variant", assistant_variants)]
+OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]

@@ -1,0 +1,54 @@
+"""`--set a.b=value`: one more line of the spec, from the command line."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from wasp_cli.errors import UsageError
+from wasp_cli.spec.problem import InvalidSpec
+from wasp_cli.spec.read import parse, plain
+
+
+@dataclass(frozen=True)
+class Override:
+    """One option: where it puts which value."""
+
+    text: str
+    path: tuple[str, ...]
+    value: Any
+
+
+def override(number: int, text: str) -> Override:
+    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types.
+
+    Raises:
+        UsageError: the text has another form, or its value is not YAML.
+    """
+    key, equals, value = text.partition("=")
+    path = tuple(part.strip() for part in key.split("."))
+    if not equals or not all(path):
+        raise UsageError(f"--set #{number}: '{text}' is not of the form key=value", "for example --set wasp.candidates=64 or --set 'seeds=[0, 1]'")
+    try:
+        document, problems = plain(parse(f"value: {value.strip()}", f"--set {text}"))
+    except InvalidSpec as error:
+        raise UsageError(f"--set #{number}: the value of '{text}' is not YAML: {error.problems[0].message}") from error
+    if problems or set(document) != {"value"}:
+        reason = problems[0].message if problems else "more than one value"
+        raise UsageError(f"--set #{number}: '{text}': {reason}")
+    return Override(text, path, document["value"])
+
+
+def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
+    """The document with the options in it, later ones over earlier ones."""
+    result = copy.deepcopy(document)
+    for option in overrides:
+        node = result
+        for part in option.path[:-1]:
+            below = node.get(part)
+            node[part] = below = below if isinstance(below, dict) else {}
+            node = below
+        node[option.path[-1]] = option.value
+    return result

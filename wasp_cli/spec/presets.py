@@ -1,0 +1,91 @@
+"""The presets: sizes and budgets that lie under what a spec says. `cpu` is the defaults of the config models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+Document = Mapping[str, Any]
+
+# Planner of the feasibility study: a decision in 0.6 s on two cores; the models' defaults are the paper's sizes.
+_CPU: Document = {
+    "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64},
+}
+
+# Everything runs, nothing is learned: the code paths of every stage and method in a few minutes.
+_SMOKE: Document = {
+    "episodes": 2,
+    "expert": {"interactions": 2000, "envs": 8, "rollout": 32, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
+    "dataset": {"steps": 600, "envs": 4},
+    "world_model": {
+        "deter": 32, "hidden": 32, "variables": 4, "classes": 4, "depth": 4, "head": 32,
+        "batch": 4, "length": 16, "updates": 20, "warmup": 5, "refit_updates": 5, "checkpoint_every": 10,
+    },
+    "policies": {"updates": 20, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
+    "critics": {"updates": 5, "starts": 16, "hidden": [32, 32]},
+    "heldout": {"episodes": 2},
+    "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},
+    "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
+    "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
+    "calibration": {"decisions": 20},
+    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1},
+}  # fmt: skip
+
+# Ten minutes on two cores for one task with one seed: small, but every method has learned something.
+_QUICK: Document = {
+    "episodes": 10,
+    "expert": {"interactions": 150_000, "envs": 16, "evaluation_episodes": 5},
+    "dataset": {"steps": 12_000, "envs": 8},
+    "world_model": {
+        "deter": 128, "hidden": 64, "variables": 8, "classes": 8, "depth": 8, "head": 64,
+        "batch": 8, "length": 32, "updates": 400, "warmup": 50, "refit_updates": 100,
+    },
+    "policies": {"updates": 400, "batch": 256, "evaluation_episodes": 4},
+    "critics": {"updates": 150, "starts": 64},
+    "heldout": {"episodes": 4},
+    "ida_q": {"updates": 500, "hidden": [128, 128]},
+    "denoiser": {"updates": 1500, "batch": 512},
+    "residual": {"interactions": 20_000, "envs": 8},
+    "calibration": {"decisions": 150},
+    "wasp": {"candidates": 32, "elites": 10, "iterations": 2, "feasible": 10, "probe": 32, "gate_rollouts": 2},
+}  # fmt: skip
+
+# Sizes that keep a large GPU busy; the critics and the planner imagine thousands of rollouts at once.
+_GPU: Document = {
+    "expert": {"interactions": 3_000_000},
+    "dataset": {"steps": 200_000},
+    "world_model": {
+        "deter": 512, "hidden": 256, "variables": 32, "classes": 16, "depth": 32, "head": 256,
+        "batch": 16, "length": 64, "updates": 20_000, "warmup": 1000, "learning_rate": 4e-4, "decode_share": 1.0, "refit_updates": 2000,
+    },
+    "policies": {"updates": 5000, "hidden": [256, 256]},
+    "critics": {"updates": 5000, "starts": 1024, "hidden": [256, 256]},
+    "denoiser": {"updates": 30_000, "batch": 4096},
+    "residual": {"interactions": 1_000_000, "envs": 32},
+}  # fmt: skip
+
+# The paper's planner with M = 5 rollouts a candidate, over models that have seen more than `cpu` gives them.
+# Budgets of training are not in the paper; these are about four times `cpu`.
+_PAPER: Document = {
+    "expert": {"interactions": 4_000_000},
+    "dataset": {"steps": 200_000},
+    "world_model": {"updates": 8000, "refit_updates": 1500},
+    "policies": {"updates": 4000, "evaluation_episodes": 20},
+    "critics": {"updates": 4000},
+    "heldout": {"episodes": 30},
+    "ida_q": {"updates": 10_000},
+    "denoiser": {"updates": 30_000, "batch": 4096},
+    "residual": {"interactions": 1_000_000},
+    "wasp": {"rollouts": 5, "gate_rollouts": 5, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
+}
+
+PRESETS: Mapping[str, Document] = {"smoke": _SMOKE, "quick": _QUICK, "cpu": _CPU, "gpu": _GPU, "paper": _PAPER}
+
+
+def merged(under: Document, over: Document) -> dict[str, Any]:
+    """`over` on top of `under`: sections merge key by key, everything else (lists too) replaces."""
+    result = dict(under)
+    for key, value in over.items():
+        below = result.get(key)
+        result[key] = merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return result

@@ -1,0 +1,64 @@
+"""What is wrong with a spec and where, and how people read it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wasp_cli.errors import SpecError
+from wasp_cli.spec.where import Position
+
+_WIDTH = 110
+"""Longest excerpt of a line."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One mistake: its place, what is wrong, how to fix it, and the line it stands in."""
+
+    source: str
+    """The file as the user named it, or the option that brought the value."""
+    position: Position | None
+    """None for a value that came from the command line."""
+    message: str
+    hint: str | None = None
+    line: str | None = None
+    """Text of the line at `position`."""
+
+    @property
+    def place(self) -> str:
+        """`file:line:column`, which editors turn into a link."""
+        return self.source if self.position is None else f"{self.source}:{self.position.line}:{self.position.column}"
+
+    def __str__(self) -> str:
+        parts = [f"{self.place}: {self.message}", *self._excerpt()]
+        if self.hint:
+            parts.append(f"    {self.hint}")
+        return "\n".join(parts)
+
+    def _excerpt(self) -> list[str]:
+        if self.position is None or self.line is None:
+            return []
+        number, column = f"{self.position.line:>5} | ", self.position.column
+        # A caret far to the right is of no use: show the part of the line around it.
+        start = 0 if column < _WIDTH else column - _WIDTH // 2
+        shown = self.line[start : start + _WIDTH]
+        # Tabs stay tabs, so that the caret stands under its character at any tab width.
+        before = "".join("\t" if character == "\t" else " " for character in shown[: column - 1 - start])
+        return [number + shown, " " * (len(number) - 2) + "| " + before + "^"]
+
+
+class InvalidSpec(SpecError):
+    """A spec with problems, all of them, in the order of the file."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(sorted(problems, key=_order))
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+    def __reduce__(self) -> tuple[type[InvalidSpec], tuple[tuple[Problem, ...]]]:  # type: ignore[override]
+        return type(self), (self.problems,)
+
+
+def _order(problem: Problem) -> tuple[bool, int, int]:
+    position = problem.position
+    return (position is None, 0, 0) if position is None else (False, position.line, position.column)
