@@ -1,0 +1,184 @@
+"""The source that a node's result depends on: every project module that it imports, hashed without comments and docstrings.
+
+Static: modules are read, never imported, so that planning needs no torch. Registries are not followed (their import strings name every
+task and method at once); a node names the modules that it loads through them as further roots.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import sys
+from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+PACKAGE = "wasp_cli"
+ORCHESTRATION = frozenset({"app", "console", "errors", "plan", "report", "run", "spec", "__main__"})
+"""Parts of the package that move no number, so that a better message re-runs nothing."""
+CONFIGURATION = frozenset({"config", "configs"})
+"""Modules of config models: the resolved values are in the key already, so defaults and constraints of fields do not count."""
+
+
+def closure(roots: Iterable[str]) -> frozenset[str]:
+    """The project modules that `roots` import, transitively, and the roots themselves."""
+    found: set[str] = set()
+    for root in roots:
+        found |= _reach(root)
+    return frozenset(found)
+
+
+def closure_hash(roots: tuple[str, ...]) -> str:
+    """One hash over the source of the closure."""
+    return _hash_of(frozenset(roots))
+
+
+@cache
+def _hash_of(roots: frozenset[str]) -> str:
+    lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots))]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:20]
+
+
+def source_hashes(roots: Iterable[str]) -> dict[str, str]:
+    """Hash by module of the closure: the manifest keeps them, so that a later plan can name what changed."""
+    return {name: source_hash(name) for name in sorted(closure(roots))}
+
+
+@cache
+def source_hash(module: str) -> str:
+    """Hash of one module's syntax without docstrings."""
+    tree = _tree(module)
+    digest = hashlib.sha256()
+    for text in _syntax(_configured(tree) if module.rpartition(".")[2] in CONFIGURATION else tree):
+        digest.update(text.encode())
+    return digest.hexdigest()[:12]
+
+
+@cache
+def _reach(root: str) -> frozenset[str]:
+    found: set[str] = set()
+    pending = [root]
+    while pending:
+        module = pending.pop()
+        if module not in found:
+            found.add(module)
+            pending.extend(_imports(module))
+    return frozenset(found)
+
+
+@cache
+def _imports(module: str) -> frozenset[str]:
+    """Project modules that a module imports anywhere, functions included, except for type checking only."""
+    file = _file(module)
+    package = module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
+    own = module.partition(".")[0]
+    found: set[str] = set()
+    for node in _running(_tree(module)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*above, base] if base else above)
+            # `from package import module` and `from module import name` look alike.
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        found |= {name for name in names if name.partition(".")[0] in {PACKAGE, own} and _counts(name) and _file(name) is not None}
+    # Importing a.b.c runs a.b as well.
+    return frozenset(found | {parent for name in found for parent in _parents(name) if _counts(parent)})
+
+
+def _counts(module: str) -> bool:
+    """Whether the source of a module can change a result."""
+    parts = module.split(".")
+    if parts[0] == PACKAGE and (len(parts) == 1 or parts[1] in ORCHESTRATION):
+        return False  # the package's own __init__ holds its version
+    return parts[-1] != "registry"
+
+
+def _parents(module: str) -> Iterator[str]:
+    parts = module.split(".")
+    for length in range(2, len(parts)):
+        yield ".".join(parts[:length])
+
+
+def _running(tree: ast.AST) -> Iterator[ast.AST]:
+    """Every node of a tree outside `if TYPE_CHECKING:`."""
+    pending: list[ast.AST] = [tree]
+    while pending:
+        node = pending.pop()
+        yield node
+        if isinstance(node, ast.expr):
+            continue  # no import hides in an expression
+        if isinstance(node, ast.If) and _is_type_checking(node.test):
+            pending.extend(node.orelse)
+        else:
+            pending.extend(ast.iter_child_nodes(node))
+
+
+def _is_type_checking(test: ast.expr) -> bool:
+    name = test.attr if isinstance(test, ast.Attribute) else test.id if isinstance(test, ast.Name) else ""
+    return name == "TYPE_CHECKING"
+
+
+def _configured(tree: ast.Module) -> ast.Module:
+    """A module of config models without their fields; what is left are constants and methods."""
+    body: list[ast.stmt] = []
+    for statement in tree.body:
+        if not isinstance(statement, ast.ClassDef):
+            body.append(statement)
+        elif rest := [part for part in statement.body if isinstance(part, ast.FunctionDef)]:
+            body.append(ast.ClassDef(statement.name, statement.bases, statement.keywords, rest, statement.decorator_list))
+    return ast.Module(body, [])
+
+
+def _syntax(node: ast.AST) -> Iterator[str]:
+    """The syntax as text, the same on every Python: no positions, and empty parts left out (new versions add fields)."""
+    yield type(node).__name__
+    for name in node._fields:
+        value = getattr(node, name, None)
+        if name == "body" and isinstance(value, list) and value and _is_docstring(node, value[0]):
+            value = value[1:]
+        if value is None or value == [] or name in ("ctx", "type_comment"):
+            continue
+        yield f"({name}"
+        for item in value if isinstance(value, list) else (value,):
+            if isinstance(item, ast.AST):
+                yield from _syntax(item)
+            else:
+                yield repr(item)
+        yield ")"
+
+
+def _is_docstring(parent: ast.AST, first: object) -> bool:
+    holds = isinstance(parent, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+    return holds and isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str)
+
+
+@cache
+def _tree(module: str) -> ast.Module:
+    file = _file(module)
+    # A module that is not there makes its node fail when it runs, with Python's own message; planning goes on.
+    return ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
+
+
+@cache
+def _file(module: str) -> Path | None:
+    """The source of a module, found without importing anything."""
+    top, _, rest = module.partition(".")
+    spec = PathFinder.find_spec(top, sys.path)
+    if spec is None or spec.origin is None:
+        return None
+    base = Path(spec.origin)
+    if not rest:
+        return base
+    if spec.submodule_search_locations is None:
+        return None
+    path = base.parent.joinpath(*rest.split("."))
+    for candidate in (path / "__init__.py", path.with_name(path.name + ".py")):
+        if candidate.is_file():
+            return candidate
+    return None
