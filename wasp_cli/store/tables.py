@@ -156,11 +156,12 @@ def write_cell(
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:
-            pq.write_table(table, file, compression="zstd", compression_level=3)
+            pq.write_table(table, file, compression="zstd", compression_level=3, write_page_checksum=True)
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
     except OSError as error:
+        part.unlink(missing_ok=True)
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
 
 
@@ -249,7 +250,7 @@ def same_rows(a: Path, b: Path) -> bool:
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:
     """Some columns of a cell file, after its version was checked."""
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             marked = (file.schema_arrow.metadata or {}).get(VERSION_KEY)
             if marked is None:
                 raise StoreError(f"{path} is a Parquet file, but not the table of a cell")
@@ -261,5 +262,7 @@ def _read(path: Path, columns: Sequence[str]) -> pa.Table:
             return file.read(columns=list(columns))
     except FileNotFoundError as error:
         raise StoreError(f"{path} does not exist", "run the spec again: finished cells are kept") from error
-    except (pa.ArrowInvalid, pa.ArrowIOError) as error:
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, OSError) and error.errno:
+            raise StoreError(f"cannot read {path}: {error.strerror}") from error
         raise StoreError(f"{path} is damaged or was cut off: {error}", "delete its folder and run the spec again") from error

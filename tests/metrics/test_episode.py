@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, Trajectory, episode_metrics, pool
+
+
+def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
+    """Four quiet steps unless told otherwise."""
+    undefined = np.full(steps, np.nan)
+    fields: dict[str, Any] = {
+        "reward": np.zeros(steps),
+        "cost": np.zeros(steps, bool),
+        "cost_env": np.zeros(steps, int),
+        "env_steps": np.full(steps, 4),
+        "goals": np.zeros(steps, int),
+        "a_h": np.zeros((steps, 2)),
+        "a": np.zeros((steps, 2)),
+        "gate": np.zeros(steps, np.int8),
+        "g_cost": undefined,
+        "delta_g": undefined,
+        "signal": undefined,
+        "case2_share": undefined,
+        "safe": np.full(steps, -1),
+    }
+    return Trajectory(**(fields | {name: np.asarray(value) for name, value in changes.items()}))
+
+
+def columns(rows: list[EpisodeMetrics]) -> dict[str, Any]:
+    names = [*WEIGHTS, "decisions", "env_steps", "intervened", "planned"]
+    return {name: np.array([getattr(row, "return_" if name == "return" else name) for row in rows], np.float64) for name in names}
+
+
+def test_by_hand() -> None:
+    episode = trajectory(
+        reward=[1.0, 0.5, -0.25, 2.0],
+        cost=[False, True, True, False],
+        cost_env=[0, 3, 1, 0],
+        env_steps=[4, 4, 4, 2],
+        goals=[0, 1, 0, 1],
+        a_h=[[0, 0], [0.5, 0], [0, 0], [1, 1]],
+        a=[[0, 0], [0.5, 0.3], [0.04, 0], [1, 1]],
+        gate=[0, 1, 2, 0],
+        case2_share=[np.nan, 0.5, 0.0, np.nan],
+    )
+    row = episode_metrics(episode, success_goals=2, safe_cost=3.0)
+    assert (row.decisions, row.env_steps, row.goals, row.cost) == (4, 14, 2, 4)
+    assert row.return_ == 3.25
+    assert row.success
+    assert not row.safe_success  # cost 4 > 3
+    assert row.violated
+    assert row.viol == 0.5
+    assert row.viol_env == pytest.approx(4 / 14)
+    assert (row.int_rate, row.int_rate_05, row.int_rate_10) == (0.5, 0.25, 0.25)
+    assert row.mag == pytest.approx((0.3 + 0.04) / 4)
+    assert row.mag_int == pytest.approx((0.3 + 0.04) / 2)
+    # jumps: (0.5, 0.3), (-0.46, -0.3), (0.96, 1)
+    assert row.smoothness == pytest.approx((0.34 + 0.3016 + 1.9216) / 3)
+    assert (row.safety_gate, row.task_gate, row.case2) == (0.25, 0.25, 0.25)
+
+
+def test_undefined_is_none_not_zero() -> None:
+    row = episode_metrics(trajectory(), 1, 25.0)
+    assert (row.mag_int, row.case2) == (None, None)
+    assert (row.int_rate, row.mag) == (0.0, 0.0)
+    assert episode_metrics(trajectory(steps=1), 1, 25.0).smoothness is None
+
+
+def test_rounding_is_no_intervention() -> None:
+    row = episode_metrics(trajectory(a=np.full((4, 2), 1e-8)), 1, 25.0)
+    assert (row.int_rate, row.mag, row.intervened) == (0.0, 0.0, 0)
+
+
+def test_safe_success_needs_both() -> None:
+    costly = {"cost": [True] * 4, "cost_env": [4] * 4}
+    assert episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 16.0).safe_success
+    assert not episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 15.0).safe_success
+    assert not episode_metrics(trajectory(), 1, 25.0).safe_success
+
+
+def test_timeouts_stay_in_every_denominator() -> None:
+    """An episode that reached its time limit without a goal counts in the success rate and with all of its steps."""
+    short = trajectory(steps=2, goals=[0, 1], cost=[True, False], cost_env=[1, 0], a=[[1, 0], [0, 0]])
+    timeout = trajectory(steps=8)
+    pooled = pool(columns([episode_metrics(episode, 1, 25.0) for episode in (short, timeout)]))
+    assert pooled["success"].tolist() == [0.5]
+    assert pooled["viol"].tolist() == [1 / 10]  # ratio of sums, not the mean of 1/2 and 0
+    assert pooled["viol_env"].tolist() == [1 / 40]
+    assert pooled["int_rate"].tolist() == [1 / 10]
+    assert pooled["mag"].tolist() == [1 / 10]
+    assert pooled["mag_int"].tolist() == [1.0]
+    assert pooled["cost"].tolist() == [0.5]
+
+
+def test_pools_groups_apart() -> None:
+    rows = [episode_metrics(trajectory(reward=[float(i)] * 4), 1, 25.0) for i in range(4)]
+    pooled = pool(columns(rows), np.array([1, 0, 1, 0]))
+    assert pooled["return"].tolist() == [8.0, 4.0]
+    assert np.isnan(pooled["mag_int"]).all()
+
+
+def test_pool_of_nothing() -> None:
+    assert pool(columns([]))["return"].tolist() == []
+
+
+ACTIONS = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.just(2)), elements=st.floats(-1, 1, width=32))
+
+
+@given(st.lists(st.tuples(ACTIONS, st.integers(0, 2**32 - 1)), min_size=1, max_size=5))
+def test_mag_is_int_times_mag_given_int(episodes: list[tuple[np.ndarray, int]]) -> None:
+    rows = []
+    for a, seed in episodes:
+        acts = np.random.default_rng(seed).random(len(a)) < 0.5
+        rows.append(episode_metrics(trajectory(steps=len(a), a=a, a_h=np.where(acts[:, None], -a, a)), 1, 25.0))
+    for row in rows:
+        assert row.mag == pytest.approx(row.int_rate * (row.mag_int or 0.0), abs=1e-12)
+    pooled = pool(columns(rows))
+    assert pooled["mag"][0] == pytest.approx(pooled["int_rate"][0] * np.nan_to_num(pooled["mag_int"][0]), abs=1e-12)
+
+
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_pooling_is_the_metric_of_the_joined_steps(episodes: int, seed: int) -> None:
+    """Rates of a cell are those of one long episode made of all its steps."""
+    rng = np.random.default_rng(seed)
+
+    def invent(steps: int) -> Trajectory:
+        cost_env = rng.integers(0, 3, steps)
+        case2 = np.where(rng.random(steps) < 0.5, rng.random(steps), np.nan)
+        a, a_h = rng.uniform(-1, 1, (2, steps, 2)) * (rng.random((steps, 1)) < 0.5)
+        gate = rng.integers(0, 3, steps)
+        return trajectory(steps, cost=cost_env > 0, cost_env=cost_env, a=a, a_h=a_h, gate=gate, case2_share=case2)
+
+    parts = [invent(int(rng.integers(1, 9))) for _ in range(episodes)]
+    joined = trajectory(
+        sum(part.steps for part in parts),
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("cost", "cost_env", "a", "a_h", "gate", "case2_share")
+        },
+    )
+    whole, pooled = episode_metrics(joined, 1, 25.0), pool(columns([episode_metrics(part, 1, 25.0) for part in parts]))
+    for name in ("viol", "viol_env", "int_rate", "int_rate_05", "int_rate_10", "mag", "mag_int", "safety_gate", "task_gate", "case2"):
+        expected = getattr(whole, name)
+        assert pooled[name][0] == pytest.approx(np.nan if expected is None else expected, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"reward": [0.0, np.nan, 0, 0]}, {"a": np.zeros((4, 3))}, {"cost": np.zeros(3, bool)}, {"a": np.full((4, 2), np.inf)}],
+    ids=["reward", "action-size", "length", "action"],
+)
+def test_refuses_what_cannot_be_measured(changes: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"reward|shape|finite"):
+        trajectory(**changes)
+
+
+def test_refuses_an_empty_episode() -> None:
+    with pytest.raises(ValueError, match="at least one step"):
+        trajectory(steps=0)
