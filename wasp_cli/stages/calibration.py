@@ -1,16 +1,20 @@
-"""Calibration of one method's thresholds on the held-out episodes."""
+"""Calibration of one method's thresholds on the held-out episodes.
+
+Artifact: `calibration.json` (thresholds by name, and the distributions they come from).
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.configs import CalibrationConfig
 
 
 class CalibrationStage:
-    """Calibration of one method's thresholds on the held-out episodes."""
+    """See the module."""
 
     kind = "calibration"
     config = CalibrationConfig
@@ -18,7 +22,32 @@ class CalibrationStage:
     needs: tuple[str, ...] = ("heldout", "world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """See the module named below; it documents the artifact's files."""
-        from wasp_cli.learning.calibration import calibrate
+        """Ask the method for its thresholds on a spread of held-out decisions of the unimpaired expert."""
+        import torch
 
-        return calibrate(job)
+        from wasp_cli.learning.assistants import build_assistant, load_parts
+        from wasp_cli.learning.closed_loop import human
+        from wasp_cli.learning.heldout import load_heldout
+        from wasp_cli.methods.base import Heldout
+        from wasp_cli.metrics.windows import window_sums
+        from wasp_cli.models.base import Latent
+        from wasp_cli.operators.base import Operator
+        from wasp_cli.operators.noise import EpisodeNoise
+        from wasp_cli.seeds import derive
+
+        config = cast(CalibrationConfig, job.config)
+        heldout = load_heldout(job.inputs["heldout"])
+        total = len(heldout.a_h)
+        index = torch.linspace(0, total - 1, min(config.decisions, total)).round().long()
+        chosen = Heldout(Latent(heldout.latent.h[index], heldout.latent.z[index]), *(field[index] for field in heldout[1:]))
+        parts = load_parts(job.inputs, job.settings["returns"])
+        assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
+        # The unimpaired operator has no memory, so only its policy and its number of rows matter here.
+        owner = human(parts.skills, 0.0, heldout.a_h.shape[1])
+        operator = Operator.build(1.0, owner, EpisodeNoise([0] * len(index)), len(index))
+        with torch.inference_mode():
+            thresholds: dict[str, float] = assistant.calibrate(chosen, operator, derive("calibration", job.task, job.seed))  # type: ignore[attr-defined]
+        window = window_sums(heldout.reward.numpy(), heldout.episode.numpy(), config.window)
+        thresholds["tau_R"] = config.tau_R_fraction * float(window.mean())
+        (job.out_dir / "calibration.json").write_text(json.dumps(thresholds, indent=1, sort_keys=True))
+        return {name: round(value, 4) for name, value in thresholds.items()}

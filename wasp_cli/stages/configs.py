@@ -138,7 +138,6 @@ class CalibrationConfig(Config):
     """Thresholds from the held-out episodes."""
 
     window: int = from_paper(15, "W, section 5.3", ge=1)
-    quantile: float = assumed(0.95, "tau_r: quantile of the re-scored gain", gt=0.0, lt=1.0)
     decisions: int = assumed(1500, "held-out decisions at which the task gate is probed", ge=1)
     tau_R_fraction: float = assumed(0.1, "tau_R as a fraction of the expert's mean W-step return", ge=0.0)
 

@@ -1,16 +1,19 @@
-"""Critics: V_r and V_c on imagined rollouts of the nominal expert (Eq. 7-8)."""
+"""Critics: V_r and V_c on imagined rollouts of the nominal expert (Eq. 7-8).
+
+Artifact: `critics.safetensors` (+ .json).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.configs import CriticsConfig
 
 
 class CriticsStage:
-    """Critics: V_r and V_c on imagined rollouts of the nominal expert (Eq. 7-8)."""
+    """See the module."""
 
     kind = "critics"
     config = CriticsConfig
@@ -18,7 +21,23 @@ class CriticsStage:
     needs: tuple[str, ...] = ("dataset", "world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """See the module named below; it documents the artifact's files."""
-        from wasp_cli.learning.critics import train_critics
+        """Train, then compare the critics' ranking with real discounted sums."""
+        import torch
 
-        return train_critics(job)
+        from wasp_cli.learning.critics import rank_agreement, train_critics
+        from wasp_cli.learning.policies import load_skills
+        from wasp_cli.learning.replay import read_replay
+        from wasp_cli.learning.world_model import load_latents, load_world_model
+        from wasp_cli.models.weights import save_weights
+        from wasp_cli.seeds import derive
+
+        config = cast(CriticsConfig, job.config)
+        model = load_world_model(job.inputs["world_model"])
+        latents = load_latents(job.inputs["world_model"])
+        skills = load_skills(job.inputs["policies"])
+        returns = job.settings["returns"]
+        torch.manual_seed(derive("critics-weights", job.task, job.seed))
+        critics = train_critics(model, skills, latents, config, returns, derive("critics", job.task, job.seed), job.progress)
+        save_weights(critics, job.out_dir / "critics.safetensors", features=model.feature_size, hidden=list(config.hidden))
+        replay = read_replay(job.inputs["dataset"], ["reward", "cost", "first", "episode", "behaviour"])
+        return rank_agreement(critics, replay, latents, returns)

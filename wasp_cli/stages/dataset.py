@@ -1,16 +1,20 @@
-"""Dataset: episodes with images from a mixture of behaviours."""
+"""Dataset: episodes with images from a mixture of behaviours.
+
+Artifact: `shard-NNNN.parquet` (see `learning.replay`), `contents.json` (per behaviour: episodes, steps, return, cost).
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.configs import DatasetConfig
 
 
 class DatasetStage:
-    """Dataset: episodes with images from a mixture of behaviours."""
+    """See the module."""
 
     kind = "dataset"
     config = DatasetConfig
@@ -18,7 +22,70 @@ class DatasetStage:
     needs: tuple[str, ...] = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """See the module named below; it documents the artifact's files."""
-        from wasp_cli.learning.dataset import collect_dataset
+        """Collect shard after shard until there are enough decision steps."""
+        import shutil
 
-        return collect_dataset(job)
+        import numpy as np
+
+        from wasp_cli.learning.dataset import Commander, behaviours, record
+        from wasp_cli.learning.expert import load_skill
+        from wasp_cli.learning.replay import read_replay, write_shard
+        from wasp_cli.seeds import derive
+        from wasp_cli.tasks.registry import make_task
+
+        config = cast(DatasetConfig, job.config)
+        observe = ("pixels", "privileged")
+        task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
+        # Episodes may end early, so shards are added until the steps are there; the behaviours of a shard are drawn from its number.
+        fractions = _checkpoints(job)
+        skills = [load_skill(job.inputs["expert"], f) for f in fractions]
+        steps = shard = 0
+        planned = max(1, round(config.steps / (config.envs * task.max_decisions)))
+        schedule = behaviours(
+            config.mixture.model_dump(), planned * config.envs, np.random.default_rng(derive("dataset-mixture", job.task, job.seed))
+        )
+        while steps < config.steps:
+            path = job.work_dir / f"shard-{shard:04d}.parquet"
+            rows = [schedule[(shard * config.envs + i) % len(schedule)] for i in range(config.envs)]
+            if not path.exists():
+                random = np.random.default_rng(derive("dataset-commands", job.task, job.seed, shard))
+                commander = Commander(skills, rows, task.action_size, random)
+                seeds = [derive("dataset-episode", job.task, job.seed, shard * config.envs + i) for i in range(config.envs)]
+                replay = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
+                partial = path.with_suffix(".partial")
+                write_shard(partial, replay)
+                partial.rename(path)  # an interrupted collection goes on after its last whole shard
+            steps += _rows(path) - config.envs
+            shard += 1
+            job.progress(min(1.0, steps / config.steps), f"{steps} of {config.steps} decision steps")
+        for path in sorted(job.work_dir.glob("shard-*.parquet")):
+            shutil.copy2(path, job.out_dir / path.name)
+        contents = _contents(read_replay(job.out_dir, ["reward", "cost", "first", "behaviour"]))
+        (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
+        size = sum(path.stat().st_size for path in job.out_dir.glob("shard-*.parquet"))
+        return {"steps": steps, "costly_share": contents["all"]["costly_share"], "megabytes": round(size / 2**20, 1)}
+
+
+def _checkpoints(job: Job) -> list[float]:
+    found = json.loads((job.inputs["expert"] / "evaluation.json").read_text())
+    return sorted(float(fraction) for fraction in found)
+
+
+def _rows(path: Any) -> int:
+    import pyarrow.parquet as pq
+
+    return int(pq.read_metadata(path).num_rows)
+
+
+def _contents(replay: Any) -> dict[str, dict[str, float]]:
+    """Per behaviour and in all: what the dataset holds."""
+    table = {}
+    for name in ["all", *sorted(set(replay.behaviour.tolist()))]:
+        mask = (replay.behaviour == name) | (name == "all")
+        episodes = float(replay.first[mask].sum())
+        steps = float(mask.sum()) - episodes
+        table[name] = {
+            "episodes": episodes, "steps": steps, "return_per_episode": float(replay.reward[mask].sum()) / episodes,
+            "costly_share": float(replay.cost[mask].sum()) / max(1.0, steps),
+        }  # fmt: skip
+    return table

@@ -1,16 +1,19 @@
-"""Held-out episodes of the unimpaired expert, from which every threshold is taken."""
+"""Held-out episodes of the unimpaired expert, from which every threshold is taken.
+
+Artifact: `heldout.safetensors` (h, z, a_h, reward, cost, episode; one row per decision).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.configs import HeldoutConfig
 
 
 class HeldoutStage:
-    """Held-out episodes of the unimpaired expert, from which every threshold is taken."""
+    """See the module."""
 
     kind = "heldout"
     config = HeldoutConfig
@@ -18,7 +21,18 @@ class HeldoutStage:
     needs: tuple[str, ...] = ("world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """See the module named below; it documents the artifact's files."""
-        from wasp_cli.learning.heldout import record_heldout
+        """Run the latent expert on seeds that no evaluation uses."""
+        from wasp_cli.learning.closed_loop import expert_episodes
+        from wasp_cli.learning.heldout import heldout_rows, save_heldout
+        from wasp_cli.learning.policies import load_skills
+        from wasp_cli.learning.world_model import load_world_model
+        from wasp_cli.seeds import derive
+        from wasp_cli.tasks.registry import make_task
 
-        return record_heldout(job)
+        config = cast(HeldoutConfig, job.config)
+        task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
+        seeds = [derive("heldout-episode", job.task, job.seed, i) for i in range(config.episodes)]
+        model = load_world_model(job.inputs["world_model"])
+        loop = expert_episodes(task, model, load_skills(job.inputs["policies"]), seeds, keep_latents=True)
+        save_heldout(heldout_rows(loop), job.out_dir)
+        return {"return": float(loop.reward.sum(0).mean()), "cost": float(loop.cost_env.sum(0).mean())}

@@ -1,16 +1,20 @@
-"""SafeRL-Res: a residual policy trained in the real task through the filter."""
+"""SafeRL-Res: a residual policy trained in the real task through the filter.
+
+Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout).
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.configs import ResidualConfig
 
 
 class ResidualStage:
-    """SafeRL-Res: a residual policy trained in the real task through the filter."""
+    """See the module."""
 
     kind = "residual"
     config = ResidualConfig
@@ -18,7 +22,19 @@ class ResidualStage:
     needs: tuple[str, ...] = ("world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """See the module named below; it documents the artifact's files."""
+        """Train and store the mean residual."""
+        from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.residual import train_residual
+        from wasp_cli.learning.world_model import load_world_model
+        from wasp_cli.models.weights import save_weights
+        from wasp_cli.tasks.registry import make_task
 
-        return train_residual(job)
+        config = cast(ResidualConfig, job.config)
+        model = load_world_model(job.inputs["world_model"])
+        task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
+        policy, curve = train_residual(task, model, load_skills(job.inputs["policies"]), config, job.task, job.seed, job.progress)
+        save_weights(
+            policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)
+        )
+        (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
+        return {"interactions": curve[-1]["interactions"], "cost_per_1000": curve[-1]["cost_per_1000"], "multiplier": curve[-1]["multiplier"]}

@@ -1,0 +1,39 @@
+"""From artifacts to an assistant."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wasp_cli.config import Config
+from wasp_cli.learning.policies import load_skills
+from wasp_cli.learning.world_model import load_world_model
+from wasp_cli.methods.base import Assistant, AssistantClass, Parts
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.registry import load_target
+from wasp_cli.stages.configs import ReturnsConfig
+
+
+def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
+    """The frozen models of a training chain, and the calibrated thresholds where there are any."""
+    thresholds: dict[str, float] = {}
+    if "calibration" in inputs:
+        thresholds = json.loads((inputs["calibration"] / "calibration.json").read_text())
+    return Parts(
+        load_world_model(inputs["world_model"]), load_skills(inputs["policies"]), inputs, thresholds,
+        returns.gamma_r, returns.gamma_c, returns.lam,
+    )  # fmt: skip
+
+
+def method_config(method: str, resolved: Mapping[str, Any]) -> Config:
+    """The validated configuration of a method from its resolved JSON form."""
+    config: Config = load_target(METHODS[method].config).model_validate(resolved)
+    return config
+
+
+def build_assistant(method: str, resolved: Mapping[str, Any], parts: Parts) -> Assistant:
+    """An assistant by its registered name."""
+    cls: AssistantClass = METHODS.load(method)
+    return cls(method_config(method, resolved), parts)

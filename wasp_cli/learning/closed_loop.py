@@ -1,0 +1,138 @@
+"""The closed loop: task, filter, operator and assistant, B episodes side by side."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from wasp_cli.methods.base import Assistant, Record
+from wasp_cli.methods.human import HumanOnly
+from wasp_cli.models.base import Latent
+from wasp_cli.models.policy import Skills
+from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.tasks.base import Observation, VectorTask
+
+Array = NDArray[Any]
+
+
+class Loop(NamedTuple):
+    """What B episodes left behind, by decision step: [T, B] unless said. Rows after an episode's end are zero."""
+
+    reward: Array
+    cost: Array
+    cost_env: Array
+    env_steps: Array
+    goals: Array
+    alive: Array
+    """[T, B] the episode was still going when the decision was made"""
+    a_h: Array
+    """[T, B, A] the operator's command within the bounds"""
+    action: Array
+    """[T, B, A] the executed action"""
+    records: list[Record]
+    decision_ms: Array
+    """[T] wall time of `decide` in milliseconds, divided by the batch"""
+    h: Tensor | None
+    """[T, B, D] filtered latents, when asked for"""
+    z: Tensor | None
+
+
+class Filter:
+    """The world model's filter over a running batch of episodes."""
+
+    def __init__(self, model: SafetyWorldModel, batch: int) -> None:
+        self.model = model
+        self.latent = model.initial(batch)
+        self._action = torch.zeros(batch, model.action_size)
+
+    def see(self, observation: Observation, first: Tensor) -> Latent:
+        """The latent after a new observation; rows with `first` [B] start anew."""
+        assert observation.pixels is not None
+        self.latent = self.model.filter(self.latent, self._action, torch.from_numpy(observation.pixels), first)
+        return self.latent
+
+    def executed(self, action: Tensor) -> None:
+        """Tell the filter what was executed: [B, A]."""
+        self._action = action
+
+
+def human(skills: Skills, decision_seconds: float, action_size: int) -> Human:
+    """What the operators of a task are built from."""
+    return Human(skill=skills.at, action_size=action_size, decision_seconds=decision_seconds)
+
+
+@torch.inference_mode()
+def run_episodes(
+    task: VectorTask,
+    model: SafetyWorldModel,
+    operator: Operator,
+    assistant: Assistant,
+    layout_seeds: Sequence[int],
+    method_seeds: Sequence[int],
+    *,
+    keep_latents: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Loop:
+    """One episode per row, until all have ended.
+
+    Args:
+        task: B episodes with pixels.
+        model: the frozen world model, used as the filter.
+        operator: of B rows, fresh.
+        assistant: decides; it is reset for all rows.
+        layout_seeds: of the worlds.
+        method_seeds: of the assistant's own sampling.
+        keep_latents: also return the filtered latents.
+        progress: called about every 25 decisions.
+    """
+    batch = task.batch
+    seen = task.reset(layout_seeds)
+    filter_ = Filter(model, batch)
+    first = torch.ones(batch)
+    assistant.reset(torch.ones(batch, dtype=torch.bool), method_seeds)
+    rows: dict[str, list[Array]] = {n: [] for n in ("reward", "cost", "cost_env", "env_steps", "goals", "alive", "a_h", "action")}
+    records: list[Record] = []
+    times: list[float] = []
+    kept: list[Latent] = []
+    ended = np.zeros(batch, bool)
+    for t in range(task.max_decisions):
+        latent = filter_.see(seen, first)
+        first = torch.zeros(batch)
+        a_h = operator.command(latent.features).clamp(-1, 1)
+        begun = time.perf_counter()
+        decision = assistant.decide(latent, a_h, operator)
+        times.append((time.perf_counter() - begun) * 1000 / batch)
+        action = decision.action
+        filter_.executed(action)
+        step = task.step(action.numpy())
+        for name, value in (
+            ("reward", step.reward), ("cost", step.cost), ("cost_env", step.cost_env), ("env_steps", step.env_steps),
+            ("goals", step.goals), ("alive", ~ended), ("a_h", a_h.numpy()), ("action", action.numpy()),
+        ):  # fmt: skip
+            rows[name].append(np.array(value))
+        records.append(decision.record)
+        if keep_latents:
+            kept.append(latent)
+        seen, ended = step.observation, step.ended.copy()
+        if progress is not None and t % 25 == 0:
+            progress((t + 1) / task.max_decisions, f"decision {t + 1}/{task.max_decisions}")
+        if ended.all():
+            break
+    stacked = {name: np.stack(values) for name, values in rows.items()}
+    h = torch.stack([latent.h for latent in kept]) if keep_latents else None
+    z = torch.stack([latent.z for latent in kept]) if keep_latents else None
+    return Loop(**stacked, records=records, decision_ms=np.array(times, np.float32), h=h, z=z)
+
+
+def expert_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, seeds: Sequence[int], *, keep_latents: bool = False) -> Loop:
+    """Episodes of the unimpaired latent expert without assistance."""
+    operator = Operator.build(1.0, human(skills, task.decision_seconds, task.action_size), EpisodeNoise(seeds), task.batch)
+    return run_episodes(task, model, operator, HumanOnly(), seeds, seeds, keep_latents=keep_latents)

@@ -1,0 +1,131 @@
+"""Data collection: a mixture of behaviours, so that unsafe and off-course states are covered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from wasp_cli.learning.replay import Replay
+from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.tasks.base import VectorTask
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """How one episode's commands come about; probabilities are per decision step."""
+
+    name: str
+    skill: int = -1
+    """Index of the checkpoint whose policy intends the command."""
+    gaussian: float = 0.0
+    """Standard deviation added to it."""
+    replace: float = 0.0
+    """Probability of a uniform command instead."""
+    repeat: float = 0.0
+    """Probability of the last command again."""
+    burst: float = 0.0
+    """Probability that a random command begins and is held for 2-11 steps."""
+
+
+def behaviours(mixture: dict[str, float], episodes: int, random: np.random.Generator) -> list[Behaviour]:
+    """A behaviour for each episode, in the shares of the mixture and in random order."""
+    variants: dict[str, list[Behaviour]] = {
+        "expert": [Behaviour("expert", gaussian=0.25)],
+        "noisy": [Behaviour("noisy", replace=e) for e in (0.2, 0.4, 0.6)],
+        "laggy": [Behaviour("laggy", repeat=p) for p in (0.5, 0.7, 0.85)],
+        "early": [Behaviour("early", skill=0, gaussian=0.1), Behaviour("early", skill=1, gaussian=0.1)],
+        "bursts": [Behaviour("bursts", burst=0.08)],
+        "random": [Behaviour("random", replace=1.0)],
+    }
+    # Largest remainders: the counts follow the shares as closely as whole episodes can.
+    exact = {name: share * episodes for name, share in mixture.items()}
+    counts = {name: int(value) for name, value in exact.items()}
+    for name in sorted(exact, key=lambda n: counts[n] - exact[n])[: episodes - sum(counts.values())]:
+        counts[name] += 1
+    chosen = [variants[name][i % len(variants[name])] for name, count in counts.items() for i in range(count)]
+    return [chosen[i] for i in random.permutation(len(chosen))]
+
+
+class Commander:
+    """Commands for B rows, each with its own behaviour."""
+
+    def __init__(self, skills: Sequence[PrivilegedPolicy], rows: Sequence[Behaviour], action: int, random: np.random.Generator) -> None:
+        self._skills, self._rows, self._random = skills, rows, random
+        self._last = np.zeros((len(rows), action), np.float32)
+        self._held = np.zeros(len(rows), int)
+        self._started = False
+
+    def command(self, privileged: NDArray[np.float32]) -> NDArray[np.float32]:
+        """[B, P] to [B, A] in [-1, 1]."""
+        rows, random = self._rows, self._random
+        with torch.inference_mode():
+            seen = torch.from_numpy(privileged)
+            intended = np.stack([skill(seen).numpy() for skill in self._skills])  # [K, B, A]
+        action = intended[[b.skill for b in rows], np.arange(len(rows))]
+        action = action + np.array([b.gaussian for b in rows], np.float32)[:, None] * random.standard_normal(action.shape, np.float32)
+        uniform = random.uniform(-1, 1, action.shape).astype(np.float32)
+        replaced = random.random(len(rows)) < [b.replace for b in rows]
+        begins = (random.random(len(rows)) < [b.burst for b in rows]) & (self._held == 0)
+        length = random.integers(2, 12, len(rows))
+        repeats = (random.random(len(rows)) < [b.repeat for b in rows]) & self._started
+        self._held = np.where(begins, length, np.maximum(self._held - 1, 0))
+        action = np.where((replaced | begins)[:, None], uniform, action)
+        # While a burst is held, and where a lag repeats, the last command stands.
+        action = np.where((repeats | ((self._held > 0) & ~begins))[:, None], self._last, action).clip(-1, 1)
+        self._last, self._started = action.astype(np.float32), True
+        return self._last
+
+
+def record(task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int) -> Replay:
+    """One episode per row, as a shard.
+
+    Args:
+        task: B episodes with pixels and privileged observations.
+        seeds: of the episodes.
+        command: from privileged observations to actions.
+        names: behaviour of each row.
+        number: index of the first episode in the dataset.
+    """
+    seen = task.reset(seeds)
+    batch = task.batch
+    assert seen.pixels is not None
+    assert seen.privileged is not None
+    zeros = np.zeros(batch, np.float32)
+    steps: list[dict[str, NDArray[Any]]] = [
+        {
+            "pixels": seen.pixels, "action": np.zeros((batch, task.action_size), np.float32), "reward": zeros, "cost": zeros,
+            "terminal": zeros, "first": zeros + 1, "privileged": seen.privileged, "alive": np.ones(batch, bool),
+        }
+    ]  # fmt: skip
+    ended = np.zeros(batch, bool)
+    for _ in range(task.max_decisions):
+        assert seen.privileged is not None
+        action = command(seen.privileged)
+        step = task.step(action)
+        seen = step.observation
+        assert seen.pixels is not None
+        assert seen.privileged is not None
+        steps.append(
+            {
+                "pixels": seen.pixels, "action": action, "reward": step.reward.astype(np.float32), "cost": step.cost.astype(np.float32),
+                "terminal": (step.terminated & ~ended).astype(np.float32), "first": zeros, "privileged": seen.privileged, "alive": ~ended,
+            }
+        )  # fmt: skip
+        ended = step.ended.copy()
+        if ended.all():
+            break
+    alive = np.stack([s.pop("alive") for s in steps], 1)  # [B, T + 1]
+    fields = {name: np.stack([s[name] for s in steps], 1) for name in steps[0]}
+    rows = [np.flatnonzero(alive[b]) for b in range(batch)]
+    flat = {name: np.concatenate([value[b, rows[b]] for b in range(batch)]) for name, value in fields.items()}
+    lengths = [len(r) for r in rows]
+    return Replay(
+        episode=np.repeat(np.arange(number, number + batch, dtype=np.int32), lengths),
+        behaviour=np.repeat(np.array(list(names), dtype=object), lengths),
+        **flat,
+    )

@@ -1,0 +1,118 @@
+"""Expert training: stable-baselines3 PPO on privileged observations with an adaptive Lagrange multiplier."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
+
+from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
+from wasp_cli.learning.vec_env import TaskVecEnv, actor_layers, seed_stream
+from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.models.weights import load_weights, read_arguments, save_weights
+from wasp_cli.seeds import derive
+from wasp_cli.stages.configs import ExpertConfig
+from wasp_cli.tasks.base import VectorTask
+
+
+class EpisodeSums(NamedTuple):
+    """Sums of whole episodes."""
+
+    returns: np.ndarray[Any, Any]
+    costs: np.ndarray[Any, Any]
+    goals: np.ndarray[Any, Any]
+
+
+def checkpoint_name(fraction: float) -> str:
+    """File name of the skill at a fraction of the interactions."""
+    return f"skill-{fraction:g}.safetensors"
+
+
+def train_expert(
+    task: VectorTask, config: ExpertConfig, out: Path, task_name: str, seed: int, progress: Callable[[float, str], None]
+) -> list[dict[str, float]]:
+    """Train and store a skill per checkpoint fraction (`skill-F.safetensors`).
+
+    Args:
+        task: config.envs episodes with privileged observations.
+        config: sizes and budgets.
+        out: folder of the skills.
+        task_name: names the streams of episode seeds.
+        seed: of this training.
+        progress: called after every rollout.
+
+    Returns:
+        The learning curve: a row per rollout.
+    """
+    torch.manual_seed(derive("expert-weights", task_name, seed))
+    low, high = float(task.action_low.min()), float(task.action_high.max())
+    env = TaskVecEnv(task, task.privileged_size, low, high, seed_stream(derive, "expert-episode", task_name, seed))
+    normalised = VecNormalize(env, norm_obs=True, norm_reward=False, clip_obs=10.0)
+    model = PPO(
+        "MlpPolicy", normalised, device="cpu", seed=derive("expert-ppo", task_name, seed),
+        n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma, gae_lambda=config.gae_lambda,
+        ent_coef=config.entropy, learning_rate=lambda left: config.learning_rate * max(0.1, left),
+        policy_kwargs={"net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init},
+    )  # fmt: skip
+
+    def store(fraction: float) -> None:
+        save_skill(export_actor(model, normalised), out / checkpoint_name(fraction), task, config)
+
+    rule = MultiplierRule(config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit)
+    early = {int(f * config.interactions): (lambda f=f: store(f)) for f in config.checkpoints if f < 1.0}
+    callback = LagrangianCallback(env, rule, config.interactions, progress, log_std_floor=config.log_std_floor, checkpoints=early)
+    model.learn(config.interactions, callback=callback)
+    store(1.0)
+    return callback.curve
+
+
+def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
+    """The actor of a PPO model and its observation statistics as a plain module."""
+    layers = actor_layers(model.policy)
+    hidden = [layer.out_features for layer in layers[:-1]]
+    policy = PrivilegedPolicy(layers[0].in_features, hidden, layers[-1].out_features)
+    own = [m for m in policy.net if isinstance(m, nn.Linear)]
+    with torch.no_grad():
+        for mine, theirs in zip(own, layers, strict=True):
+            mine.weight.copy_(theirs.weight)
+            mine.bias.copy_(theirs.bias)
+        policy.mean.copy_(torch.as_tensor(normalised.obs_rms.mean))
+        policy.std.copy_(torch.as_tensor(np.sqrt(normalised.obs_rms.var + normalised.epsilon)))
+        policy.log_std.copy_(model.policy.log_std)
+    return policy
+
+
+def save_skill(policy: PrivilegedPolicy, path: Path, task: VectorTask, config: ExpertConfig) -> None:
+    """Weights and constructor arguments."""
+    save_weights(policy, path, inputs=task.privileged_size, hidden=list(config.hidden), action=task.action_size)
+
+
+def load_skill(folder: Path, fraction: float) -> PrivilegedPolicy:
+    """The privileged policy of a checkpoint."""
+    path = folder / checkpoint_name(fraction)
+    policy = PrivilegedPolicy(**read_arguments(path))
+    load_weights(policy, path)
+    return policy
+
+
+def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:
+    """One episode per row under the deterministic policy."""
+    seen = task.reset(seeds)
+    returns, costs, goals = np.zeros(task.batch), np.zeros(task.batch), np.zeros(task.batch)
+    with torch.inference_mode():
+        for _ in range(task.max_decisions):
+            assert seen.privileged is not None
+            step = task.step(policy(torch.from_numpy(seen.privileged)).numpy())
+            seen = step.observation
+            returns += step.reward
+            costs += step.cost_env
+            goals += step.goals
+            if step.ended.all():
+                break
+    return EpisodeSums(returns, costs, goals)

@@ -1,0 +1,155 @@
+"""SafeRL-Res: PPO with a Lagrange multiplier on Eq. 5, over (h, z, a^H), in the real task through the filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from torch import nn
+
+from wasp_cli.learning.closed_loop import Filter, human
+from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
+from wasp_cli.learning.vec_env import Array, TaskVecEnv, actor_layers, seed_stream
+from wasp_cli.models.policy import Skills
+from wasp_cli.models.residual import ResidualPolicy
+from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.mixed import MixedOperator
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.seeds import derive
+from wasp_cli.stages.configs import ResidualConfig
+from wasp_cli.tasks.base import Observation, VectorTask
+
+
+class AssistedTask(TaskVecEnv):
+    """The task as the residual policy meets it: it sees (h, z, a^H) and adds delta to a^H.
+
+    The operator of every episode is drawn from all variants and severities.
+    """
+
+    def __init__(self, task: VectorTask, model: SafetyWorldModel, skills: Skills, config: ResidualConfig, name: str, seed: int) -> None:
+        self._filter = Filter(model, task.batch)
+        self._alpha = config.alpha
+        self._command = torch.zeros(task.batch, task.action_size)
+        self._noises: list[EpisodeNoise] = []
+        owner = human(skills, task.decision_seconds, task.action_size)
+        operators = []
+        for variant, values in sorted(config.operators.items()):
+            for value in values:
+                noise = EpisodeNoise([0] * task.batch)
+                self._noises.append(noise)
+                operators.append(build_operator(variant, value, owner, noise, task.batch))
+        self._operator = MixedOperator(operators, derive("residual-operators", name, seed))
+        self._noise_seed = seed_stream(derive, "residual-noise", name, seed)
+        super().__init__(task, model.feature_size + task.action_size, -2.0, 2.0, seed_stream(derive, "residual-episode", name, seed))
+
+    @torch.no_grad()
+    def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
+        first = torch.from_numpy(rows)
+        if rows.any():
+            self._operator.reset(first)
+            for row in np.flatnonzero(rows):
+                drawn = self._noise_seed()
+                for noise in self._noises:
+                    noise.restart(int(row), drawn)
+            if not rows.all():
+                return self._restarted(seen, first)
+        self._filter.executed(torch.from_numpy(np.asarray(executed, np.float32)))
+        latent = self._filter.see(seen, first.float())
+        self._command = self._operator.command(latent.features).clamp(-1, 1)
+        return torch.cat([latent.features, self._command], -1).numpy()
+
+    def _restarted(self, seen: Observation, first: torch.Tensor) -> Array:
+        """New episodes in some rows only: the others have been observed already and must not move on twice."""
+        old, command = self._filter.latent, self._command
+        states = [(operator, operator.snapshot()) for operator in self._operator.operators]
+        steps = [list(noise.step) for noise in self._noises]
+        latent = self._filter.see(seen, first.float())
+        mask = first.unsqueeze(-1)
+        self._filter.latent = type(latent)(torch.where(mask, latent.h, old.h), torch.where(mask, latent.z, old.z))
+        issued = self._operator.command(self._filter.latent.features).clamp(-1, 1)
+        self._command = torch.where(mask, issued, command)
+        for operator, memory in states:
+            operator.memory = {
+                n: torch.where(first.view(-1, *([1] * (v.dim() - 1))), operator.memory[n], v) for n, v in memory.items()
+            }  # fmt: skip
+        for noise, before in zip(self._noises, steps, strict=True):
+            noise.step = [new if row else b for new, b, row in zip(noise.step, before, first.tolist(), strict=True)]
+        return torch.cat([self._filter.latent.features, self._command], -1).numpy()
+
+    def execute(self, action: Array) -> tuple[Array, Array]:
+        command = self._command.numpy()
+        executed = np.clip(command + action, -1, 1)
+        effort = np.square(executed - command).sum(-1)  # what is penalised is what was executed
+        return executed, (self._alpha * effort).astype(np.float32)
+
+
+class ValueWarmup(BaseCallback):  # type: ignore[misc]
+    """Trains only the value function at first, so that the residual does not move on noise."""
+
+    def __init__(self, until: int) -> None:
+        super().__init__()
+        self._until = until
+
+    def _on_training_start(self) -> None:
+        self._freeze(self._until > 0)
+
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps >= self._until:
+            self._freeze(False)
+
+    def _freeze(self, frozen: bool) -> None:
+        policy: Any = self.model.policy
+        for module in (policy.mlp_extractor.policy_net, policy.action_net):
+            module.requires_grad_(not frozen)
+        policy.log_std.requires_grad_(not frozen)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def train_residual(
+    task: VectorTask, model: SafetyWorldModel, skills: Skills, config: ResidualConfig, name: str, seed: int, report: Callable[[float, str], None]
+) -> tuple[ResidualPolicy, list[dict[str, float]]]:
+    """Maximise E sum (r - alpha ||delta||^2) subject to the cost limit.
+
+    Args:
+        task: config.envs episodes with pixels.
+        model: the frozen filter.
+        skills: the operators' policies.
+        config: sizes and budgets.
+        name: of the task, for its random streams.
+        seed: of this training.
+        report: called after every rollout.
+
+    Returns:
+        The mean residual as a plain module, and the learning curve.
+    """
+    torch.manual_seed(derive("residual-weights", name, seed))
+    env = AssistedTask(task, model, skills, config, name, seed)
+    env.normalise = True
+    ppo = PPO(
+        "MlpPolicy", env, device="cpu", seed=derive("residual-ppo", name, seed),
+        n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma, ent_coef=config.entropy,
+        learning_rate=config.learning_rate,
+        policy_kwargs={"net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init},
+    )  # fmt: skip
+    nn.init.zeros_(ppo.policy.action_net.weight)
+    nn.init.zeros_(ppo.policy.action_net.bias)
+    rule = MultiplierRule(
+        config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit,
+        delay=int(config.multiplier_delay * config.interactions),
+    )  # fmt: skip
+    lagrangian = LagrangianCallback(env, rule, config.interactions, report)
+    ppo.learn(config.interactions, callback=CallbackList([ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]))
+    policy = ResidualPolicy(model.feature_size, task.action_size, config.hidden)
+    with torch.no_grad():
+        for mine, theirs in zip([m for m in policy.net if isinstance(m, nn.Linear)], actor_layers(ppo.policy), strict=True):
+            mine.weight.copy_(theirs.weight)
+            mine.bias.copy_(theirs.bias)
+    return policy, lagrangian.curve

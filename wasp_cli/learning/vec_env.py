@@ -1,0 +1,144 @@
+"""A batch of tasks as a stable-baselines3 vector environment, with the cost as a Lagrangian penalty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from wasp_cli.tasks.base import Observation, Step, VectorTask
+
+Array = NDArray[np.float32]
+
+
+class Curve:
+    """Sums of finished episodes since the last `take`."""
+
+    def __init__(self) -> None:
+        self.returns: list[float] = []
+        self.costs: list[float] = []
+        self.env_steps = 0
+        self.costly_env_steps = 0
+
+    def take(self) -> dict[str, float]:
+        """Means of the finished episodes and the cost per 1000 env steps since the last call."""
+        row = {
+            "return": float(np.mean(self.returns)) if self.returns else float("nan"),
+            "cost": float(np.mean(self.costs)) if self.costs else float("nan"),
+            "cost_per_1000": 1000.0 * self.costly_env_steps / max(1, self.env_steps),
+        }
+        self.__init__()  # type: ignore[misc]
+        return row
+
+
+class TaskVecEnv(VecEnv):  # type: ignore[misc]
+    """B episodes with autoreset. The reward is (r - penalty - multiplier * c_t) / scale; `observe` makes the observation.
+
+    Subclasses override `observe`, `execute` and `begin` to put an operator and a filter between policy and task.
+    """
+
+    def __init__(self, task: VectorTask, size: int, low: float, high: float, next_seed: Callable[[], int]) -> None:
+        self.task = task
+        self.multiplier = 0.0
+        self.normalise = False
+        """Divide the reward by 1 + multiplier, so that its scale does not grow with it."""
+        self.curve = Curve()
+        self._next_seed = next_seed
+        self._return = np.zeros(task.batch)
+        self._cost = np.zeros(task.batch)
+        self._action: NDArray[Any] = np.zeros((task.batch, task.action_size), np.float32)
+        box = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        super().__init__(task.batch, box, spaces.Box(low, high, (task.action_size,), np.float32))
+
+    # -- what a subclass changes --------------------------------------------------------------------------------
+
+    def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
+        """[B, size] after `executed` [B, A]; `rows` [B] have just started an episode."""
+        assert seen.privileged is not None
+        return seen.privileged
+
+    def execute(self, action: Array) -> tuple[Array, Array]:
+        """From the policy's action to the executed one and a penalty [B]."""
+        return action, np.zeros(len(action), np.float32)
+
+    # -- VecEnv -------------------------------------------------------------------------------------------------
+
+    def reset(self) -> Array:
+        """Start new episodes everywhere."""
+        seen = self.task.reset([self._next_seed() for _ in range(self.num_envs)])
+        everyone = np.ones(self.num_envs, bool)
+        self._return[:] = 0
+        self._cost[:] = 0
+        return self.observe(seen, everyone, np.zeros_like(self._action))
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._action = np.asarray(actions, np.float32)
+
+    def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
+        executed, penalty = self.execute(self._action)
+        step: Step = self.task.step(executed)
+        reward = step.reward - penalty - self.multiplier * step.cost
+        if self.normalise:
+            reward = reward / (1.0 + self.multiplier)
+        self._return += step.reward
+        self._cost += step.cost_env
+        self.curve.env_steps += int(step.env_steps.sum())
+        self.curve.costly_env_steps += int(step.cost_env.sum())
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        observed = self.observe(step.observation, np.zeros(self.num_envs, bool), executed)
+        ended = step.ended.copy()
+        if ended.any():
+            rows = np.flatnonzero(ended)
+            for row in rows:
+                infos[row] = {"terminal_observation": observed[row].copy(), "TimeLimit.truncated": not step.terminated[row]}
+                self.curve.returns.append(float(self._return[row]))
+                self.curve.costs.append(float(self._cost[row]))
+            self._return[rows] = 0
+            self._cost[rows] = 0
+            seen = self.task.reset([self._next_seed() for _ in rows], ended)
+            observed = np.where(ended[:, None], self.observe(seen, ended, np.where(ended[:, None], 0, executed)), observed)
+        return observed, reward.astype(np.float32), ended, infos
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The same value for every environment; stable-baselines3 asks for `render_mode`."""
+        return [getattr(self, attr_name, None)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """There are no separate environments to call.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(f"a batch of tasks has no method '{method_name}' for each environment")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+def seed_stream(derive: Callable[..., int], *parts: Any) -> Callable[[], int]:
+    """An endless, reproducible stream of episode seeds: derive(*parts, 0), derive(*parts, 1), ..."""
+    count = -1
+
+    def following() -> int:
+        nonlocal count
+        count += 1
+        return derive(*parts, count)
+
+    return following
+
+
+def actor_layers(policy: Any) -> Sequence[Any]:
+    """The linear layers of a stable-baselines3 actor, first to last."""
+    from torch import nn
+
+    return [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)] + [policy.action_net]

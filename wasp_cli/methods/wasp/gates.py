@@ -1,0 +1,62 @@
+"""The two model-predictive intervention functions (section 4.2): safety first, task only when safety is silent."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
+
+
+class Gain(NamedTuple):
+    """The outcome of the task gate's probe."""
+
+    delta_g: Tensor
+    """Delta G_t of Eq. 12 [B]; minus infinity where no candidate is feasible"""
+    best: Tensor
+    """[B] index of the corrected candidate"""
+    returns: Returns
+    """of the whole probe, which becomes the first CEM iteration when the gate fires"""
+
+
+def safety_gate(nominal_cost: Tensor, tau_c: float) -> Tensor:
+    """Eq. 9: intervene where the nominal cost return [B] exceeds tau_c."""
+    return nominal_cost > tau_c
+
+
+def probe(imagination: Imagination, start: Situation, candidates: Tensor, draws: Draws, fresh: Draws, tau_c: float) -> Gain:
+    """Eq. 11-12: the feasible candidate of highest penalised return, and its gain over the operator alone.
+
+    The maximum of many noisy estimates is biased, so the winner and the operator are scored again with fresh rollouts, common to both.
+
+    Args:
+        imagination: the frozen models.
+        start: B decisions.
+        candidates: residual sequences [B, N_probe, L, A].
+        draws: rollouts of the search.
+        fresh: rollouts of the comparison.
+        tau_c: bound of the cost return.
+    """
+    found = imagination.returns(start, candidates, draws)
+    score = task_score(found, imagination.config.alpha)
+    feasible = found.cost <= tau_c  # NaN compares false: a broken rollout is not feasible
+    best = torch.where(feasible, score, -torch.inf).argmax(-1)  # [B]
+    winner = candidates[torch.arange(len(best)), best].unsqueeze(1)  # [B, 1, L, A]
+    pair = torch.cat([torch.zeros_like(winner), winner], 1)
+    again = imagination.returns(start, pair, fresh)
+    gain = again.reward[:, 1] - again.reward[:, 0]
+    return Gain(torch.where(feasible.any(-1), gain, -torch.inf), best, found)
+
+
+def task_score(returns: Returns, alpha: float) -> Tensor:
+    """S_task of Eq. 16 (and the objective of Eq. 11): G^(r) - alpha sum ||delta||^2; minus infinity where undefined."""
+    score = returns.reward - alpha * returns.effort
+    return torch.where(score.isnan(), -torch.inf, score)
+
+
+def safe_score(returns: Returns, alpha: float, tau_c: float) -> Tensor:
+    """S_safe of Eq. 17: [G^(c) - tau_c]_+ + alpha sum ||delta||^2, to be minimised; infinity where undefined."""
+    score = (returns.cost - tau_c).clamp(min=0) + alpha * returns.effort
+    return torch.where(score.isnan(), torch.inf, score)

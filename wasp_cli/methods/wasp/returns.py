@@ -1,0 +1,36 @@
+"""TD-lambda returns (Eq. 7-8), one function for reward and cost."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def td_lambda(signal: Tensor, value: Tensor, gamma: float, lam: float) -> Tensor:
+    """G_t of Eq. 8 for rollouts of H steps.
+
+    Args:
+        signal: x-hat_{t+k} for k = 0..H-1, read at the arrived state k + 1: [H, ...].
+        value: V-hat at the arrived states k + 1 = 1..H: [H, ...]; the last row is the bootstrap of Eq. 7.
+        gamma: discount per decision step.
+        lam: lambda in (0, 1].
+
+    Returns:
+        [...]: the return at k = 0.
+    """
+    return td_lambda_all(signal, value, gamma, lam)[0]
+
+
+def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float) -> Tensor:
+    """G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`."""
+    future = value[-1]
+    found = []
+    for k in range(len(signal) - 1, -1, -1):
+        future = signal[k] + gamma * ((1 - lam) * value[k] + lam * future)
+        found.append(future)
+    return torch.stack(found[::-1])
+
+
+def discounted_sum(signal: Tensor, gamma: float) -> Tensor:
+    """sum_k gamma^k x_{t+k} over [H, ...]: Eq. 8 with lambda = 1 and nothing beyond the horizon."""
+    return td_lambda(signal, torch.zeros_like(signal), gamma, 1.0)

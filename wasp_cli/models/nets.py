@@ -1,0 +1,59 @@
+"""Building blocks of every network: layers, encoder, decoder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+CHANNELS = 6
+"""Front RGB and rear RGB."""
+
+
+def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, zero: bool = False) -> nn.Sequential:
+    """Linear layers with LayerNorm and SiLU between them; `zero` starts the last layer at zero."""
+    layers: list[nn.Module] = []
+    width = inputs
+    for size in hidden:
+        layers += [nn.Linear(width, size), nn.LayerNorm(size), nn.SiLU()]
+        width = size
+    last = nn.Linear(width, outputs)
+    if zero:
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+    return nn.Sequential(*layers, last)
+
+
+class Encoder(nn.Module):
+    """Images float [B, 6, 64, 64] to embeddings [B, 128 * depth]: four convolutions 4x4, stride 2."""
+
+    def __init__(self, depth: int) -> None:
+        super().__init__()
+        sizes = [CHANNELS, depth, 2 * depth, 4 * depth, 8 * depth]
+        self.layers = nn.ModuleList(nn.Conv2d(a, b, 4, 2, 1) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        self.size = 8 * depth * 16
+
+    def forward(self, images: Tensor) -> Tensor:
+        x = images.contiguous(memory_format=torch.channels_last)
+        for layer in self.layers:
+            x = F.silu(layer(x))
+        return x.flatten(1)
+
+
+class Decoder(nn.Module):
+    """Features [B, F] to images [B, 6, 64, 64] minus the mean image of the dataset."""
+
+    def __init__(self, features: int, depth: int) -> None:
+        super().__init__()
+        sizes = [8 * depth, 4 * depth, 2 * depth, depth, CHANNELS]
+        self.depth = depth
+        self.inputs = nn.Linear(features, 8 * depth * 16)
+        self.layers = nn.ModuleList(nn.ConvTranspose2d(a, b, 4, 2, 1) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+
+    def forward(self, features: Tensor) -> Tensor:
+        x = self.inputs(features).view(-1, 8 * self.depth, 4, 4).contiguous(memory_format=torch.channels_last)
+        for i, layer in enumerate(self.layers):
+            x = layer(F.silu(x) if i else x)
+        return x

@@ -1,0 +1,27 @@
+"""The residual policy of SafeRL-Res: the actor of a stable-baselines3 PPO as a plain module."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+
+class ResidualPolicy(nn.Module):
+    """Mean residual delta(h, z, a^H): features [B, F] and command [B, A] to [B, A] in [-2, 2]."""
+
+
+    def __init__(self, features: int, action: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        sizes = [features + action, *hidden]
+        layers: list[nn.Module] = []
+        for a, b in zip(sizes[:-1], sizes[1:], strict=True):
+            layers += [nn.Linear(a, b), nn.Tanh()]
+        self.net = nn.Sequential(*layers, nn.Linear(sizes[-1], action))
+        nn.init.zeros_(self.net[-1].weight)  # type: ignore[arg-type]
+        nn.init.zeros_(self.net[-1].bias)  # type: ignore[arg-type]
+
+    def forward(self, features: Tensor, a_h: Tensor) -> Tensor:
+        residual: Tensor = self.net(torch.cat([features, a_h], -1))
+        return residual.clamp(-2, 2)

@@ -1,0 +1,114 @@
+"""The recurrent state-space model with categorical latents (section 4.1 of the paper).
+
+Dimension letters: B sequences, T steps, A action, D deterministic size, S variables, C classes, Z = S * C, E embedding.
+A step is indexed by arrival: h_t follows from (h_{t-1}, z_{t-1}, a_{t-1}); z_t is inferred from h_t and o_t.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from wasp_cli.models.base import Latent
+
+
+class Observed(NamedTuple):
+    """A filtered sequence."""
+
+    latent: Latent
+    """h [B, T, D], z [B, T, Z] (straight-through samples)."""
+    posterior: Tensor
+    """[B, T, S, C] log-probabilities of q(z_t | h_t, o_t)."""
+    prior: Tensor
+    """[B, T, S, C] log-probabilities of p(z_t | h_t)."""
+
+
+class RSSM(nn.Module):
+    """f_theta, p_theta and q_theta of Eq. 6."""
+
+    def __init__(self, *, action: int, embed: int, deter: int, hidden: int, variables: int, classes: int, unimix: float) -> None:
+        super().__init__()
+        self.deter, self.variables, self.classes, self.unimix = deter, variables, classes, unimix
+        self.flat = variables * classes
+        self.inputs = nn.Sequential(nn.Linear(self.flat + action, hidden), nn.LayerNorm(hidden), nn.SiLU())
+        self.cell = nn.GRUCell(hidden, deter)
+        self.prior_net = nn.Sequential(nn.Linear(deter, hidden), nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat))
+        # The first posterior layer in two halves: the image half needs no recurrence and runs once for a whole sequence.
+        self.posterior_h = nn.Linear(deter, hidden)
+        self.posterior_o = nn.Linear(embed, hidden, bias=False)
+        self.posterior_net = nn.Sequential(nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat))
+
+    def initial(self, batch: int) -> Latent:
+        """Zeros: what the mask at an episode's start leaves."""
+        reference = self.posterior_h.weight
+        return Latent(reference.new_zeros(batch, self.deter), reference.new_zeros(batch, self.flat))
+
+    def recur(self, latent: Latent, action: Tensor) -> Tensor:
+        """h_{t+1} = f_theta(h_t, z_t, a_t): [B, D]."""
+        h: Tensor = self.cell(self.inputs(torch.cat([latent.z, action], -1)), latent.h)
+        return h
+
+    def prior(self, h: Tensor) -> Tensor:
+        """Log-probabilities of p_theta(z | h): [..., S, C]."""
+        return self._mixed(self.prior_net(h))
+
+    def posterior(self, h: Tensor, projected: Tensor) -> Tensor:
+        """Log-probabilities of q_theta(z | h, o): [..., S, C]; `projected` = posterior_o(embedding)."""
+        return self._mixed(self.posterior_net(self.posterior_h(h) + projected))
+
+    def _mixed(self, logits: Tensor) -> Tensor:
+        # One percent of a uniform distribution keeps every KL finite; float32 whatever the autocast.
+        shaped = logits.float().unflatten(-1, (self.variables, self.classes))
+        probs = (1 - self.unimix) * shaped.softmax(-1) + self.unimix / self.classes
+        return probs.log()
+
+    def sample(self, log_probs: Tensor, noise: Tensor | None) -> Tensor:
+        """One-hot [..., Z] by the Gumbel trick with straight-through gradients; the mode when `noise` is None."""
+        scores = log_probs if noise is None else log_probs + noise
+        hard = F.one_hot(scores.argmax(-1), self.classes).to(log_probs.dtype)
+        if torch.is_grad_enabled():
+            probs = log_probs.exp()
+            hard = hard + probs - probs.detach()
+        return hard.flatten(-2)
+
+    def observe(self, projected: Tensor, action: Tensor, first: Tensor, noise: Tensor, start: Latent | None = None) -> Observed:
+        """Filter sequences.
+
+        Args:
+            projected: posterior_o(embedding), [B, T, hidden].
+            action: a_{t-1} that led to step t, [B, T, A].
+            first: 1 where an episode starts, [B, T]; h, z and the action are masked there.
+            noise: standard Gumbel draws [B, T, S, C].
+            start: the latent before step 0; zeros by default.
+        """
+        latent = self.initial(len(action)) if start is None else start
+        keep = (1.0 - first.float()).unsqueeze(-1)  # [B, T, 1]
+        hs, zs, posteriors = [], [], []
+        for t in range(action.shape[1]):
+            k = keep[:, t]
+            h = self.recur(Latent(latent.h * k, latent.z * k), action[:, t] * k)
+            posterior = self.posterior(h, projected[:, t])
+            latent = Latent(h, self.sample(posterior, noise[:, t]))
+            hs.append(latent.h)
+            zs.append(latent.z)
+            posteriors.append(posterior)
+        h_seq = torch.stack(hs, 1)
+        return Observed(Latent(h_seq, torch.stack(zs, 1)), torch.stack(posteriors, 1), self.prior(h_seq))
+
+
+def kl_divergence(left: Tensor, right: Tensor) -> Tensor:
+    """KL[left || right] of categoricals given as log-probabilities [..., S, C], summed over the S variables: [...]."""
+    return (left.exp() * (left - right)).sum((-2, -1))
+
+
+def balanced_kl(posterior: Tensor, prior: Tensor, free_nats: float) -> tuple[Tensor, Tensor]:
+    """The first two terms of Eq. 6: (representation, prediction), each a mean over steps.
+
+    Free nats clip the KL summed over the variables, so that no gradient flows below them.
+    """
+    representation = kl_divergence(posterior, prior.detach()).clamp(min=free_nats).mean()
+    prediction = kl_divergence(posterior.detach(), prior).clamp(min=free_nats).mean()
+    return representation, prediction

@@ -1,0 +1,61 @@
+"""Weights on disk: safetensors with the constructor's arguments as JSON beside them. Nothing is unpickled."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from wasp_cli.errors import ArtifactError
+
+
+def save_weights(module: nn.Module, path: Path, **arguments: Any) -> None:
+    """Write `path` (.safetensors) and `path` with .json holding `arguments`."""
+    # channels_last parameters are not contiguous; safetensors stores plain row-major tensors.
+    save_file({name: tensor.contiguous() for name, tensor in module.state_dict().items()}, path)
+    path.with_suffix(".json").write_text(json.dumps(arguments, sort_keys=True, indent=1))
+
+
+def read_arguments(path: Path) -> dict[str, Any]:
+    """The JSON beside a weights file.
+
+    Raises:
+        ArtifactError: it is missing or damaged.
+    """
+    try:
+        loaded: dict[str, Any] = json.loads(path.with_suffix(".json").read_text())
+    except (OSError, ValueError) as error:
+        raise ArtifactError(f"cannot read {path.with_suffix('.json')}: {error}", "remove the artifact's folder and run again") from error
+    return loaded
+
+
+def load_weights(module: nn.Module, path: Path) -> None:
+    """Fill `module` from `path` and freeze it.
+
+    Raises:
+        ArtifactError: the file is missing, damaged, or does not fit the module.
+    """
+    try:
+        state = load_file(path)
+        module.load_state_dict(state)
+    except (OSError, SafetensorError, RuntimeError) as error:
+        raise ArtifactError(f"cannot read {path}: {error}", "remove the artifact's folder and run again") from error
+    module.eval().requires_grad_(False)
+
+
+def read_tensors(path: Path) -> dict[str, torch.Tensor]:
+    """All tensors of a safetensors file.
+
+    Raises:
+        ArtifactError: the file is missing or damaged.
+    """
+    try:
+        tensors: dict[str, torch.Tensor] = load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise ArtifactError(f"cannot read {path}: {error}", "remove the artifact's folder and run again") from error
+    return tensors

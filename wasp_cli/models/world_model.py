@@ -1,0 +1,156 @@
+"""The safety-aware world model: RSSM, decoder, and heads for reward, cost and continuation (Eq. 6)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from wasp_cli.models.base import Latent
+from wasp_cli.models.nets import CHANNELS, Decoder, Encoder, mlp
+from wasp_cli.models.rssm import RSSM, Observed, balanced_kl
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the constructor needs; stored beside the weights."""
+
+    action: int
+    deter: int
+    hidden: int
+    variables: int
+    classes: int
+    depth: int
+    head: int
+    unimix: float
+    reward_scale: float
+    cost_weight: float
+
+
+class Batch(NamedTuple):
+    """Sequences by arrival: entry t holds o_t and what came with it (a_{t-1}, r_t, c_t)."""
+
+    pixels: Tensor
+    """uint8 [B, T, 6, 64, 64]"""
+    action: Tensor
+    """[B, T, A]"""
+    reward: Tensor
+    """[B, T]"""
+    cost: Tensor
+    """[B, T] in {0, 1}"""
+    terminal: Tensor
+    """[B, T] in {0, 1}: the episode ended by the task's own rule"""
+    first: Tensor
+    """[B, T] in {0, 1}"""
+
+
+class SafetyWorldModel(nn.Module):
+    """Implements `models.base.WorldModel`; also its own losses."""
+
+    mean_image: Tensor
+
+    def __init__(self, sizes: Sizes) -> None:
+        super().__init__()
+        self.sizes = sizes
+        self.action_size = sizes.action
+        self.encoder = Encoder(sizes.depth)
+        self.rssm = RSSM(
+            action=sizes.action, embed=self.encoder.size, deter=sizes.deter, hidden=sizes.hidden,
+            variables=sizes.variables, classes=sizes.classes, unimix=sizes.unimix,
+        )  # fmt: skip
+        self.feature_size = sizes.deter + self.rssm.flat
+        self.noise_size = self.rssm.flat
+        self.decoder = Decoder(self.feature_size, sizes.depth)
+        heads = (sizes.head, sizes.head)
+        self.reward_head = mlp(self.feature_size, heads, 1, zero=True)
+        self.cost_head = mlp(self.feature_size, heads, 1)
+        self.continue_head = mlp(self.feature_size, heads, 1)
+        # Images are centred by the data set's mean, so that the decoder spends nothing on what never changes.
+        self.register_buffer("mean_image", torch.zeros(CHANNELS, 64, 64))
+
+    # -- perception ---------------------------------------------------------------------------------------------
+
+    def embed(self, pixels: Tensor) -> Tensor:
+        """uint8 [B, 6, 64, 64] to the image half of the posterior's first layer [B, hidden]."""
+        return self.rssm.posterior_o(self.encoder(self.centred(pixels)))  # type: ignore[no-any-return]
+
+    def centred(self, pixels: Tensor) -> Tensor:
+        """uint8 images to float in [-1, 1], minus the mean image."""
+        return pixels.to(self.mean_image.dtype) / 255.0 - self.mean_image
+
+    def initial(self, batch: int) -> Latent:
+        """The latent before an episode."""
+        return self.rssm.initial(batch)
+
+    def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
+        """See `models.base.WorldModel.filter`. Takes the posterior's mode, so that filtering draws nothing."""
+        keep = (1.0 - first.to(latent.h.dtype)).unsqueeze(-1)
+        h = self.rssm.recur(Latent(latent.h * keep, latent.z * keep), action * keep)
+        return Latent(h, self.rssm.sample(self.rssm.posterior(h, self.embed(pixels)), None))
+
+    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
+        """See `models.base.WorldModel.imagine`."""
+        h = self.rssm.recur(latent, action)
+        return Latent(h, self.rssm.sample(self.rssm.prior(h), noise.unflatten(-1, (self.rssm.variables, self.rssm.classes))))
+
+    # -- heads --------------------------------------------------------------------------------------------------
+
+    def reward(self, latent: Latent) -> Tensor:
+        """Mean reward at the arrived state: [...]."""
+        return self.reward_head(latent.features).squeeze(-1) / self.sizes.reward_scale  # type: ignore[no-any-return]
+
+    def cost_logit(self, latent: Latent) -> Tensor:
+        """Logit of the cost probability. The weight of costly steps shifted the trained logit by its logarithm; it is removed."""
+        return self.cost_head(latent.features).squeeze(-1) - math.log(self.sizes.cost_weight)  # type: ignore[no-any-return]
+
+    def cost(self, latent: Latent) -> Tensor:
+        """c-hat: probability of a cost event at the arrived state: [...]."""
+        return self.cost_logit(latent).sigmoid()
+
+    def continues(self, latent: Latent) -> Tensor:
+        """Probability that the episode goes on: [...]."""
+        return self.continue_head(latent.features).squeeze(-1).sigmoid()  # type: ignore[no-any-return]
+
+    def decode(self, latent: Latent) -> Tensor:
+        """Images in [0, 1], [B, 6, 64, 64]."""
+        return (self.decoder(latent.features) + self.mean_image).clamp(0, 1)
+
+    # -- losses of Eq. 6 ----------------------------------------------------------------------------------------
+
+    def observe(self, batch: Batch, noise: Tensor) -> Observed:
+        """Filter a batch of sequences; `noise` are Gumbel draws [B, T, S, C]."""
+        projected = self.embed(batch.pixels.flatten(0, 1)).unflatten(0, batch.action.shape[:2])
+        return self.rssm.observe(projected, batch.action, batch.first, noise)
+
+    def losses(self, batch: Batch, noise: Tensor, decode_steps: Tensor, free_nats: float) -> dict[str, Tensor]:
+        """The terms of Eq. 6 by name, unweighted means over steps.
+
+        Args:
+            batch: B sequences of T steps.
+            noise: Gumbel draws [B, T, S, C].
+            decode_steps: indices of the steps whose image is decoded (a random share saves a third of the time).
+            free_nats: see `balanced_kl`.
+        """
+        seen = self.observe(batch, noise)
+        features = seen.latent.features  # [B, T, F]
+        representation, prediction = balanced_kl(seen.posterior, seen.prior, free_nats)
+        target = self.centred(batch.pixels[:, decode_steps].flatten(0, 1))
+        image = (self.decoder(features[:, decode_steps].flatten(0, 1)) - target).square().sum((1, 2, 3)).mean()
+        reward, cost = self.head_losses(features, batch.reward, batch.cost)
+        carry_on = F.binary_cross_entropy_with_logits(self.continue_head(features).squeeze(-1), 1.0 - batch.terminal)
+        return {
+            "alpha_q": representation, "alpha_p": prediction, "beta_o": image,
+            "beta_r": reward, "beta_c": cost, "beta_n": carry_on,
+        }  # fmt: skip
+
+    def head_losses(self, features: Tensor, reward: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
+        """Squared error of the scaled reward, and weighted BCE of the cost, both means."""
+        sizes = self.sizes
+        reward_loss = (self.reward_head(features).squeeze(-1) - sizes.reward_scale * reward).square().mean()
+        weight = torch.as_tensor(sizes.cost_weight, dtype=features.dtype, device=features.device)
+        cost_loss = F.binary_cross_entropy_with_logits(self.cost_head(features).squeeze(-1), cost, pos_weight=weight)
+        return reward_loss, cost_loss

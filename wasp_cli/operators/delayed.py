@@ -1,0 +1,38 @@
+"""Reaction-time operator: issues the command for what it saw d decisions ago; the queue starts with neutral commands."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from wasp_cli.operators.base import Human, Memory, Operator
+from wasp_cli.operators.noise import NoiseSource
+
+
+class DelayedOperator(Operator):
+    """See the module; the severity is the delay in seconds, rounded up to decision steps."""
+
+    delay: int = 0
+    """d in decision steps."""
+
+    @classmethod
+    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
+        operator = super().build(value, human, noise, batch)
+        operator.delay = delay_steps(value, human.decision_seconds)
+        operator.memory = operator.initial(batch)
+        return operator
+
+    def initial(self, batch: int) -> Memory:
+        return {"queue": torch.zeros(batch, self.delay, self.action_size)}
+
+    def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
+        queue = torch.cat([memory["queue"], intended.unsqueeze(1)], 1)  # [B, d + 1, A], oldest first
+        return queue[:, 0], {"queue": queue[:, 1:]}
+
+
+def delay_steps(seconds: float, decision_seconds: float) -> int:
+    """The delay in whole decision steps, rounded up (0.24 s is 3 steps of 0.08 s and 2 of 0.16 s)."""
+    return math.ceil(seconds / decision_seconds - 1e-9)

@@ -1,0 +1,16 @@
+"""Limited-skill operator: the policy of an earlier expert checkpoint."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.noise import NoiseSource
+
+
+class LimitedSkillOperator(Operator):
+    """See the module; the severity is the fraction of the expert's interactions."""
+
+    @classmethod
+    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
+        return cls(human.skill(value), human.action_size, noise, batch)

@@ -1,0 +1,29 @@
+"""Noisy operator: with probability epsilon a uniform command replaces the intended one."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from wasp_cli.operators.base import Human, Memory, Operator
+from wasp_cli.operators.noise import NoiseSource
+
+
+class NoisyOperator(Operator):
+    """See the module; `epsilon` is the severity."""
+
+    noise_size = 1
+    draws_action = True
+    epsilon: float
+
+    @classmethod
+    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
+        operator = super().build(value, human, noise, batch)
+        operator.epsilon = value
+        return operator
+
+    def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
+        replaced = uniforms[:, :1] < self.epsilon
+        return torch.where(replaced, 2 * uniforms[:, 1:] - 1, intended), memory
