@@ -7,7 +7,7 @@ S = size of the state vector, P = size of the privileged vector.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,15 @@ class Step(NamedTuple):
     """[B] the episode is over, now or since an earlier step."""
     terminated: Bools
     """[B] it ended by the task's own rule (not by the time limit)."""
+
+
+@runtime_checkable
+class HasMap(Protocol):
+    """A task that can be looked at from above."""
+
+    def topdown(self, row: int, size: int) -> Pixels:
+        """One episode as a map, for people: uint8 [size, size, 3], +x to the right, +y up. Never an observation."""
+        ...
 
 
 class VectorTask(Protocol):

@@ -145,11 +145,12 @@ class _View:
 
     def _stripes(self, place: _Image, offset: float) -> _Image:
         # A square wave of period two tiles, its edges as wide as a pixel. The offset is reduced first, in float64.
-        phase = place * np.float32(0.5 / TILE_SIDE) + np.float32((offset * 0.5 / TILE_SIDE) % 1.0)
+        phase = place * np.float32(0.5 / TILE_SIDE) + np.float32((offset * 0.5 / TILE_SIDE + 0.25) % 1.0)
         phase -= np.floor(phase)
-        wave = np.float32(0.25) - np.abs(phase - np.float32(0.5))
+        wave: _Image = np.float32(0.25) - np.abs(phase - np.float32(0.5))
         wave *= np.float32(4.0) * self._sharpness
-        return np.clip(wave, np.float32(-1.0), np.float32(1.0), out=wave)
+        np.clip(wave, np.float32(-1.0), np.float32(1.0), out=wave)
+        return wave
 
     def paint_hazards(self, image: _Image, centres: list[tuple[float, float]]) -> None:
         """Blend the hazards' discs over the floor. Nothing tells from the picture whether a cost is being paid."""
@@ -193,9 +194,10 @@ def _multi_ray(model: mujoco.MjModel, data: mujoco.MjData, group: int, rays: Flo
 
 
 def _shade(normals: Floats, rays: Floats) -> _Image:
-    """Brightness [n] in [0.3, 1]: a light straight above and one at the camera."""
+    """Brightness [n] in [0.45, 1]: a light straight above and one at the camera."""
     facing = np.abs((normals * rays).sum(axis=1))
-    return (0.3 + 0.4 * np.maximum(normals[:, 2], 0.0) + 0.3 * facing).astype(np.float32)
+    shade: _Image = (0.45 + 0.3 * np.maximum(normals[:, 2], 0.0) + 0.25 * facing).astype(np.float32)
+    return shade
 
 
 def _colour(rgb: tuple[float, float, float]) -> _Image:

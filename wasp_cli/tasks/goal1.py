@@ -19,8 +19,9 @@ from wasp_cli.tasks import goal1_model as g1
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
 from wasp_cli.tasks.camera import Camera, Scene
 from wasp_cli.tasks.goal1_features import PRIVILEGED_SIZE, STATE_SIZE, privileged_vector, state_vector
-from wasp_cli.tasks.layout import Streams, Thing, draw_goal, draw_layout
+from wasp_cli.tasks.layout import Streams, Thing, checked_seed, draw_goal, draw_layout
 from wasp_cli.tasks.physics import BatchPhysics
+from wasp_cli.tasks.topdown import draw_map
 
 ENV_SECONDS = g1.TIMESTEP * g1.PHYSICS_STEPS
 NUM_STEPS = 1000
@@ -101,8 +102,9 @@ class Goal1:
         chosen = np.arange(self.batch) if rows is None else np.flatnonzero(rows)
         if len(seeds) != len(chosen):
             raise TaskError(f"got {len(seeds)} seeds for {len(chosen)} rows")
-        for row, seed in zip(chosen.tolist(), seeds, strict=True):
-            self._start(row, int(seed))
+        checked = [checked_seed(seed) for seed in seeds]
+        for row, seed in zip(chosen.tolist(), checked, strict=True):
+            self._start(row, seed)
         return self._observe(chosen)
 
     def _start(self, row: int, seed: int) -> None:
@@ -120,7 +122,7 @@ class Goal1:
         control = self._checked(action)
         alive = ~self._ended
         if not alive.any():
-            raise TaskError("step after the end: every episode of the batch has ended", "call reset with new seeds first")
+            raise TaskError("step after the end: every episode of the batch has ended; call reset first")
         rows = np.flatnonzero(alive)
         self._control[rows] = control[rows]
         yaw = self._qpos[:, 2].copy()
@@ -211,6 +213,9 @@ class Goal1:
     def _scene(self, rows: NDArray[np.intp]) -> Scene:
         qpos = self._qpos[rows]
         return Scene(qpos[:, :2], qpos[:, 2], self._goal[rows], self._hazards[rows], qpos[:, 3:])
+
+    def topdown(self, row: int, size: int = 256) -> Pixels:
+        return draw_map(self._scene(np.array([row])), 0, size)
 
     # -- snapshot ---------------------------------------------------------------------------------------------------------------
 

@@ -52,7 +52,8 @@ def privileged_vector(velocity: Floats, turn: Floats, qpos: Floats, goal: Floats
     threats = np.concatenate([around / 1.5, clearance[..., None]], axis=2).reshape(len(qpos), -1)
     vase = _seen(qpos[:, None, 3:5], qpos)[:, 0] / 1.5
     parts = [own_velocity, turn[:, None] / 3.0, target / np.maximum(distance, 1e-9), distance / 3.0, np.exp(-distance), threats, vase]
-    return np.clip(np.concatenate(parts, axis=1), -_FAR, _FAR).astype(np.float32)
+    vector: NDArray[np.float32] = np.clip(np.concatenate(parts, axis=1), -_FAR, _FAR).astype(np.float32)
+    return vector
 
 
 def _seen(points: Floats, qpos: Floats) -> Floats:

@@ -53,31 +53,39 @@ def _hazard(index: int) -> str:
     </body>"""
 
 
-def _mjcf(bodies: str) -> str:
+_FLOOR = '<geom name="floor" type="plane" size="3.5 3.5 0.1"/>'
+
+_SENSORS = """
+  <sensor>
+    <accelerometer site="agent"/><velocimeter site="agent"/><gyro site="agent"/><magnetometer site="agent"/>
+  </sensor>"""
+
+
+def _mjcf(bodies: str, flags: str = "", sensors: str = "") -> str:
     # The turn servo is unstable at this timestep and chatters against its force limit. That is the task: Euler keeps it explicit.
     return f"""
 <mujoco model="goal1">
   <compiler angle="radian" autolimits="true"/>
-  <option timestep="{TIMESTEP}" integrator="Euler"/>
+  <option timestep="{TIMESTEP}" integrator="Euler">{flags}</option>
   <default><geom condim="6"/></default>
   <worldbody>
-    <geom name="floor" type="plane" size="3.5 3.5 0.1"/>{bodies}
+    {bodies}
   </worldbody>
   <actuator>
     <motor name="throttle" site="agent" gear="0.3 0 0 0 0 0" ctrlrange="-1 1" forcerange="-0.05 0.05"/>
     <velocity name="turn" joint="yaw" kv="1" gear="0.3" ctrlrange="-1 1" forcerange="-0.05 0.05"/>
-  </actuator>
-  <sensor>
-    <accelerometer site="agent"/><velocimeter site="agent"/><gyro site="agent"/><magnetometer site="agent"/>
-  </sensor>
+  </actuator>{sensors}
 </mujoco>"""
 
 
 def full_model() -> mujoco.MjModel:
     """Everything: qpos = agent x, y, yaw, then the vase's free joint; mocap bodies = goal, then the hazards."""
-    return mujoco.MjModel.from_xml_string(_mjcf(_AGENT + _VASE + _GOAL + "".join(map(_hazard, range(HAZARDS)))))
+    return mujoco.MjModel.from_xml_string(_mjcf(_FLOOR + _AGENT + _VASE + _GOAL + "".join(map(_hazard, range(HAZARDS))), sensors=_SENSORS))
 
 
 def lone_agent_model() -> mujoco.MjModel:
-    """The agent on its floor, for steps in which the vase rests out of reach."""
-    return mujoco.MjModel.from_xml_string(_mjcf(_AGENT))
+    """The agent alone, for steps in which the vase rests out of reach: the same motion, four times as fast.
+
+    It needs no floor: the agent cannot fall, and its sphere touches the floor at distance 0, which exerts no force.
+    """
+    return mujoco.MjModel.from_xml_string(_mjcf(_AGENT, flags='<flag constraint="disable" contact="disable"/>'))

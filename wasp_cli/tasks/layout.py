@@ -43,15 +43,20 @@ class Layout:
     """[K]"""
 
 
-def random_stream(seed: int) -> np.random.RandomState:
-    """The stream of one episode.
+def checked_seed(seed: int) -> int:
+    """The seed itself.
 
     Raises:
         TaskError: the seed is outside [0, 2^32).
     """
     if not 0 <= int(seed) < SEED_LIMIT:
-        raise TaskError(f"seed {seed} is out of range", "a seed is an integer from 0 to 4294967295")
-    return np.random.RandomState(int(seed))  # noqa: NPY002  the reference package's layouts are defined on this legacy stream
+        raise TaskError(f"seed {seed} is out of range", f"a seed is an integer from 0 to {SEED_LIMIT - 1}")
+    return int(seed)
+
+
+def random_stream(seed: int) -> np.random.RandomState:
+    """The stream of one episode: numpy's legacy generator, on which the reference package's layouts are defined."""
+    return np.random.RandomState(checked_seed(seed))
 
 
 def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others: tuple[Thing, ...]) -> Layout:
@@ -136,15 +141,15 @@ class Streams:
 
     def snapshot(self) -> dict[str, NDArray[np.uint32] | NDArray[np.int64]]:
         """Plain arrays: `stream_key` [B, 624], `stream_position` [B], `stream_owed` [B]."""
-        states = [stream.get_state(legacy=True) for stream in self._streams]
+        states = [stream.get_state(legacy=False)["state"] for stream in self._streams]
         return {
-            "stream_key": np.stack([np.asarray(state[1], np.uint32) for state in states]),
-            "stream_position": np.array([state[2] for state in states], np.int64),
+            "stream_key": np.stack([np.asarray(state["key"], np.uint32) for state in states]),
+            "stream_position": np.array([state["pos"] for state in states], np.int64),
             "stream_owed": self._owed.copy(),
         }
 
     def restore(self, key: NDArray[np.uint32], position: NDArray[np.int64], owed: NDArray[np.int64]) -> None:
-        """Return to a snapshot. (Uniform draws leave no cached Gaussian, so key and position are the whole state.)"""
+        """Return to a snapshot. Uniform draws leave no cached Gaussian: key and position are all."""
         for stream, row_key, row_position in zip(self._streams, key, position, strict=True):
             stream.set_state(("MT19937", row_key, int(row_position), 0, 0.0))
         self._owed = owed.copy()

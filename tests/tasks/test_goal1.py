@@ -1,0 +1,220 @@
+"""Goal1: rules of an episode, and independence of rows, threads and repeats, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wasp_cli.errors import TaskError
+from wasp_cli.tasks.goal1 import GOAL, HAZARDS, NUM_STEPS, Goal1
+
+VECTORS = ("state", "privileged")
+
+
+def actions(steps: int, batch: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, batch, 2))
+
+
+def assert_same(ours, theirs) -> None:
+    """Two nested results of NamedTuples, dicts and arrays are equal bit for bit."""
+    if isinstance(ours, dict):
+        assert ours.keys() == theirs.keys()
+        ours, theirs = tuple(ours.values()), tuple(theirs.values())
+    if isinstance(ours, tuple):
+        for a, b in zip(ours, theirs, strict=True):
+            assert_same(a, b)
+    elif ours is None:
+        assert theirs is None
+    else:
+        assert ours.dtype == theirs.dtype
+        assert ours.tobytes() == theirs.tobytes()
+
+
+def row_of(result, row: int):
+    """One row of such a result, kept as a batch of one."""
+    if isinstance(result, dict):
+        return {name: row_of(value, row) for name, value in result.items()}
+    if isinstance(result, tuple):
+        return tuple(row_of(value, row) for value in result)
+    return None if result is None else result[row : row + 1]
+
+
+def before_the_goal(task: Goal1, clearance: float = 0.302) -> None:
+    """Put every agent in front of its goal, facing it, away from the vase."""
+    state = task.snapshot()
+    state["qpos"][:, :2] = state["goal"] - [clearance, 0.0]
+    state["qpos"][:, 2] = 0.0
+    state["qpos"][:, 3:5] = 5.0
+    state["qvel"][:] = 0.0
+    task.restore(state)
+
+
+def beside_the_vase(task: Goal1) -> None:
+    state = task.snapshot()
+    state["qpos"][:, 3:5] = state["qpos"][:, :2] + 0.3 * np.stack([np.cos(state["qpos"][:, 2]), np.sin(state["qpos"][:, 2])], axis=1)
+    task.restore(state)
+
+
+def test_a_row_does_not_depend_on_the_others():
+    seeds, plan = [5, 6, 7, 8], actions(40, 4)
+    plan[:20] = [1.0, 0.0]
+    together = Goal1(4, observe=("pixels", *VECTORS))
+    together.reset(seeds)
+    beside_the_vase(together)
+    alone = [Goal1(1, observe=("pixels", *VECTORS)) for _ in seeds]
+    for row, task in enumerate(alone):
+        task.reset([seeds[row]])
+        beside_the_vase(task)
+    for action in plan:
+        step = together.step(action)
+        for row, task in enumerate(alone):
+            assert_same(row_of(step, row), tuple(task.step(action[row : row + 1])))
+
+
+def test_threads_change_nothing():
+    plan = actions(20, 5)
+    one, two = (Goal1(5, observe=("pixels", *VECTORS), threads=threads) for threads in (1, 2))
+    assert_same(one.reset(range(5)), two.reset(range(5)))
+    for action in plan:
+        assert_same(one.step(action), two.step(action))
+
+
+def test_decision_steps_only_cut_the_time():
+    plan = actions(30, 3)
+    coarse, fine = Goal1(3, action_repeat=4, observe=VECTORS), Goal1(3, action_repeat=1, observe=VECTORS)
+    for task in (coarse, fine):
+        task.reset([1, 2, 3])
+        before_the_goal(task)
+    for action in plan:
+        whole, parts = coarse.step(action), [fine.step(action) for _ in range(4)]
+        assert_same(whole.observation.state, parts[-1].observation.state)
+        assert whole.cost_env.tolist() == sum(part.cost_env for part in parts).tolist()
+        assert whole.goals.tolist() == sum(part.goals for part in parts).tolist()
+        np.testing.assert_allclose(whole.reward, sum(part.reward for part in parts), atol=1e-12)
+
+
+def test_a_reached_goal_pays_and_moves_to_a_free_place():
+    task = Goal1(6, observe=())
+    task.reset(range(6))
+    before_the_goal(task)
+    old = task.snapshot()["goal"]
+    step = task.step(np.tile([1.0, 0.0], (6, 1)))
+    state = task.snapshot()
+
+    assert step.goals.tolist() == [1] * 6
+    assert (step.reward > 0.9).all()
+    assert (np.abs(state["goal"] - old).max(axis=1) > 0).all()
+    gaps = np.linalg.norm(state["goal"][:, None] - state["hazards"], axis=2)
+    assert (gaps >= GOAL.keepout + HAZARDS[0].keepout).all()
+    assert not step.ended.any()
+
+
+def test_a_snapshot_carries_goals_to_come():
+    task = Goal1(3, observe=VECTORS)
+    task.reset([3, 4, 5])
+    for action in actions(7, 3):
+        task.step(action)
+    before_the_goal(task)
+    kept = task.snapshot()
+
+    def future(task: Goal1) -> list:
+        out = [task.restore(kept)]
+        for action in actions(5, 3, seed=1):
+            action[:, 0] = 1.0
+            out.append(task.step(action))
+        before_the_goal(task)
+        return [*out, *(task.step(np.tile([1.0, 0.0], (3, 1))) for _ in range(3)), task.snapshot()]
+
+    first = future(task)
+    other = Goal1(3, observe=VECTORS)
+    other.reset([9, 9, 9])
+    assert sum(int(step.goals.sum()) for step in first[1:-1]) >= 4
+    for ours, theirs, fresh in zip(first, future(task), future(other), strict=True):
+        assert_same(ours, theirs)
+        assert_same(ours, fresh)
+
+
+def test_an_env_step_costs_within_a_hazard_and_only_there():
+    task = Goal1(2, action_repeat=3, observe=())
+    task.reset([0, 1])
+    state = task.snapshot()
+    state["qpos"][:, :2] = state["hazards"][:, 2] + np.array([[0.199, 0.0], [0.0, 0.201]])
+    state["hazards"][:, [0, 1, 3, 4, 5, 6, 7]] = 9.0
+    state["goal"][:], state["qpos"][:, 3:5] = -9.0, 5.0
+    task.restore(state)
+    step = task.step(np.zeros((2, 2)))
+
+    assert step.cost_env.tolist() == [3, 0]
+    assert step.cost.tolist() == [True, False]
+    assert step.sources["hazards"].tolist() == [3, 0]
+
+
+def test_the_time_limit_cuts_a_decision_step_short():
+    task = Goal1(2, action_repeat=4, observe=("privileged",))
+    task.reset([0, 1])
+    state = task.snapshot()
+    state["env_steps"][:] = [NUM_STEPS - 2, 0]
+    task.restore(state)
+    step = task.step(np.ones((2, 2)))
+
+    assert step.env_steps.tolist() == [2, 4]
+    assert step.ended.tolist() == [True, False]
+    assert not step.terminated.any()
+
+
+def test_an_impossible_goal_terminates(monkeypatch):
+    monkeypatch.setattr("wasp_cli.tasks.goal1.draw_goal", lambda *_: None)
+    task = Goal1(1, observe=())
+    task.reset([0])
+    before_the_goal(task)
+    step = task.step(np.array([[1.0, 0.0]]))
+
+    assert step.terminated.tolist() == [True]
+    assert step.ended.tolist() == [True]
+
+
+def test_the_privileged_vector_is_scaled_and_faces_the_goal():
+    task = Goal1(64, observe=("privileged",))
+    task.reset(range(64))
+    before_the_goal(task, clearance=1.0)
+    seen = task.restore(task.snapshot()).privileged
+    assert seen is not None
+    np.testing.assert_allclose(seen[:, 3:7], np.tile([1.0, 0.0, 1 / 3, np.exp(-1.0)], (64, 1)), atol=1e-6)
+    drives = np.concatenate([task.step(action).observation.privileged for action in actions(60, 64)])
+    assert np.abs(drives).max() <= 3.0
+    assert drives[:, :-2].std(axis=0).max() < 1.5
+    assert np.abs(drives[:, 2]).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"batch": 0}, "at least 1"),
+        ({"batch": 1, "action_repeat": 0}, "at least 1"),
+        ({"batch": 1, "threads": 0}, "at least 1"),
+        ({"batch": 1, "observe": ("smell",)}, "no such observation: smell"),
+    ],
+)
+def test_wrong_construction(arguments, message):
+    with pytest.raises(TaskError, match=message):
+        Goal1(**arguments)
+
+
+def test_foreign_snapshots_are_refused():
+    task, larger = Goal1(1, observe=()), Goal1(2, observe=())
+    task.reset([0])
+    larger.reset([0, 1])
+    with pytest.raises(TaskError, match="batch 1"):
+        task.restore(larger.snapshot())
+    with pytest.raises(TaskError, match="snapshot"):
+        task.restore({})
+
+
+def test_the_map_shows_everything():
+    task = Goal1(2, observe=())
+    task.reset([1, 2])
+    picture = task.topdown(1, 128)
+
+    assert picture.shape == (128, 128, 3)
+    assert picture.dtype == np.uint8
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) >= 6

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wasp_cli.errors import TaskError
+from wasp_cli.tasks.layout import Streams, Thing, draw_goal, draw_layout, random_stream
+from wasp_cli.tasks.lidar import lidar, to_body
+
+
+def test_things_keep_their_distance():
+    agent, goal, others = Thing("agent", 0.4), Thing("goal", 0.305), tuple(Thing(f"h{i}", 0.18) for i in range(8))
+    for seed in range(30):
+        layout = draw_layout(random_stream(seed), agent, goal, others)
+        places = np.stack([layout.agent_xy, layout.goal_xy, *layout.others_xy])
+        keepouts = np.array([thing.keepout for thing in (agent, goal, *others)])
+        gaps = np.linalg.norm(places[:, None] - places[None], axis=2) - keepouts[:, None] - keepouts[None]
+        assert gaps[~np.eye(len(places), dtype=bool)].min() >= 0.0
+        assert (np.abs(places) <= (1.5 - keepouts)[:, None]).all()
+
+
+def test_a_crowded_square_is_an_error_and_a_crowded_goal_is_none(monkeypatch):
+    monkeypatch.setattr("wasp_cli.tasks.layout.TRIES_PER_LAYOUT", 5)
+    big = Thing("big", 1.4)
+    with pytest.raises(TaskError, match="no layout found"):
+        draw_layout(random_stream(0), big, big, (big,))
+    assert draw_goal(random_stream(0), big, (big,), np.zeros((1, 2))) is None
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_seeds_out_of_range(seed):
+    with pytest.raises(TaskError, match="out of range"):
+        random_stream(seed)
+
+
+def test_owed_draws_are_the_draws_of_each_step():
+    streams, plain = Streams(2), random_stream(5)
+    streams.start(1, 5)
+    for _ in range(7):
+        streams.pass_step(np.array([1]))
+        plain.random_sample()
+    kept = streams.snapshot()
+    expected = plain.random_sample()
+    assert streams[1].random_sample() == expected
+    streams.restore(kept["stream_key"], kept["stream_position"], kept["stream_owed"])
+    assert streams[1].random_sample() == expected
+
+
+def test_lidar_of_one_object():
+    width = 2 * np.pi / 16
+    angle, distance = 2.25 * width, 1.5
+    bins = lidar(distance * np.array([[[np.cos(angle), np.sin(angle)]]]))[0]
+
+    np.testing.assert_allclose(bins[[1, 2, 3]], [0.75 * 0.5, 0.5, 0.25 * 0.5], atol=1e-12)
+    assert np.count_nonzero(bins) == 3
+
+
+def test_lidar_wraps_and_ends():
+    just_below = lidar(np.array([[[1.0, -1e-17]]]))[0]
+    assert just_below.max() == pytest.approx(2 / 3)
+    assert lidar(np.array([[[3.0, 0.1]]])).max() == 0.0
+    both = lidar(np.array([[[1.0, 0.01], [2.0, 0.01]]]))
+    assert both[0, 0] == lidar(np.array([[[1.0, 0.01]]]))[0, 0]
+
+
+def test_body_frame():
+    seen = to_body(np.array([[[1.0, 2.0]]]), np.array([[1.0, 1.0]]), np.array([np.pi / 2]))
+    np.testing.assert_allclose(seen, [[[1.0, 0.0]]], atol=1e-15)

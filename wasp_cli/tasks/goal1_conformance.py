@@ -1,0 +1,188 @@
+"""Goal1 against recordings of the reference package's SafetyPointGoal1-v0.
+
+Motion is compared one env step at a time from recorded states ("teacher-forced"): the turn servo is chaotic, so that two correct
+implementations drift apart within some 50 steps. T = steps of the recording, S = recorded states.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.comparison import Check, Recording, compare
+from wasp_cli.tasks.goal1 import ENV_SECONDS, Goal1
+
+XY, YAW, VASE = 2e-5, 5e-5, 2e-3
+"""m, rad, m. The vase weighs 8 mg: what differs is how far it jumps within a step in which it is hit."""
+REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
+RECORDED = 1e-9
+"""Recorded goals were rounded to 9 decimals."""
+MEANS = 0.05
+"""Relative tolerance of mean speeds and turn rates over 100 env steps."""
+
+_Snapshot = dict[str, NDArray[Any]]
+
+
+def check_point_goal(recording: Recording) -> list[Check]:
+    """Layout, motion, reward, cost, observations and goals of one recorded episode."""
+    return _layout(recording) + _motion(recording) + _observations(recording) + _goals(recording)
+
+
+def _layout(r: Recording) -> list[Check]:
+    task = Goal1(1, observe=())
+    task.reset([_seed(r)])
+    start = task.snapshot()
+    pairs = {
+        "agent_xy": start["qpos"][0, :2],
+        "agent_rot": start["qpos"][0, 2],
+        "goal_xy": start["goal"][0],
+        "hazards_xy": start["hazards"][0],
+        "vases_xy": start["qpos"][:, 3:5],
+    }
+    return [compare(f"layout {name}", ours, r[f"layout_{name}"], 0.0) for name, ours in pairs.items()]
+
+
+def _motion(r: Recording) -> list[Check]:
+    index = r["state_idx"].astype(np.intp)
+    task, forced = _forced(r)
+    task.restore(forced)
+    step = task.step(r["action"][index])
+    qpos = task.snapshot()["qpos"]
+    # Where the vase is hit, the reward inherits the error of the position.
+    hit = r["n_vase_contacts"][index] + r["n_vase_contacts"][np.maximum(index - 1, 0)] > 0
+    hit |= np.abs(forced["qvel"][:, 3:]).max(axis=1) > 1e-3
+    turn = _wrapped(qpos[:, 2] - r["yaw"][index])
+    return [
+        compare("xy after one step", qpos[:, :2], r["xy"][index], XY),
+        compare("yaw after one step", turn, np.zeros_like(turn), YAW),
+        compare("vase xy after one step", qpos[:, 3:5], r["vases_xy"][index, 0], VASE),
+        compare("reward, vase untouched", step.reward[~hit], r["reward"][index][~hit], REWARD),
+        compare("reward, vase hit", step.reward[hit], r["reward"][index][hit], XY),
+        compare("cost", step.cost_env, r["cost"][index], 0.0),
+        compare("goal met", step.goals, r["goal_met"][index], 0.0),
+    ]
+
+
+def _observations(r: Recording) -> list[Check]:
+    # An observation after action t belongs to the state before action t + 1, where that was recorded too.
+    index, seen = r["state_idx"].astype(np.intp), r["obs_idx"].astype(np.intp)
+    which = np.flatnonzero(np.isin(seen + 1, index))
+    before, at = seen[which], np.searchsorted(index, seen[which] + 1)
+    task, forced = _forced(r)
+    forced = {name: array.copy() for name, array in forced.items()}
+    for name in ("qpos", "qvel"):
+        forced[name][: len(at)] = forced[name][at]
+    forced["goal"][: len(at)] = r["goal_after"][before]
+    forced["control"][: len(at)] = np.clip(r["action"][before].astype(np.float64), -1.0, 1.0)
+    state = task.restore(forced).state
+    assert state is not None
+    ours, theirs = state[: len(at)], r["obs"][which]
+    meta = json.loads(str(r["meta"]))
+    checks, start = [], 0
+    for name, size in zip(meta["obs_keys"], meta["obs_dims"], strict=True):
+        part = slice(start, start + size)
+        checks.append(compare(name, ours[:, part], theirs[:, part], LIDAR if name.endswith("lidar") else SENSORS))
+        start += size
+    return checks
+
+
+def _goals(r: Recording) -> list[Check]:
+    """Step through the whole episode, each step from the recorded position; goals and their moves must agree exactly."""
+    task = Goal1(1, action_repeat=1, observe=())
+    task.reset([_seed(r)])
+    cost, met, goals = [], [], []
+    for t, action in enumerate(r["action"]):
+        forced = task.snapshot()
+        if t > 0:
+            forced["qpos"][0, :2], forced["qpos"][0, 2], forced["qpos"][0, 3:5] = r["xy"][t - 1], r["yaw"][t - 1], r["vases_xy"][t - 1, 0]
+            forced["qvel"][0, :2], forced["qvel"][0, 2] = r["vel"][t - 1, :2], r["omega"][t - 1, 2]
+        task.restore(forced)
+        step = task.step(action[None])
+        cost.append(step.cost_env[0])
+        met.append(step.goals[0])
+        goals.append(task.snapshot()["goal"][0])
+    return [
+        compare("cost, all steps", cost, r["cost"], 0.0),
+        compare("goal met, all steps", met, r["goal_met"], 0.0),
+        compare("goal, all steps", goals, r["goal_after"], RECORDED),
+    ]
+
+
+def check_point_dynamics(recording: Recording) -> list[Check]:
+    """The agent alone under constant actions: single steps from recorded states, and means over 100 steps."""
+    actions, qpos, qvel = recording["point_actions"], recording["point_qpos"], recording["point_qvel"]
+    count, steps = len(actions), qpos.shape[1] - 1
+    single = _lonely(count * steps, qpos[:, :-1].reshape(-1, 3), qvel[:, :-1].reshape(-1, 3))
+    single.step(np.repeat(actions, steps, axis=0))
+    ours = single.snapshot()["qpos"][:, :3].reshape(count, steps, 3)
+
+    whole = _lonely(count, np.zeros((count, 3)), np.zeros((count, 3)))
+    trajectory = [whole.snapshot()["qpos"][:, :3]]
+    for _ in range(recording["point_traj"].shape[1] - 1):
+        whole.step(actions)
+        trajectory.append(whole.snapshot()["qpos"][:, :3])
+    path, theirs = np.stack(trajectory, axis=1), recording["point_traj"][..., [0, 1, 3]]
+    length, turned = _path_means(path)
+    their_length, their_turned = _path_means(theirs)
+    return [
+        compare("point xy after one step", ours[..., :2], qpos[:, 1:, :2], XY),
+        compare("point yaw after one step", ours[..., 2], qpos[:, 1:, 2], YAW),
+        compare("point mean speed / theirs", _ratio(length, their_length), np.ones(count), MEANS),
+        compare("point turn rate / theirs", _ratio(turned, their_turned), np.ones(count), MEANS),
+    ]
+
+
+def _seed(r: Recording) -> int:
+    return int(json.loads(str(r["meta"]))["seed"])
+
+
+def _forced(r: Recording) -> tuple[Goal1, _Snapshot]:
+    """A task with one row per recorded state, and the snapshot that puts every row into its state."""
+    index = r["state_idx"].astype(np.intp)
+    task = Goal1(len(index), action_repeat=1, observe=("state",))
+    task.reset([_seed(r)] * len(index))
+    forced = task.snapshot()
+    # Their slide joints lie along the start heading, ours along the world axes.
+    turn = float(r["layout_agent_rot"])
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    forced["qpos"][:, :2] = r["layout_agent_xy"] + r["state_qpos"][:, :2] @ rotation.T
+    forced["qpos"][:, 2] = turn + r["state_qpos"][:, 2]
+    forced["qpos"][:, 3:] = r["state_vase_qpos"]
+    forced["qvel"][:, :2] = r["state_qvel"][:, :2] @ rotation.T
+    forced["qvel"][:, 2] = r["state_qvel"][:, 2]
+    forced["qvel"][:, 3:] = r["state_vase_qvel"]
+    forced["goal"][:] = r["goal_before"][index]
+    return task, forced
+
+
+def _lonely(rows: int, qpos: Floats, qvel: Floats) -> Goal1:
+    """Agents in the given states [rows, 3], with everything else far away."""
+    task = Goal1(rows, action_repeat=1, observe=())
+    task.reset([0] * rows)
+    forced = task.snapshot()
+    forced["qpos"][:, :3], forced["qvel"][:, :3] = qpos, qvel
+    forced["qpos"][:, 3:5] = 100.0
+    task.restore(forced)
+    return task
+
+
+def _path_means(path: Floats) -> tuple[Floats, Floats]:
+    """Mean speed [A] in m/s and mean turn rate [A] in rad/s along x, y, yaw [A, T, 3]."""
+    moves = np.diff(path, axis=1)
+    speed: Floats = np.hypot(moves[..., 0], moves[..., 1]).mean(axis=1) / ENV_SECONDS
+    return speed, _wrapped(moves[..., 2]).mean(axis=1) / ENV_SECONDS
+
+
+def _ratio(ours: Floats, theirs: Floats) -> Floats:
+    # Next to standstill (0.02 of a unit) the absolute difference counts.
+    scale = np.maximum(np.abs(theirs), 0.02)
+    return 1.0 + (ours - theirs) / scale
+
+
+def _wrapped(angle: Floats) -> Floats:
+    wrapped: Floats = np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
+    return wrapped
