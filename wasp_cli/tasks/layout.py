@@ -132,8 +132,8 @@ class Streams:
         """Account for one env step of these rows."""
         self._owed[rows] += 1
 
-    def __getitem__(self, row: int) -> np.random.RandomState:
-        """A row's stream, at the place where its env steps have brought it."""
+    def catch_up(self, row: int) -> np.random.RandomState:
+        """A row's stream, after the draws that its env steps owe."""
         stream = self._streams[row]
         stream.random_sample(int(self._owed[row]))
         self._owed[row] = 0
