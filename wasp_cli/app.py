@@ -1,0 +1,223 @@
+"""The command line: each command parses, makes one call and returns an exit code. Heavy imports are inside the commands."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, ParamSpec, TypeVar
+
+import typer
+
+from wasp_cli import __version__
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="wasp",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help="Run experiments of shared autonomy: train, evaluate under impaired operators, compare assistants.\n\n"
+    "A spec (a YAML file in specs/) says what to run; results/ keeps what came out, and nothing is computed twice.",
+    epilog="Start here:  [bold]wasp run specs/quickstart.yaml[/]   ·   then:  [bold]wasp report results/[/]",
+)
+
+SpecArgument = Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML file, for example specs/quickstart.yaml.", show_default=False)]
+ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", help="Where results are kept.")]
+TaskOption = Annotated[str | None, typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False)]
+JobsOption = Annotated[
+    int | None,
+    typer.Option("--jobs", "-j", min=0, metavar="N", help="Worker processes; 0 computes in this process. [default: all cores]", show_default=False),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the spec, as if it stood in the file. Repeatable.", show_default=False),
+]
+
+
+def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
+    """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback."""
+
+    @functools.wraps(command)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        from wasp_cli.errors import WaspError
+
+        try:
+            return command(*args, **kwargs)
+        except WaspError as error:
+            if os.environ.get("WASP_DEBUG"):
+                raise
+            from wasp_cli.console import report_error
+
+            report_error(error)
+            raise typer.Exit(error.exit_code) from None
+        except KeyboardInterrupt:
+            if os.environ.get("WASP_DEBUG"):
+                raise
+            print("interrupted: everything that was finished is kept; the same command goes on from there", file=sys.stderr)
+            raise typer.Exit(INTERRUPTED) from None
+
+    return wrapped
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"wasp {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main_options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of expected errors too (or set WASP_DEBUG=1).")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")] = False,
+) -> None:
+    """Options of every command."""
+    if debug:
+        os.environ["WASP_DEBUG"] = "1"
+
+
+@app.command(
+    epilog="[bold]wasp run specs/quickstart.yaml[/]   ·   [bold]wasp run specs/table1.yaml --task goal1 -j 8 --set episodes=10[/]\n\n"
+    "Exit codes: 0 done, 1 some cells failed, 2 usage, 3 invalid spec, 130 interrupted."
+)
+@expected_errors
+def run(
+    spec: SpecArgument,
+    jobs: JobsOption = None,
+    results: ResultsOption = Path("results"),
+    task: TaskOption = None,
+    set_: SetOption = None,
+) -> None:
+    """Compute what is missing of a spec, then print its tables.
+
+    What is in the results folder already is used as it is; what failed runs again. Ctrl-C loses only the nodes that are being computed.
+    """
+    from wasp_cli.run.session import cores, restricted, run_spec
+    from wasp_cli.spec.load import load
+
+    run_spec(restricted(load(spec, set_ or ()), task), results, cores() if jobs is None else jobs)
+
+
+@app.command(epilog="[bold]wasp plan specs/table1.yaml[/]   ·   [bold]wasp plan specs/table1.yaml --json | jq '.nodes[0]'[/]")
+@expected_errors
+def plan(
+    spec: SpecArgument,
+    jobs: JobsOption = None,
+    results: ResultsOption = Path("results"),
+    task: TaskOption = None,
+    set_: SetOption = None,
+    json: Annotated[bool, typer.Option("--json", help="Every cell and node with its key, state and reason.")] = False,
+) -> None:
+    """Show what a run would compute, and run nothing."""
+    from wasp_cli.console import out
+    from wasp_cli.plan.grid import lay_out
+    from wasp_cli.plan.plan import plan_against
+    from wasp_cli.plan.show import show
+    from wasp_cli.run.session import cores, restricted
+    from wasp_cli.spec.load import load
+    from wasp_cli.store.layout import Layout
+
+    loaded = restricted(load(spec, set_ or ()), task)
+    laid_out = plan_against(lay_out(loaded.spec), Layout(results))
+    if json:
+        _print_json({"spec": loaded.spec.name, **laid_out.as_json()})
+    else:
+        show(laid_out, out(), max(cores() if jobs is None else jobs, 1))
+
+
+@app.command(epilog="[bold]wasp check specs/*.yaml[/]")
+@expected_errors
+def check(
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False)],
+    set_: SetOption = None,
+) -> None:
+    """Validate specs: every mistake at once, with file, line and column."""
+    from wasp_cli.console import plain
+    from wasp_cli.errors import SpecError
+    from wasp_cli.plan.grid import cells_of
+    from wasp_cli.spec.load import load
+    from wasp_cli.tasks.registry import TASKS
+
+    problems: list[str] = []
+    for path in specs:
+        try:
+            spec = load(path, set_ or ()).spec
+        except SpecError as error:
+            problems.append(error.message)
+            continue
+        absent = [task for task in spec.tasks if not TASKS[task].implemented]
+        note = f"; not implemented in this version: {', '.join(absent)}" if absent else ""
+        plain(f"{path}: ok, {len(list(cells_of(spec)))} cells{note}")
+    if problems:
+        raise SpecError("\n".join(problems))
+
+
+@app.command(epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1[/]")
+@expected_errors
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")] = Path("results"),
+    spec: Annotated[
+        str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. [default: all that ran]", show_default=False)
+    ] = None,
+) -> None:
+    """Print the tables of what has run, from the results folder alone."""
+    from wasp_cli.errors import UnknownName
+    from wasp_cli.run.record import recorded_specs, results_of
+    from wasp_cli.run.session import show_recorded_report
+
+    layout = results_of(folder)
+    runs = recorded_specs(layout)
+    if spec is not None and spec not in runs:
+        raise UnknownName("spec in these results", spec, runs)
+    for name, run_id in runs.items():
+        if spec in (None, name):
+            show_recorded_report(layout, run_id)
+
+
+@app.command(epilog="[bold]wasp ablate --variant no-case2 --task goal1 --preset smoke[/]")
+@expected_errors
+def ablate(
+    variant: Annotated[str, typer.Option("--variant", metavar="NAME", help="The ablation, for example no-case2.", show_default=False)],
+    task: Annotated[
+        str | None, typer.Option("--task", "-t", metavar="TASK", help="On this task. [default: the spec's]", show_default=False)
+    ] = None,
+    spec: Annotated[Path, typer.Option("--spec", metavar="SPEC", help="Operators, seeds and budgets come from here.")] = Path("specs/table2.yaml"),
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="Other sizes and budgets than the spec's.", show_default=False)
+    ] = None,
+    jobs: JobsOption = None,
+    results: ResultsOption = Path("results"),
+    set_: SetOption = None,
+) -> None:
+    """Run a method without one of its parts, and the whole method beside it."""
+    from wasp_cli.run.session import cores, run_spec
+    from wasp_cli.spec.ablation import ablation
+
+    run_spec(ablation(spec, variant, task, preset, set_ or ()), results, cores() if jobs is None else jobs)
+
+
+@app.command()
+@expected_errors
+def doctor(results: ResultsOption = Path("results")) -> None:
+    """Say what this machine has: Python, libraries, cores, memory, GPU, OpenGL, a writable results folder."""
+    from wasp_cli.doctor import examine, show
+
+    show(examine(results))
+
+
+def _print_json(value: Any) -> None:
+    import json
+
+    json.dump(value, sys.stdout, indent=1)
+    sys.stdout.write("\n")
+
+
+def main() -> None:
+    """The console script."""
+    app()

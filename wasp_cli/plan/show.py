@@ -1,0 +1,51 @@
+"""A plan as people read it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from wasp_cli.console import duration
+from wasp_cli.plan.plan import Plan
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def show(plan: Plan, console: Console, workers: int) -> None:
+    """Print the counts by kind, the size of the grid, and what stands in the way."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2), header_style="bold")
+    table.add_column("stage")
+    for column in ("nodes", "cached", "to run", "failed before", "blocked"):
+        table.add_column(column, justify="right")
+    for kind in plan.kinds():
+        counts = [sum(step.node.kind == kind for step in plan.steps), plan.count("cached", kind), plan.count("missing", kind)]
+        counts += [plan.count("failed", kind), plan.count("blocked", kind)]
+        table.add_row(kind, *(str(count) if count else "-" for count in counts))
+    table.add_section()
+    totals = [len(plan.steps), plan.count("cached"), plan.count("missing"), plan.count("failed"), plan.count("blocked")]
+    table.add_row("total", *map(str, totals), style="bold")
+    console.print(table)
+    cells = len({node.key for _, node in plan.grid.cells})
+    text = f"{plan.grid.points} grid points, {cells} cells to evaluate"
+    if cells < plan.grid.points:
+        text += " (the unimpaired reference is one cell for all operators)"
+    console.print(text)
+    for step in plan.steps:
+        if step.state == "failed":
+            console.print(f"{step.node.label}: {step.reason}", markup=False)
+    for task in plan.missing_tasks():
+        nodes = sum(step.state == "blocked" and step.node.task == task for step in plan.steps)
+        console.print(f"task '{task}' is not implemented in this version: its {nodes} nodes cannot run", style="yellow")
+    console.print(_time(plan, workers))
+
+
+def _time(plan: Plan, workers: int) -> str:
+    if not plan.to_run():
+        return "nothing to run"
+    seconds, unknown = plan.estimate(workers)
+    who = f"{workers} worker" + ("s" if workers > 1 else "")
+    if not seconds:
+        return "no node of these kinds has been measured yet, so there is no estimate of the time"
+    return f"about {duration(seconds)} on {who}" + (f", without {unknown} nodes of kinds not measured yet" if unknown else "")

@@ -1,0 +1,50 @@
+"""What travels to a worker and what comes back: names and plain values, never tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class Order:
+    """One node for one worker."""
+
+    root: str
+    """The results folder."""
+    run_id: str
+    kind: str
+    key: str
+    label: str
+    task: str
+    seed: int
+    stage: str
+    """Import string of the stage's class."""
+    axes: Mapping[str, Any]
+    config: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    inputs: Mapping[str, str]
+    """Keys of the upstream artifacts, by kind."""
+    sources: Mapping[str, str]
+    """Hash by module of the code that decides the result."""
+    attempt: int = 1
+    threads: int = 1
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+State = Literal["done", "shared", "failed"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a node ended. `shared`: another run computed it meanwhile."""
+
+    key: str
+    state: State
+    seconds: float
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    message: str = ""
+    """Cause of a failure, in one line."""
+    hint: str | None = None
+    log: str = ""

@@ -1,0 +1,137 @@
+"""Where orders are carried out: in loky's worker processes, or in this one. Everything about joblib stays in this module."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor
+from typing import Any, Protocol
+
+from wasp_cli.run.order import Order, Outcome
+from wasp_cli.run.worker import execute
+
+
+class WorkersDied(Exception):
+    """A worker process was killed; the outcomes that were not yet given are lost, artifacts are not."""
+
+
+class Pool(Protocol):
+    """Carries out the orders of one wave, side by side."""
+
+    jobs: int
+
+    def run(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+        """Outcomes in the order of their end.
+
+        Raises:
+            WorkersDied: a worker was killed. The pool can be used again.
+        """
+        ...
+
+    def alone(self, order: Order) -> Outcome:
+        """Carry out one order in a process of its own.
+
+        Raises:
+            WorkersDied: that process was killed.
+        """
+        ...
+
+    def close(self, *, kill: bool = False) -> None:
+        """End the workers; with `kill`, at once."""
+        ...
+
+
+class InlinePool:
+    """This process, one order after the other: for tests and debuggers."""
+
+    jobs = 1
+
+    def run(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+        for order in orders:
+            yield execute(order, own_process=False)
+
+    def alone(self, order: Order) -> Outcome:
+        return execute(order, own_process=False)
+
+    def close(self, *, kill: bool = False) -> None:
+        pass
+
+
+class LokyPool:
+    """joblib's loky workers: started on first use, reused from wave to wave, so that torch is imported once in each."""
+
+    def __init__(self, jobs: int) -> None:
+        self.jobs = jobs
+        self._single: Any = None
+
+    def run(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+        try:
+            # joblib takes n_jobs=1 as "in this process", where a killed node would take the run along.
+            yield from self._one_by_one(orders) if self.jobs == 1 else self._side_by_side(orders)
+        except BrokenExecutor as error:
+            self._single = None
+            raise WorkersDied(str(error)) from error
+
+    def _side_by_side(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+        from joblib import Parallel, delayed
+
+        workers = Parallel(
+            n_jobs=self.jobs,
+            backend="loky",
+            return_as="generator_unordered",
+            batch_size=1,  # "auto" would bundle short nodes, and report them late
+            initializer=start_worker,
+            initargs=(os.getpid(),),
+        )
+        with warnings.catch_warnings():
+            # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
+            warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
+            yield from workers(delayed(execute)(order) for order in orders)
+
+    def _one_by_one(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+        if self._single is None:
+            self._single = _new_worker()
+        for order in orders:
+            outcome: Outcome = self._single.submit(execute, order).result()
+            yield outcome
+
+    def alone(self, order: Order) -> Outcome:
+        worker = _new_worker()
+        try:
+            outcome: Outcome = worker.submit(execute, order).result()
+        except BrokenExecutor as error:
+            raise WorkersDied(str(error)) from error
+        finally:
+            worker.shutdown(wait=False, kill_workers=True)
+        return outcome
+
+    def close(self, *, kill: bool = False) -> None:
+        from joblib.externals.loky import reusable_executor
+
+        shared = reusable_executor._executor  # get_reusable_executor() would start one
+        for executor in (self._single, shared):
+            if executor is not None:
+                executor.shutdown(wait=not kill, kill_workers=kill)
+        self._single = None
+
+
+def _new_worker() -> Any:
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    return ProcessPoolExecutor(max_workers=1, initializer=start_worker, initargs=(os.getpid(),))
+
+
+def start_worker(parent: int) -> None:
+    """Prepare a worker process: Ctrl-C is the parent's business, and without a parent there is nobody to work for."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True, name="parent-watch").start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)

@@ -1,0 +1,92 @@
+"""The folder of one run: what was asked for, as a later report or a curious person needs it."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.plan import Plan
+from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.model import Spec, spec_type
+from wasp_cli.store.artifact import read_record, write_record
+from wasp_cli.store.layout import Layout
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a run was asked for."""
+
+    run_id: str
+    spec: Spec
+    cells: list[tuple[Cell, str]]
+    """Each cell with the key of its artifact."""
+
+
+def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
+    """Make the folder of a new run and write down what it is asked for."""
+    spec = loaded.spec
+    run_id = f"{datetime.now():%Y%m%d-%H%M%S}-{spec.name[:60]}-{secrets.token_hex(2)}"
+    folder = layout.run(run_id)
+    try:
+        for part in ("logs", "running"):
+            (folder / part).mkdir(parents=True)
+        (folder / "spec.yaml").write_text(loaded.source.text, encoding="utf-8")
+        write_record(folder / "spec.json", spec.model_dump(mode="json"))
+        write_record(folder / "plan.json", {"spec": spec.name, **plan.as_json()})
+    except OSError as error:
+        raise StoreError(f"cannot write to '{folder}': {(error.strerror or str(error)).lower()}") from error
+    return run_id
+
+
+def recorded_specs(layout: Layout) -> dict[str, str]:
+    """The last run of each spec name, oldest first."""
+    found: dict[str, str] = {}
+    for folder in sorted(layout.runs.glob("*/plan.json")):
+        record = read_record(folder) or {}
+        if isinstance(record.get("spec"), str):
+            found.pop(record["spec"], None)
+            found[record["spec"]] = folder.parent.name
+    return found
+
+
+def read_run(layout: Layout, run_id: str) -> Recorded:
+    """What a run was asked for.
+
+    Raises:
+        ArtifactError: its record is damaged, or of another version.
+    """
+    folder = layout.run(run_id)
+    try:
+        spec = spec_type().model_validate_json((folder / "spec.json").read_bytes(), strict=True)
+    except (OSError, ValidationError) as error:
+        raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
+    record: dict[str, Any] = read_record(folder / "plan.json") or {}
+    try:
+        cells = [(Cell(**{name: value for name, value in cell.items() if name != "key"}), str(cell["key"])) for cell in record["cells"]]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ArtifactError(f"cannot read the plan of run '{run_id}': {error!r}", "run the spec again") from error
+    return Recorded(run_id, spec, cells)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]
+
+
+def results_of(folder: Path) -> Layout:
+    """The layout of an existing results folder.
+
+    Raises:
+        StoreError: there is none.
+    """
+    layout = Layout(folder)
+    if not layout.runs.is_dir():
+        what = "no such folder" if not folder.exists() else "it holds no runs"
+        raise StoreError(f"no results in '{folder}': {what}", "wasp run SPEC --results DIR writes there")
+    return layout

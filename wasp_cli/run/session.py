@@ -1,0 +1,154 @@
+"""One `wasp run` from a valid spec to its report: plan, pool, board, signals, summary."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from wasp_cli.console import duration, out, plain
+from wasp_cli.errors import CellsFailed, UnknownName
+from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import Plan, cells_with_keys, plan_against
+from wasp_cli.run.pool import InlinePool, LokyPool, Pool
+from wasp_cli.run.progress import board
+from wasp_cli.run.record import new_run, read_run
+from wasp_cli.run.runner import Runner, Summary, failures_text
+from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.model import Spec
+from wasp_cli.store.layout import Layout
+from wasp_cli.tasks.registry import TASKS
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # Linux only
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def restricted(loaded: Loaded, task: str | None) -> Loaded:
+    """The spec with one of its tasks only (or as it is).
+
+    Raises:
+        UnknownName: the spec has no such task.
+    """
+    if task is None:
+        return loaded
+    if task not in loaded.spec.tasks:
+        raise UnknownName("task of this spec", task, loaded.spec.tasks)
+    return replace(loaded, spec=loaded.spec.model_copy(update={"tasks": (task,)}))
+
+
+def require_tasks(loaded: Loaded) -> None:
+    """Refuse a spec with tasks that this version does not have, before anything runs.
+
+    Raises:
+        SpecError: pointing at the first such task.
+    """
+    available = [name for name in TASKS if TASKS[name].implemented]
+    for task in loaded.spec.tasks:
+        if not TASKS[task].implemented:
+            possible = [name for name in loaded.spec.tasks if name in available]
+            hint = f"run the others with --task {possible[0]}" if possible else "available: " + ", ".join(available)
+            index = loaded.spec.tasks.index(task)
+            raise loaded.problem(("tasks", index), f"task '{task}' ({TASKS[task].gym_id}) is not implemented in this version", hint)
+
+
+def run_spec(loaded: Loaded, results: Path, jobs: int) -> None:
+    """Compute what is missing of a spec and report it.
+
+    Args:
+        loaded: the spec.
+        results: the results folder.
+        jobs: worker processes; 0 computes in this process.
+
+    Raises:
+        CellsFailed: some nodes failed; what is there has been reported.
+        KeyboardInterrupt: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
+    """
+    require_tasks(loaded)
+    layout = Layout(results.absolute())
+    layout.prepare()
+    plan = plan_against(lay_out(loaded.spec), layout)
+    run_id = new_run(layout, loaded, plan)
+    summary = _compute(plan, layout, run_id, jobs) if plan.to_run() else Summary()
+    plain(_summary_line(plan, summary))
+    show_report(layout, loaded.spec, plan)
+    if not summary.complete:
+        raise CellsFailed(_failure_message(summary), "the same command runs what failed again")
+
+
+def _compute(plan: Plan, layout: Layout, run_id: str, jobs: int) -> Summary:
+    workers = max(jobs, 1)
+    seconds, unknown = plan.estimate(workers)
+    estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
+    plain(f"{len(plan.to_run())} to compute, {plan.count('cached')} computed before{estimate}; logs in {layout.run(run_id) / 'logs'}")
+    pool: Pool = LokyPool(jobs) if jobs else InlinePool()
+    with _terminable(), board(len(plan.to_run()), layout.run(run_id) / "running") as shown:
+        runner = Runner(layout, run_id, pool, cores=cores(), board=shown)
+        try:
+            summary = runner.run(plan)
+        except BaseException:
+            # A second Ctrl-C must not leave workers behind.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            pool.close(kill=True)
+            raise
+    pool.close()
+    return summary
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM ends a run like Ctrl-C; by default it would leave the workers alive."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _summary_line(plan: Plan, summary: Summary) -> str:
+    parts = [f"{summary.done} computed", f"{plan.count('cached') + summary.shared} computed before"]
+    if summary.failed:
+        parts.append(f"{len(summary.failed)} failed")
+    if summary.blocked:
+        parts.append(f"{len(summary.blocked)} blocked")
+    return f"{', '.join(parts)} in {duration(summary.seconds)}"
+
+
+def _failure_message(summary: Summary) -> str:
+    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed)]
+    if summary.blocked:
+        lines.append(f"{len(summary.blocked)} blocked by them:")
+        lines += [f"  {node.label} (needs {cause.label})" for node, cause in summary.blocked[:10]]
+        if len(summary.blocked) > 10:
+            lines.append(f"  and {len(summary.blocked) - 10} more")
+    return "\n".join(lines)
+
+
+def show_report(layout: Layout, spec: Spec, plan: Plan) -> None:
+    """Print the tables of a spec and write them to its reports folder."""
+    _report(layout, spec, cells_with_keys(plan.grid))
+
+
+def show_recorded_report(layout: Layout, run_id: str) -> None:
+    """Print and write the tables of a run that is over."""
+    recorded = read_run(layout, run_id)
+    _report(layout, recorded.spec, recorded.cells)
+
+
+def _report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]]) -> None:
+    from wasp_cli.report.summarize import report_run
+
+    report = report_run(layout.root, spec, cells)
+    report.terminal(out())
+    for path in report.write(layout.reports(spec.name)):
+        out().print(str(path), markup=False, soft_wrap=True)

@@ -1,0 +1,245 @@
+"""The envelope around one node: lock, threads, log, folders, outcome. It never raises; what it returns says how the node ended."""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import os
+import sys
+import time
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, TextIO
+
+from wasp_cli.config import Config
+from wasp_cli.errors import TrainingError, WaspError
+from wasp_cli.registry import load_target
+from wasp_cli.run.order import Order, Outcome
+from wasp_cli.spec.model import Spec
+from wasp_cli.stages.base import Job, Progress, Stage
+from wasp_cli.store.artifact import discard, is_published, publish, read_manifest, read_record, staging_folder, write_record
+from wasp_cli.store.layout import Layout
+
+PROGRESS_SECONDS = 0.5
+"""How often a node may write down its progress."""
+
+
+def execute(order: Order, *, own_process: bool = True) -> Outcome:
+    """Compute one node, or find that another run has.
+
+    Args:
+        order: the node.
+        own_process: whether this process does nothing else, so that its file descriptors may go to the log.
+    """
+    started = time.monotonic()
+    layout = Layout(Path(order.root))
+    log = layout.log(order.run_id, order.label, order.key)
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as stack:
+            stream = stack.enter_context(log.open("a", encoding="utf-8", errors="replace", buffering=1))
+            stack.enter_context(_logged(stream, own_process))
+            return _locked(order, layout, log, started)
+    except Exception as error:  # the results folder itself is in the way: full, gone, read-only
+        return _failed(order, started, log, f"{type(error).__name__}: {error}", None)
+
+
+def _locked(order: Order, layout: Layout, log: Path, started: float) -> Outcome:
+    """Hold the node's lock meanwhile. The kernel releases it however this process ends, so that no lock is ever stale."""
+    path = layout.lock(order.key)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    running = layout.running(order.run_id, order.key)
+    with path.open("wb") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            _tell(running, order, 0.0, "another run computes it; waiting")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            if is_published(layout, order.kind, order.key):
+                summary = read_manifest(layout, order.kind, order.key).get("summary", {})
+                return Outcome(order.key, "shared", time.monotonic() - started, summary, log=str(log))
+            return _computed(order, layout, log, started, running)
+        finally:
+            running.unlink(missing_ok=True)
+
+
+def _computed(order: Order, layout: Layout, log: Path, started: float, running: Path) -> Outcome:
+    staging = staging_folder(layout, order.key)
+    started_at = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    _tell(running, order, 0.0, "")
+    try:
+        stage: Stage = load_target(order.stage)()
+        _set_threads(getattr(stage, "torch_threads", 1))
+        summary = _finite(stage.run(_job(order, layout, stage, staging, _progress(running, order))))
+        seconds = time.monotonic() - started
+        publish(layout, order.kind, order.key, staging, _manifest(order, summary, seconds, started_at))
+    except (Exception, SystemExit) as error:
+        discard(staging)
+        return _recorded_failure(order, layout, log, started, error)
+    except BaseException:  # Ctrl-C in the process that runs nodes itself
+        discard(staging)
+        raise
+    layout.failure(order.key).unlink(missing_ok=True)
+    discard(layout.work(order.key))
+    return Outcome(order.key, "done", seconds, summary, log=str(log))
+
+
+def _job(order: Order, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
+    work = layout.work(order.key)
+    work.mkdir(parents=True, exist_ok=True)
+    return Job(
+        kind=order.kind,
+        task=order.task,
+        seed=order.seed,
+        config=stage.config.model_validate(order.config),
+        settings=_settings(order.settings),
+        axes=order.axes,
+        inputs={kind: layout.artifact(kind, key) for kind, key in order.inputs.items()},
+        out_dir=staging,
+        work_dir=work,
+        progress=progress,
+        threads=order.threads,
+    )
+
+
+def _settings(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Shared settings as the spec holds them: sections are models again."""
+    settings = dict(values)
+    for name, value in values.items():
+        annotation = Spec.model_fields[name].annotation
+        if isinstance(annotation, type) and issubclass(annotation, Config):
+            settings[name] = annotation.model_validate(value)
+    return settings
+
+
+def _manifest(order: Order, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
+    return {
+        "kind": order.kind,
+        "key": order.key,
+        "label": order.label,
+        "task": order.task,
+        "seed": order.seed,
+        "axes": order.axes,
+        "config": order.config,
+        "settings": order.settings,
+        "upstream": order.inputs,
+        "sources": order.sources,
+        "summary": summary,
+        "provenance": {
+            **order.provenance,
+            "run": order.run_id,
+            "attempt": order.attempt,
+            "threads": order.threads,
+            "started_at": started_at,
+            "seconds": round(seconds, 3),
+        },
+    }
+
+
+def _recorded_failure(order: Order, layout: Layout, log: Path, started: float, error: BaseException) -> Outcome:
+    if isinstance(error, WaspError):
+        message, hint = error.message, error.hint
+        print(f"error: {message}" + (f"\n{hint}" if hint else ""), file=sys.stderr)
+    else:
+        message, hint = _cause(error), None
+        traceback.print_exception(error)
+    outcome = _failed(order, started, log, message, hint)
+    record_failure(layout, order, outcome)
+    return outcome
+
+
+def record_failure(layout: Layout, order: Order, outcome: Outcome) -> None:
+    """Keep why a node failed, so that the next plan can say so."""
+    record = {"kind": order.kind, "label": order.label, "message": outcome.message, "hint": outcome.hint, "log": outcome.log}
+    write_record(layout.failure(order.key), {**record, "attempt": order.attempt, "run": order.run_id})
+
+
+def attempts(layout: Layout, key: str) -> int:
+    """How often a node has failed since it last succeeded."""
+    record = read_record(layout.failure(key))
+    return 0 if record is None else int(record.get("attempt", 1))
+
+
+def _failed(order: Order, started: float, log: Path, message: str, hint: str | None) -> Outcome:
+    return Outcome(order.key, "failed", time.monotonic() - started, message=message, hint=hint, log=str(log))
+
+
+def _cause(error: BaseException) -> str:
+    """One line that names an unexpected error and where it was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    text = " ".join(str(error).split()) or "no message"
+    return f"{type(error).__name__}: {text[:300]}{place}"
+
+
+def _progress(running: Path, order: Order) -> Progress:
+    last = -math.inf
+
+    def tell(share: float, text: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= PROGRESS_SECONDS:
+            last = now
+            _tell(running, order, share, text)
+
+    return tell
+
+
+def _tell(running: Path, order: Order, share: float, text: str) -> None:
+    write_record(running, {"label": order.label, "share": min(max(float(share), 0.0), 1.0), "text": text, "pid": os.getpid()})
+
+
+def _finite(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Summary numbers as JSON values: numpy's become Python's, and what is not finite becomes null."""
+    return {str(name): _plain(value, str(name)) for name, value in summary.items()}
+
+
+def _plain(value: Any, name: str) -> Any:
+    if isinstance(value, Mapping):
+        return _finite(value)
+    if isinstance(value, list | tuple):
+        return [_plain(item, name) for item in value]
+    if hasattr(value, "item"):  # a scalar of numpy or torch
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise TrainingError(f"the stage returned {type(value).__name__} as '{name}', which has no JSON form")
+
+
+def _set_threads(count: int) -> None:
+    """Threads of linear algebra: a constant of the stage, since another number may give other bytes."""
+    os.environ.update(OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1")
+    if (torch := sys.modules.get("torch")) is not None:
+        torch.set_num_threads(count)
+
+
+@contextmanager
+def _logged(stream: TextIO, own_process: bool) -> Iterator[None]:
+    """Send everything that is printed to the log, from C libraries too where the process is ours."""
+    if not own_process:
+        with redirect_stdout(stream), redirect_stderr(stream):
+            yield
+        return
+    saved = [(number, os.dup(number)) for number in (1, 2)]
+    try:
+        _flush()
+        for number, _ in saved:
+            os.dup2(stream.fileno(), number)
+        yield
+    finally:
+        _flush()
+        for number, copy in saved:
+            os.dup2(copy, number)
+            os.close(copy)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()

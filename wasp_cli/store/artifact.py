@@ -1,0 +1,119 @@
+"""Artifacts and small JSON records: written beside their place, then moved there in one step."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.store.layout import MANIFEST, Layout
+
+
+def staging_folder(layout: Layout, key: str) -> Path:
+    """A new empty folder in `tmp/`, for one attempt at one artifact."""
+    folder = layout.tmp / f"{key}-{uuid.uuid4().hex[:12]}"
+    folder.mkdir(parents=True)
+    return folder
+
+
+def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping[str, Any]) -> Path:
+    """Complete an artifact with its manifest and move it to its place.
+
+    Everything is on disk before the move, and the move is one rename, so that a reader sees the whole artifact or none.
+    When the place is taken, someone else has computed the same key: theirs stays.
+    """
+    (staging / MANIFEST).write_text(dumps(manifest), encoding="utf-8")
+    for path in sorted(staging.rglob("*"), reverse=True):
+        _sync(path)
+    _sync(staging)
+    place = layout.artifact(kind, key)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.replace(staging, place)
+    except OSError:
+        if not (place / MANIFEST).is_file():
+            raise
+        shutil.rmtree(staging)
+    else:
+        _sync(place.parent)
+    return place
+
+
+def published(layout: Layout, kind: str) -> set[str]:
+    """The keys of all artifacts of a kind."""
+    try:
+        with os.scandir(layout.kind(kind)) as entries:
+            return {entry.name for entry in entries}
+    except FileNotFoundError:
+        return set()
+    except OSError as error:
+        raise StoreError(f"cannot read '{layout.kind(kind)}': {(error.strerror or str(error)).lower()}") from error
+
+
+def is_published(layout: Layout, kind: str, key: str) -> bool:
+    """Whether an artifact is there (whole, since it came by one rename)."""
+    return layout.manifest(kind, key).is_file()
+
+
+def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
+    """What is known of an artifact.
+
+    Raises:
+        ArtifactError: it is not there, or its manifest is damaged.
+    """
+    manifest = read_record(layout.manifest(kind, key))
+    if manifest is None:
+        raise ArtifactError(f"no artifact {kind}/{key} in '{layout.root}'")
+    return manifest
+
+
+def write_record(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a small JSON file; readers see the old one or the new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}-{uuid.uuid4().hex[:8]}")
+    partial.write_text(dumps(record), encoding="utf-8")
+    os.replace(partial, path)
+
+
+def read_record(path: Path) -> dict[str, Any] | None:
+    """Read a small JSON file; None when there is none.
+
+    Raises:
+        ArtifactError: the file is damaged.
+    """
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ArtifactError(f"'{path}' is damaged: {error}", "remove it and run again") from error
+    if not isinstance(record, dict):
+        raise ArtifactError(f"'{path}' is damaged: not a JSON object", "remove it and run again")
+    return record
+
+
+def dumps(record: Mapping[str, Any]) -> str:
+    """JSON as people read it. What has no JSON form (a NaN too) is an error here, not in the reader."""
+    return json.dumps(record, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+
+def discard(folder: Path) -> None:
+    """Remove a folder that nobody needs any more; one that is already gone is fine."""
+    with suppress(FileNotFoundError):
+        shutil.rmtree(folder)
+
+
+def _sync(path: Path) -> None:
+    if path.is_symlink():
+        raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

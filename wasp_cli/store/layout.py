@@ -1,0 +1,119 @@
+"""The folders of `results/`: every path that wasp writes is made here, from checked names.
+
+    results/
+      store/<kind>/<key>/      artifacts: what the stage wrote, and manifest.json; complete or not there
+      failures/<key>.json      why a node failed last; removed when it succeeds
+      work/<key>/              checkpoints of nodes that can resume; removed when the node is done
+      locks/<key>              held by the process that computes a node
+      tmp/                     artifacts being written; on the same file system, so that publishing is one rename
+      runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
+      reports/<spec>/          tables and figures
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from wasp_cli.errors import StoreError
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.=+-]{0,127}")
+_KEY = re.compile(r"[0-9a-f]{8,64}")
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The paths below one results folder."""
+
+    root: Path
+
+    @property
+    def store(self) -> Path:
+        return self.root / "store"
+
+    @property
+    def tmp(self) -> Path:
+        return self.root / "tmp"
+
+    @property
+    def runs(self) -> Path:
+        return self.root / "runs"
+
+    def kind(self, kind: str) -> Path:
+        """The folder of all artifacts of a kind."""
+        return self.store / _name(kind)
+
+    def artifact(self, kind: str, key: str) -> Path:
+        """The folder of one artifact."""
+        return self.kind(kind) / _key(key)
+
+    def manifest(self, kind: str, key: str) -> Path:
+        """What is known of an artifact."""
+        return self.artifact(kind, key) / MANIFEST
+
+    @property
+    def failures(self) -> Path:
+        return self.root / "failures"
+
+    def failure(self, key: str) -> Path:
+        """The record of a node's last failure."""
+        return self.failures / f"{_key(key)}.json"
+
+    def work(self, key: str) -> Path:
+        """Where a node keeps what survives an interruption."""
+        return self.root / "work" / _key(key)
+
+    def lock(self, key: str) -> Path:
+        """The lock file of a node."""
+        return self.root / "locks" / _key(key)
+
+    def run(self, run_id: str) -> Path:
+        """The folder of one run."""
+        return self.runs / _name(run_id)
+
+    def log(self, run_id: str, label: str, key: str) -> Path:
+        """The log of one node in one run."""
+        return self.run(run_id) / "logs" / f"{slug(label)}-{_key(key)[:8]}.log"
+
+    def running(self, run_id: str, key: str) -> Path:
+        """What a running node says of its progress."""
+        return self.run(run_id) / "running" / f"{_key(key)}.json"
+
+    def reports(self, spec: str) -> Path:
+        """The folder of a spec's tables and figures."""
+        return self.root / "reports" / _name(spec)
+
+    def prepare(self) -> None:
+        """Make the folders and see that they can be written.
+
+        Raises:
+            StoreError: the results folder is a file, or cannot be written.
+        """
+        try:
+            for folder in (self.store, self.tmp, self.runs, self.failures, self.root / "work", self.root / "locks"):
+                folder.mkdir(parents=True, exist_ok=True)
+            probe = self.tmp / ".probe"
+            probe.write_bytes(b"")
+            probe.unlink()
+        except OSError as error:
+            reason = "it is a file" if self.root.is_file() else (error.strerror or str(error)).lower()
+            raise StoreError(f"cannot write results to '{self.root}': {reason}", "choose another folder with --results DIR") from error
+
+
+def slug(text: str) -> str:
+    """A label as a file name."""
+    return re.sub(r"[^A-Za-z0-9_.=+-]+", "-", text).strip("-.")[:100] or "node"
+
+
+def _name(name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise StoreError(f"'{name}' cannot name a folder of the results")
+    return name
+
+
+def _key(key: str) -> str:
+    if not _KEY.fullmatch(key):
+        raise StoreError(f"'{key}' is no key")
+    return key
