@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,6 +63,8 @@ class Frame:
 
     cells: tuple[CellNumbers, ...]
     missing: tuple[Missing, ...] = ()
+    order: tuple[CellIdentity, ...] = ()
+    """All wanted cells, as they were asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +90,11 @@ class Group:
 
 def groups(frame: Frame) -> list[Group]:
     """The rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
-    order: dict[tuple[str, str, str], list[CellNumbers]] = {}
-    absent: dict[tuple[str, str, str], int] = {}
+    rows: dict[tuple[str, str, str], list[CellNumbers]] = {_row(identity): [] for identity in frame.order}
     for cell in frame.cells:
-        order.setdefault(_row(cell.identity), []).append(cell)
-    for gap in frame.missing:
-        order.setdefault(_row(gap.identity), [])
-        absent[_row(gap.identity)] = absent.get(_row(gap.identity), 0) + 1
-    found = [Group(*row, tuple(cells), absent.get(row, 0)) for row, cells in order.items()]
+        rows.setdefault(_row(cell.identity), []).append(cell)
+    absent = Counter(_row(gap.identity) for gap in frame.missing)
+    found = [Group(*row, tuple(cells), absent[row]) for row, cells in rows.items()]
     tasks = list(dict.fromkeys(group.task for group in found))
     methods = list(dict.fromkeys(group.method for group in found))
     return sorted(found, key=lambda group: (tasks.index(group.task), methods.index(group.method)))
@@ -106,6 +106,7 @@ def _row(identity: CellIdentity) -> tuple[str, str, str]:
 
 def read_frame(wanted: Iterable[Wanted]) -> Frame:
     """Read the cells that exist; name those that do not, or that cannot be read."""
+    wanted = tuple(wanted)
     found: list[tuple[Wanted, pa.Table]] = []
     missing: list[Missing] = []
     for cell in wanted:
@@ -120,7 +121,7 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
             missing.append(Missing(cell.identity, cell.label, error.message))
         else:
             found.append((cell, table))
-    return Frame(tuple(pool_cells(found)), tuple(missing))
+    return Frame(tuple(pool_cells(found)), tuple(missing), tuple(cell.identity for cell in wanted))
 
 
 def pool_cells(tables: list[tuple[Wanted, pa.Table]]) -> list[CellNumbers]:

@@ -29,7 +29,7 @@ DETAIL_COLUMNS = (
     Column("viol_env", "Viol./env step", "down", digits=3, spread=False),
     Column("int_rate_05", "Int. > 0.05", spread=False),
     Column("int_rate_10", "Int. > 0.10", spread=False),
-    Column("smoothness", "Jump²", "down", digits=3, spread=False),
+    Column("smoothness", "Jump²", digits=3, spread=False),
     Column("safety_gate", "Safety gate", digits=3, spread=False),
     Column("task_gate", "Task gate", digits=3, spread=False),
     Column("case2", "Case II", digits=3, spread=False),

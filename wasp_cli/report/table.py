@@ -154,7 +154,7 @@ def markdown(table: Table) -> str:
 
 
 def csv_text(table: Table) -> str:
-    """Full precision, one line per row; `_sd` and `_delta` columns where the table has any, `seeds` last."""
+    """Unscaled numbers, one line per row; `_sd` and `_delta` columns where the table has any, `seeds` last."""
     with_sd = [c for c in range(len(table.columns)) if any(row.values[c].sd is not None for row in table.rows)]
     with_delta = [c for c in range(len(table.columns)) if any(row.values[c].delta is not None for row in table.rows)]
     out = io.StringIO()
@@ -167,8 +167,15 @@ def csv_text(table: Table) -> str:
         cells: list[str | float | None] = list(row.labels)
         for c, value in enumerate(row.values):
             cells += [value.mean, *[value.sd] * (c in with_sd), *[value.delta] * (c in with_delta)]
-        writer.writerow([*("" if cell is None else cell for cell in cells), max((value.n for value in row.values), default=0)])
+        writer.writerow([*map(_plain, cells), max((value.n for value in row.values), default=0)])
     return out.getvalue()
+
+
+def _plain(cell: str | float | None) -> str | float:
+    """Twelve decimals: the last bits of a sum differ between machines."""
+    if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
+        return ""
+    return round(cell, 12) + 0.0 if isinstance(cell, float) else cell
 
 
 def terminal(table: Table, width: int = 120) -> Group:
@@ -186,7 +193,7 @@ def _rich(table: Table, spread: bool) -> RichTable:
     for label in table.labels:
         rich.add_column(escape(label), no_wrap=True)
     for column in table.columns:
-        rich.add_column(escape(column.heading), justify="right")
+        rich.add_column(escape(column.heading), justify="right", overflow="fold")
     for r, row in enumerate(table.rows):
         if r and table.grouped and table.starts_group(r):
             rich.add_section()

@@ -30,6 +30,9 @@ from numpy.typing import NDArray
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
 
+CELL_FILE = "cell.parquet"
+"""Name of the table inside the artifact of a cell."""
+
 VERSION = 1
 """Grows with every change of SCHEMA; a file of a newer version is refused."""
 

@@ -1,0 +1,46 @@
+"""The tables of one small grid, byte for byte. After a wanted change: `WASP_GOLDEN=write pytest tests/report/test_golden.py`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.report.ablation_table import ablation_table
+from wasp_cli.report.frame import Frame, Wanted, read_frame
+from wasp_cli.report.main_table import detail_table, main_table, operator_table
+from wasp_cli.report.table import RENDERERS, Table
+from wasp_cli.report.threshold_table import threshold_table
+
+GOLDEN = Path(__file__).parent.parent / "golden"
+TABLES: tuple[Callable[[Frame], Table | None], ...] = (main_table, ablation_table, operator_table, detail_table, threshold_table)
+
+
+def compare(name: str, text: str) -> None:
+    path = GOLDEN / name
+    if os.environ.get("WASP_GOLDEN") == "write":
+        path.write_text(text, encoding="utf-8")
+    assert text == path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("ending", RENDERERS)
+@pytest.mark.parametrize("make", TABLES, ids=lambda make: make.__name__)
+def test_tables(frame: Frame, make: Callable[[Frame], Table | None], ending: str) -> None:
+    table = make(frame)
+    assert table is not None
+    compare(f"{table.name}.{ending}", RENDERERS[ending](table))
+
+
+def test_incomplete_grid(grid: Callable[..., list[Wanted]]) -> None:
+    wanted = grid(seeds=(0,), ablations=("no-case2",))
+    for cell in (wanted[0], *wanted[4:8], wanted[-2]):
+        cell.path.unlink()
+    frame = read_frame(wanted)
+    texts = [RENDERERS["md"](table) for table in (main_table(frame), ablation_table(frame)) if table is not None]
+    compare("incomplete.md", "\n".join(texts))
+
+
+def test_grid_without_ablations_has_no_such_table(grid: Callable[..., list[Wanted]]) -> None:
+    assert ablation_table(read_frame(grid(seeds=(0,)))) is None

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import csv
+import io
+
+import pytest
+from rich.console import Console
+
+from wasp_cli.report.table import Column, Row, Table, Value, csv_text, markdown, terminal
+
+RETURN = Column("return", "Return", "up")
+COST = Column("cost", "Cost", "down", digits=1)
+
+
+def table(*rows: Row, columns: tuple[Column, ...] = (RETURN, COST), notes: tuple[str, ...] = ()) -> Table:
+    return Table("t", "A title", ("Task", "Method"), columns, rows, notes)
+
+
+def row(task: str, method: str, *numbers: float | Value | None) -> Row:
+    return Row((task, method), tuple(number if isinstance(number, Value) else Value(number) for number in numbers))
+
+
+def test_best_is_per_group_and_direction() -> None:
+    found = table(row("a", "x", 1, 5), row("a", "y", 2, 4), row("b", "x", 9, 9), row("b", "y", 8, 10))
+    assert found.marks == {(1, 0), (1, 1), (2, 0), (2, 1)}
+
+
+def test_equal_as_printed_share_the_mark() -> None:
+    found = table(row("a", "x", 1.001, 5), row("a", "y", 1.004, 5), row("a", "z", 0.5, 5))
+    assert found.marks == {(0, 0), (1, 0)}  # and nobody is best where all print the same
+
+
+def test_unranked_and_undefined_are_never_best() -> None:
+    found = table(row("a", "x", Value(99, ranked=False), Value(None)), row("a", "y", 2, float("nan")), row("a", "z", 1, 3))
+    assert found.marks == {(1, 0)}
+
+
+def test_numbers() -> None:
+    percent = Column("s", "S", scale=100.0, digits=1)
+    assert percent.cell(Value(0.5, 0.25, 3, delta=-0.1)) == "50.0 ± 25.0 (-10.0)"
+    assert percent.cell(Value(0.5, 0.25), spread=False) == "50.0"
+    assert Column("s", "S", spread=False).cell(Value(1.0, 0.5)) == "1.00"
+    assert COST.cell(Value(-0.01)) == "0.0"  # no negative zero
+    assert COST.cell(Value(None)) == COST.cell(Value(float("nan"))) == "n/a"
+    assert COST.cell(Value(1.0, delta=0.0)) == "1.0 (+0.0)"
+
+
+def test_rows_must_fit() -> None:
+    with pytest.raises(ValueError, match="does not fit"):
+        table(row("a", "x", 1))
+
+
+def test_markdown_escapes_and_names_a_group_once() -> None:
+    bar = Column("m", "Mag.|int", "down")
+    text = markdown(table(row("a", "x", 1, 2), row("a", "y", 1, 3), columns=(bar, COST), notes=("a note",)))
+    assert text.splitlines() == [
+        "## A title",
+        "",
+        "| Task | Method | Mag.\\|int ↓ | Cost ↓ |",
+        "| --- | --- | ---: | ---: |",
+        "| a | x | 1.00 | **2.0** |",
+        "|  | y | 1.00 | 3.0 |",
+        "",
+        "- a note",
+    ]
+
+
+def test_csv_reads_back() -> None:
+    text = csv_text(table(row("a", "x", Value(1 / 3, 0.1, 3), 2), row("a", "y, z", Value(None), 1)))
+    header, first, second = csv.reader(io.StringIO(text))
+    assert header == ["task", "method", "return", "return_sd", "cost", "seeds"]
+    assert first == ["a", "x", "0.333333333333", "0.1", "2", "3"]
+    assert second == ["a", "y, z", "", "", "1", "0"]
+
+
+@pytest.mark.parametrize(("width", "spread"), [(120, True), (40, False)])
+def test_terminal_drops_the_spread_before_it_wraps(width: int, spread: bool) -> None:
+    console = Console(width=width, file=io.StringIO(), record=True)
+    wide = Value(12.25, 3.5, 3)
+    console.print(terminal(table(row("a", "x", wide, wide), row("[red]b", "y", wide, wide)), width))
+    text = console.export_text()
+    assert ("±" in text.split("too narrow")[0]) == spread
+    assert "12.25" in text
+    assert "[red]b" in text  # a label is no markup

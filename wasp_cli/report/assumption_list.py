@@ -1,0 +1,46 @@
+"""Every value in force that the paper does not state."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from wasp_cli.config import assumptions
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.grid import stage_class
+from wasp_cli.spec.model import Spec
+from wasp_cli.stages.registry import STAGES
+
+Assumption = tuple[str, Any, str]
+"""Dotted name, value, why."""
+
+
+def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
+    """The assumptions of the stages and methods that this spec uses."""
+    kinds: set[str] = set()
+
+    def need(kind: str) -> None:
+        if kind not in kinds:
+            kinds.add(kind)
+            for upstream in stage_class(kind).needs:
+                need(upstream)
+
+    for method in spec.methods:
+        for kind in ("evaluate", *METHODS[method].needs, *(["calibration"] if METHODS[method].calibrated else [])):
+            need(kind)
+    for name, value, why in assumptions(spec):
+        section = name.partition(".")[0] if "." in name else ""
+        idle = section not in kinds if section in STAGES else section in METHODS and section not in spec.methods
+        if not idle:
+            yield name, value, why
+
+
+def assumptions_markdown(found: Sequence[Assumption]) -> str:
+    """A Markdown section: every value in force that the paper does not state."""
+    lines = ["## Assumptions in force", "", "Values that the paper leaves open. A spec can change each of them.", ""]
+    lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
+    for name, value, why in found:
+        shown = json.dumps(value, default=str, ensure_ascii=False)
+        lines.append("| " + " | ".join(text.replace("|", "\\|") for text in (f"`{name}`", f"`{shown}`", why)) + " |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,133 @@
+"""The report of a run: every table and figure once, printed or written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from wasp_cli.plan.cell import Cell
+from wasp_cli.report.ablation_table import ablation_table
+from wasp_cli.report.assumption_list import Assumption, assumptions_in_force, assumptions_markdown
+from wasp_cli.report.figure import cost_return_figure
+from wasp_cli.report.frame import Frame, Missing, Wanted, read_frame
+from wasp_cli.report.main_table import detail_table, main_table, operator_table
+from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
+from wasp_cli.report.threshold_table import threshold_table
+from wasp_cli.report.trained_table import Trained, trained_artifacts, trained_markdown
+from wasp_cli.spec.model import Spec
+from wasp_cli.store.artifact import read_record
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CELL_FILE, CellIdentity
+
+NAMED = 12
+"""Missing cells that the terminal names; the report names all."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a run amounts to."""
+
+    name: str
+    facts: tuple[str, ...]
+    """One-line statements about the grid."""
+    tables: tuple[Table, ...]
+    """The first ones are for the terminal."""
+    shown: int
+    """How many of them."""
+    frame: Frame
+    trained: tuple[Trained, ...]
+    assumptions: tuple[Assumption, ...]
+
+    @property
+    def missing(self) -> tuple[Missing, ...]:
+        """Cells without readable rows, each with the reason."""
+        return self.frame.missing
+
+    def terminal(self, console: Console) -> None:
+        """Print the main tables and name what is missing."""
+        for table in self.tables[: self.shown]:
+            console.print(terminal(table, console.width))
+        if self.missing:
+            total = len(self.frame.cells) + len(self.missing)
+            console.print(Text(f"\n{len(self.missing)} of {total} cells are missing:", style="bold red"))
+            for cell in self.missing[:NAMED]:
+                console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
+            if len(self.missing) > NAMED:
+                console.print(Text(f"  and {len(self.missing) - NAMED} more; report.md names all"))
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write every table in every format, the figures and `report.md`; returns the files, `report.md` first."""
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = cost_return_figure(self.frame, folder)
+        texts = {f"{table.name}.{ending}": render(table) for table in self.tables for ending, render in RENDERERS.items()}
+        texts = {"report.md": self.markdown([path.name for path in figures]), **texts}
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        return [*(folder / name for name in texts), *figures]
+
+    def markdown(self, figures: Sequence[str] = ()) -> str:
+        """The whole report as one page."""
+        parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
+        if self.missing:
+            lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
+            parts.append(f"## Missing cells\n\nTheir rows below are marked, and nothing stands in for them.\n\n{lines}")
+        parts += [markdown(table) for table in self.tables[: self.shown]]
+        parts += [f"![Cost against return]({name})\n" for name in figures if name.endswith(".png")]
+        parts += [markdown(table) for table in self.tables[self.shown :]]
+        if self.trained:
+            parts.append(trained_markdown(self.trained))
+        parts.append(assumptions_markdown(self.assumptions))
+        return "\n".join(parts)
+
+
+def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> Report:
+    """Summarise the cells of a run.
+
+    Args:
+        results: the results folder.
+        spec: what the run was asked for.
+        cells: its cells, each with the key of its evaluation.
+    """
+    layout = Layout(results)
+    frame = read_frame(_wanted(layout, cell, key) for cell, key in cells)
+    front = [main_table(frame)]
+    ablations = ablation_table(frame)
+    if ablations is not None:
+        front.append(ablations)
+    back = [table for table in (operator_table(frame), detail_table(frame), threshold_table(frame)) if table.rows and table.columns]
+    trained, damaged = trained_artifacts(layout, [key for _, key in cells])
+    return Report(
+        name=spec.name,
+        facts=(*_facts(spec, frame), *damaged),
+        tables=(*front, *back),
+        shown=len(front),
+        frame=frame,
+        trained=trained,
+        assumptions=tuple(assumptions_in_force(spec)),
+    )
+
+
+def _wanted(layout: Layout, cell: Cell, key: str) -> Wanted:
+    failure = read_record(layout.failure(key))
+    return Wanted(
+        identity=CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed),
+        label=str(cell),
+        path=layout.artifact("evaluate", key) / CELL_FILE,
+        severity=cell.severity,
+        failure=None if failure is None else f"{failure.get('message')} (log: {failure.get('log')})",
+    )
+
+
+def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
+    total = len(frame.cells) + len(frame.missing)
+    episodes = sum(cell.episodes for cell in frame.cells)
+    yield f"{len(frame.cells)} of {total} cells, {episodes} episodes."
+    yield f"Preset `{spec.preset}`, {spec.action_repeat} env steps per decision step."
+    if spec.training_seed is not None:
+        yield f"All evaluation seeds share the models of training seed {spec.training_seed}: ± does not contain the spread of training."
+    elif len(spec.seeds) > 1:
+        yield "Every seed has its own models, so ± contains the spread of training."

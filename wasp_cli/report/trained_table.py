@@ -1,0 +1,102 @@
+"""What was trained for a report: one row per artifact, with the numbers that its stage found worth showing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.titles import task_title
+from wasp_cli.store.artifact import is_published, read_manifest
+from wasp_cli.store.layout import Layout
+
+SHOWN = 8
+"""Numbers of a stage that fit on a line; the manifests have all."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """One artifact."""
+
+    stage: str
+    task: str
+    seed: int
+    key: str
+    seconds: float | None
+    summary: Mapping[str, Any]
+
+
+def trained_artifacts(layout: Layout, keys: Sequence[str]) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
+    """The artifacts behind evaluated cells, needed ones first, without the cells themselves; and what is damaged.
+
+    Args:
+        layout: the results folder.
+        keys: of the evaluations. One that is not there yet is passed over; the frame names its cell.
+    """
+    found: dict[str, Trained | None] = {}
+    damaged: list[str] = []
+
+    def visit(kind: str, key: str) -> None:
+        if key in found or not is_published(layout, kind, key):
+            return
+        found[key] = None
+        try:
+            manifest = read_manifest(layout, kind, key)
+        except ArtifactError as error:
+            damaged.append(error.message)
+            return
+        for needed, needed_key in manifest["upstream"].items():
+            visit(needed, needed_key)
+        del found[key]  # so that it stands behind what it needs
+        method = manifest["axes"].get("method")
+        stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
+        trained = Trained(stage, manifest["task"], manifest["seed"], key, manifest["provenance"]["seconds"], manifest["summary"])
+        found[key] = trained if kind != "evaluate" else None
+
+    for key in keys:
+        visit("evaluate", key)
+    return tuple(artifact for artifact in found.values() if artifact is not None), tuple(damaged)
+
+
+def trained_markdown(artifacts: Iterable[Trained]) -> str:
+    """A Markdown section; the rows keep their order."""
+    lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
+    for artifact in artifacts:
+        numbers = numbers_text(artifact.summary).replace("|", "\\|")
+        cells = (task_title(artifact.task), artifact.seed, artifact.stage, duration(artifact.seconds), numbers, f"`{artifact.key[:8]}`")
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def numbers_text(summary: Mapping[str, Any]) -> str:
+    """The scalar numbers of a summary on one line, nested ones with dotted names."""
+    scalars = list(_scalars(summary))
+    text = ", ".join(f"{name} {_short(value)}" for name, value in scalars[:SHOWN])
+    return text + (f", and {len(scalars) - SHOWN} more" if len(scalars) > SHOWN else "")
+
+
+def duration(seconds: float | None) -> str:
+    """`41 s`, `3 min 20 s`, `2 h 05 min`."""
+    if seconds is None or not math.isfinite(seconds):
+        return "?"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def _scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
+    for name, value in summary.items():
+        if isinstance(value, Mapping):
+            yield from _scalars(value, f"{prefix}{name}.")
+        elif isinstance(value, bool | int | float | str):
+            yield f"{prefix}{name}", value
+
+
+def _short(value: int | float | bool | str) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
