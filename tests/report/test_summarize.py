@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from tests.report.invented import SKILL, invent, write
+from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.grid import cells_of
+from wasp_cli.report.summarize import Report, report_run
+from wasp_cli.report.trained_table import duration, numbers_text
+from wasp_cli.spec.model import Spec, validate
+from wasp_cli.store.artifact import write_record
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CELL_FILE, CellIdentity
+
+Cells = list[tuple[Cell, str]]
+
+
+def key(kind: str, number: int) -> str:
+    return f"{sum(map(ord, kind)):04x}{number:04x}" * 2
+
+
+@pytest.fixture
+def spec() -> Spec:
+    return validate(
+        {
+            "name": "tiny",
+            "preset": "smoke",
+            "tasks": ["goal1"],
+            "methods": ["human", "wasp", "expert"],
+            "operators": {"noisy": {"mild": 0.2, "severe": 0.6}},
+            "seeds": [0, 1],
+            "episodes": 2,
+        }
+    )
+
+
+@pytest.fixture
+def cells(spec: Spec, tmp_path: Path) -> Cells:
+    """A store with every cell of the spec and the artifacts behind them."""
+    layout = Layout(tmp_path)
+    numbered: Cells = [(cell, key("evaluate", number)) for number, cell in enumerate(cells_of(spec))]
+    for cell, name in numbered:
+        identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
+        goals, intervene, risk = SKILL.get(cell.method, (12, 0.0, 0.02))
+        folder = layout.artifact("evaluate", name)
+        folder.mkdir(parents=True)
+        write(folder, identity, [invent(e + cell.seed, goals, intervene, risk) for e in range(2)]).path.rename(folder / CELL_FILE)
+        upstream = {"world_model": key("world_model", cell.seed)}
+        if cell.method == "wasp":
+            upstream["calibration"] = key("calibration", cell.seed)
+        manifest(layout, "evaluate", name, cell.seed, upstream, {"method": cell.method})
+    for seed in spec.seeds:
+        manifest(layout, "expert", key("expert", seed), seed, {})
+        manifest(layout, "world_model", key("world_model", seed), seed, {"expert": key("expert", seed)}, summary={"cost_auprc": 0.51234})
+        manifest(layout, "calibration", key("calibration", seed), seed, {"world_model": key("world_model", seed)}, {"method": "wasp"})
+    return numbered
+
+
+def manifest(layout: Layout, kind: str, name: str, seed: int, upstream: dict[str, str], axes: Any = (), summary: Any = ()) -> None:
+    record = {"task": "goal1", "seed": seed, "upstream": upstream, "axes": dict(axes), "summary": dict(summary)}
+    write_record(layout.manifest(kind, name), {**record, "provenance": {"seconds": 65.2}})
+
+
+def terminal(report: Report, width: int = 140) -> str:
+    console = Console(width=width, file=io.StringIO(), record=True)
+    report.terminal(console)
+    return console.export_text()
+
+
+def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    report = report_run(tmp_path, spec, cells)
+    assert not report.missing
+    assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + ["calibration of WASP"] * 2
+    files = report.write(tmp_path / "out")
+    assert all(path.is_file() and path.stat().st_size for path in files)
+    assert {"report.md", "table1.md", "table1.csv", "cost_return.png", "cost_return.svg"} <= {path.name for path in files}
+    page = files[0].read_text(encoding="utf-8")
+    for text in (
+        "10 of 10 cells, 20 episodes",
+        "cost_auprc 0.5123",
+        "1 min 05 s",
+        "![Cost against return](cost_return.png)",
+        "`wasp.tau_c`",
+    ):
+        assert text in page
+    assert "`ida.vote`" not in page  # IDA is not in this spec
+    assert "Missing" not in page
+    text = terminal(report)
+    assert "Human-only" in text
+    assert "missing" not in text
+
+
+def test_the_same_store_gives_the_same_files(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    first, second = (report_run(tmp_path, spec, cells).write(tmp_path / name) for name in ("a", "b"))
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+
+
+def test_missing_cells_are_named_with_their_reason(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    layout = Layout(tmp_path)
+    (layout.artifact("evaluate", cells[0][1]) / CELL_FILE).unlink()
+    (layout.artifact("evaluate", cells[1][1]) / CELL_FILE).unlink()
+    write_record(layout.failure(cells[1][1]), {"message": "TrainingError: no data", "log": "results/x.log"})
+    report = report_run(tmp_path, spec, cells)
+    page, text = report.markdown(), terminal(report)
+    for named in (
+        "goal1 human noisy=0.2 seed 0: not computed yet",
+        "goal1 human noisy=0.2 seed 1: failed: TrainingError: no data (log: results/x.log)",
+    ):
+        assert named in page
+        assert named in text
+    assert "Human-only [2 of 4 cells]" in page
+
+
+def test_an_empty_store_reads(spec: Spec, tmp_path: Path) -> None:
+    cells = [(cell, key("evaluate", number)) for number, cell in enumerate(cells_of(spec))]
+    report = report_run(tmp_path, spec, cells)
+    assert len(report.missing) == len(cells)
+    files = report.write(tmp_path / "out")
+    assert not [path for path in files if path.suffix == ".png"]
+    assert "Human-only [0 of 4 cells]" in terminal(report)
+    assert "No cell has been computed yet" in files[0].read_text(encoding="utf-8")
+
+
+def test_a_damaged_manifest_is_a_fact_not_a_crash(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    Layout(tmp_path).manifest("expert", key("expert", 0)).write_text("{", encoding="utf-8")
+    report = report_run(tmp_path, spec, cells)
+    assert "is damaged" in report.facts[-1]
+    assert [artifact.stage for artifact in report.trained].count("expert") == 1
+
+
+def test_durations_and_numbers() -> None:
+    assert [duration(seconds) for seconds in (None, 4.4, 59.6, 200, 7500)] == ["?", "4 s", "1 min 00 s", "3 min 20 s", "2 h 05 min"]
+    summary = {"a": 1, "b": {"c": 0.123456, "d": [1, 2]}, "e": None, "f": True}
+    assert numbers_text(summary) == "a 1, b.c 0.1235, f True"
+    assert numbers_text({str(i): i for i in range(10)}).endswith("7 7, and 2 more")
