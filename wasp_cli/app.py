@@ -7,11 +7,17 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 
 import typer
 
 from wasp_cli import __version__
+
+if TYPE_CHECKING:
+    from wasp_cli.plan.cell import Cell
+    from wasp_cli.spec.load import Loaded
+    from wasp_cli.spec.model import Spec
+    from wasp_cli.store.layout import Layout
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -33,11 +39,23 @@ ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", help="W
 TaskOption = Annotated[str | None, typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False)]
 JobsOption = Annotated[
     int | None,
-    typer.Option("--jobs", "-j", min=0, metavar="N", help="Worker processes; 0 computes in this process. [default: all cores]", show_default=False),
+    typer.Option(
+        "--jobs",
+        "-j",
+        min=0,
+        metavar="N",
+        help="Worker processes; 0 computes in this process. [default: all cores]",
+        show_default=False,
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the spec, as if it stood in the file. Repeatable.", show_default=False),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a value of the spec, as if it stood in the file. Repeatable.",
+        show_default=False,
+    ),
 ]
 
 
@@ -98,10 +116,10 @@ def run(
 
     What is in the results folder already is used as it is; what failed runs again. Ctrl-C loses only the nodes that are being computed.
     """
-    from wasp_cli.run.session import cores, restricted, run_spec
+    from wasp_cli.run.session import restricted
     from wasp_cli.spec.load import load
 
-    run_spec(restricted(load(spec, set_ or ()), task), results, cores() if jobs is None else jobs)
+    _run_and_report(restricted(load(spec, set_ or ()), task), results, jobs)
 
 
 @app.command(epilog="[bold]wasp plan specs/table1.yaml[/]   ·   [bold]wasp plan specs/table1.yaml --json | jq '.nodes[0]'[/]")
@@ -168,8 +186,7 @@ def report(
 ) -> None:
     """Print the tables of what has run, from the results folder alone."""
     from wasp_cli.errors import UnknownName
-    from wasp_cli.run.record import recorded_specs, results_of
-    from wasp_cli.run.session import show_recorded_report
+    from wasp_cli.run.record import read_run, recorded_specs, results_of
 
     layout = results_of(folder)
     runs = recorded_specs(layout)
@@ -177,7 +194,8 @@ def report(
         raise UnknownName("spec in these results", spec, runs)
     for name, run_id in runs.items():
         if spec in (None, name):
-            show_recorded_report(layout, run_id)
+            recorded = read_run(layout, run_id)
+            _show_report(layout, recorded.spec, recorded.cells)
 
 
 @app.command(epilog="[bold]wasp ablate --variant no-case2 --task goal1 --preset smoke[/]")
@@ -187,7 +205,7 @@ def ablate(
     task: Annotated[
         str | None, typer.Option("--task", "-t", metavar="TASK", help="On this task. [default: the spec's]", show_default=False)
     ] = None,
-    spec: Annotated[Path, typer.Option("--spec", metavar="SPEC", help="Operators, seeds and budgets come from here.")] = Path("specs/table2.yaml"),
+    spec: Annotated[Path, typer.Option("--spec", metavar="SPEC", help="For operators, seeds and budgets.")] = Path("specs/table2.yaml"),
     preset: Annotated[
         str | None, typer.Option("--preset", metavar="NAME", help="Other sizes and budgets than the spec's.", show_default=False)
     ] = None,
@@ -196,10 +214,9 @@ def ablate(
     set_: SetOption = None,
 ) -> None:
     """Run a method without one of its parts, and the whole method beside it."""
-    from wasp_cli.run.session import cores, run_spec
     from wasp_cli.spec.ablation import ablation
 
-    run_spec(ablation(spec, variant, task, preset, set_ or ()), results, cores() if jobs is None else jobs)
+    _run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, jobs)
 
 
 @app.command()
@@ -209,6 +226,26 @@ def doctor(results: ResultsOption = Path("results")) -> None:
     from wasp_cli.doctor import examine, show
 
     show(examine(results))
+
+
+def _run_and_report(loaded: Loaded, results: Path, jobs: int | None) -> None:
+    from wasp_cli.plan.plan import cells_with_keys
+    from wasp_cli.run.session import cores, run_spec
+
+    session = run_spec(loaded, results, cores() if jobs is None else jobs)
+    # Also after failures: what is there is worth seeing, and the report names what is not.
+    _show_report(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
+    session.require_complete()
+
+
+def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]]) -> None:
+    from wasp_cli.console import out
+    from wasp_cli.report.summarize import report_run
+
+    report = report_run(layout.root, spec, cells)
+    report.terminal(out())
+    for path in report.write(layout.reports(spec.name)):
+        out().print(str(path), markup=False, soft_wrap=True)
 
 
 def _print_json(value: Any) -> None:

@@ -66,7 +66,7 @@ def _hardware() -> Iterator[Finding]:
 
 def _gpu() -> Finding:
     try:
-        import torch
+        torch = import_module("torch")  # by name: orchestration does not depend on it
     except (ImportError, OSError):
         return Finding("GPU", "optional", "unknown without torch")
     if torch.cuda.is_available():

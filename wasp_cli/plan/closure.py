@@ -130,7 +130,9 @@ def _configured(tree: ast.Module) -> ast.Module:
     for statement in tree.body:
         if not isinstance(statement, ast.ClassDef):
             body.append(statement)
-        elif rest := [part for part in statement.body if isinstance(part, ast.FunctionDef)]:
+            continue
+        rest: list[ast.stmt] = [part for part in statement.body if isinstance(part, ast.FunctionDef)]
+        if rest:
             body.append(ast.ClassDef(statement.name, statement.bases, statement.keywords, rest, statement.decorator_list))
     return ast.Module(body, [])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ class Journal:
 
     def write(self, event: str, **facts: Any) -> None:
         """Append one event with its time."""
-        now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._file.write(json.dumps({"at": now, "event": event, **facts}) + "\n")
 
     def close(self) -> None:

@@ -198,7 +198,7 @@ def _ended_line(count: int, total: int, node: Node, outcome: Outcome) -> str:
 
 def numbers(summary: Mapping[str, Any], limit: int = 6) -> str:
     """The first numbers of a summary on one line."""
-    shown = [f"{name} {_number(value)}" for name, value in summary.items() if isinstance(value, int | float) and not isinstance(value, bool)]
+    shown = [f"{name} {_number(value)}" for name, value in summary.items() if isinstance(value, int | float)]
     return ", ".join(shown[:limit])
 
 

@@ -1,4 +1,4 @@
-"""One `wasp run` from a valid spec to its report: plan, pool, board, signals, summary."""
+"""One `wasp run` from a valid spec to a filled store: plan, pool, board, signals, summary."""
 
 from __future__ import annotations
 
@@ -6,20 +6,18 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from wasp_cli.console import duration, out, plain
+from wasp_cli.console import duration, plain
 from wasp_cli.errors import CellsFailed, UnknownName
-from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.plan.plan import Plan, cells_with_keys, plan_against
+from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
 from wasp_cli.run.progress import board
-from wasp_cli.run.record import new_run, read_run
+from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.spec.load import Loaded
-from wasp_cli.spec.model import Spec
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
@@ -58,8 +56,22 @@ def require_tasks(loaded: Loaded) -> None:
             raise loaded.problem(("tasks", index), f"task '{task}' ({TASKS[task].gym_id}) is not implemented in this version", hint)
 
 
-def run_spec(loaded: Loaded, results: Path, jobs: int) -> None:
-    """Compute what is missing of a spec and report it.
+@dataclass(frozen=True)
+class Session:
+    """A run that is over."""
+
+    layout: Layout
+    plan: Plan
+    summary: Summary
+
+    def require_complete(self) -> None:
+        """Raise CellsFailed when a node failed."""
+        if not self.summary.complete:
+            raise CellsFailed(_failure_message(self.summary), "the same command runs what failed again")
+
+
+def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
+    """Compute what is missing of a spec.
 
     Args:
         loaded: the spec.
@@ -67,7 +79,8 @@ def run_spec(loaded: Loaded, results: Path, jobs: int) -> None:
         jobs: worker processes; 0 computes in this process.
 
     Raises:
-        CellsFailed: some nodes failed; what is there has been reported.
+        SpecError: the spec has a task that this version does not have.
+        StoreError: the results folder cannot be written.
         KeyboardInterrupt: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
     """
     require_tasks(loaded)
@@ -77,9 +90,7 @@ def run_spec(loaded: Loaded, results: Path, jobs: int) -> None:
     run_id = new_run(layout, loaded, plan)
     summary = _compute(plan, layout, run_id, jobs) if plan.to_run() else Summary()
     plain(_summary_line(plan, summary))
-    show_report(layout, loaded.spec, plan)
-    if not summary.complete:
-        raise CellsFailed(_failure_message(summary), "the same command runs what failed again")
+    return Session(layout, plan, summary)
 
 
 def _compute(plan: Plan, layout: Layout, run_id: str, jobs: int) -> Summary:
@@ -132,23 +143,3 @@ def _failure_message(summary: Summary) -> str:
         if len(summary.blocked) > 10:
             lines.append(f"  and {len(summary.blocked) - 10} more")
     return "\n".join(lines)
-
-
-def show_report(layout: Layout, spec: Spec, plan: Plan) -> None:
-    """Print the tables of a spec and write them to its reports folder."""
-    _report(layout, spec, cells_with_keys(plan.grid))
-
-
-def show_recorded_report(layout: Layout, run_id: str) -> None:
-    """Print and write the tables of a run that is over."""
-    recorded = read_run(layout, run_id)
-    _report(layout, recorded.spec, recorded.cells)
-
-
-def _report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]]) -> None:
-    from wasp_cli.report.summarize import report_run
-
-    report = report_run(layout.root, spec, cells)
-    report.terminal(out())
-    for path in report.write(layout.reports(spec.name)):
-        out().print(str(path), markup=False, soft_wrap=True)

@@ -10,7 +10,7 @@ import time
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -69,7 +69,7 @@ def _locked(order: Order, layout: Layout, log: Path, started: float) -> Outcome:
 
 def _computed(order: Order, layout: Layout, log: Path, started: float, running: Path) -> Outcome:
     staging = staging_folder(layout, order.key)
-    started_at = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    started_at = datetime.now(UTC).isoformat(timespec="seconds")
     _tell(running, order, 0.0, "")
     try:
         stage: Stage = load_target(order.stage)()

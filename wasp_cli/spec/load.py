@@ -11,9 +11,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from wasp_cli.errors import did_you_mean
-from wasp_cli.spec.model import Spec, preset_names, spec_type, validate
+from wasp_cli.spec.model import Spec, method_sections, spec_type, validate
 from wasp_cli.spec.overrides import Override, apply, override
-from wasp_cli.spec.presets import PRESETS
 from wasp_cli.spec.problem import InvalidSpec, Problem
 from wasp_cli.spec.read import Source, plain, read
 from wasp_cli.spec.where import KEY, Loc, locate
@@ -58,7 +57,7 @@ def loaded(source: Source, overrides: Sequence[Override] = ()) -> Loaded:
         if problem.position is None or problem.position not in seen:
             problems.append(problem)
 
-    for loc, message, hint in _before(document):
+    for loc, message, hint in _misplaced(document):
         add(loc, message, hint)
     spec: Spec | None = None
     try:
@@ -71,23 +70,29 @@ def loaded(source: Source, overrides: Sequence[Override] = ()) -> Loaded:
     return Loaded(spec, source, tuple(overrides))
 
 
-def _placed(
-    source: Source, overrides: Sequence[Override], loc: Loc, message: str, hint: str | None, *, at_key: bool = False
-) -> Problem:
+def _placed(source: Source, overrides: Sequence[Override], loc: Loc, message: str, hint: str | None, *, at_key: bool = False) -> Problem:
     _, depth = locate(source.document, loc)
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
         # The option wins where the file has nothing nearer to the place.
         if tuple(map(str, loc[:shared])) == option.path[:shared] and shared >= min(depth, len(option.path)):
-            return Problem(f"--set {option.text}", None, f"{'.'.join(map(str, loc))}: {message}" if loc else message, hint)
+            return Problem(f"--set {option.text}", None, f"{_dotted(loc)}: {message}" if loc else message, hint)
     return source.problem(loc, message, hint, at_key=at_key)
 
 
-def _before(document: Mapping[str, Any]) -> list[tuple[Loc, str, str | None]]:
-    section = document.get("evaluate")
-    if isinstance(section, Mapping) and "episodes" in section:
-        return [(("evaluate", "episodes", KEY), "the number of episodes stands at the top", "write `episodes: ...` outside every section")]
-    return []
+def _dotted(loc: Loc) -> str:
+    return ".".join(str(part) for part in loc if part != KEY)
+
+
+def _misplaced(document: Mapping[str, Any]) -> list[tuple[Loc, str, str | None]]:
+    """What sections have as fields, and specs say at the top."""
+    found: list[tuple[Loc, str, str | None]] = []
+    sections = {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(method_sections(), ("variant", "variants: [full]"))
+    for name, (field, example) in sections.items():
+        section, model = document.get(name), _model_at((name,))
+        if isinstance(section, Mapping) and field in section and model is not None and field in model.model_fields:
+            found.append(((name, field, KEY), f"'{field}' is not set here", f"write `{example}` at the top, outside every section"))
+    return found
 
 
 def _readable(error: ValidationError, document: Mapping[str, Any]) -> list[tuple[Loc, str, str | None, bool]]:
@@ -126,6 +131,8 @@ def _wording(loc: Loc, entries: list[dict[str, Any]]) -> tuple[str, str | None, 
         return first["msg"] + value, context.get("hint"), False
     if first["type"] == "value_error":
         return str(context["error"]), None, True
+    if first["type"] in ("too_short", "string_too_short"):
+        return "should not be empty", _description(loc), False
     message = " or ".join(dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries))
     message = re.sub(r" or be ", " or ", message)
     shown = _shown(first["input"])
@@ -168,11 +175,12 @@ def _key_hint(loc: Loc) -> str:
     hint = did_you_mean(name, known)
     if hint.startswith("did you mean"):
         return hint
-    sections = [section for section in spec_type().model_fields if (other := _model_at((section,))) is not None and name in other.model_fields]
-    if sections:
-        return "did you mean " + " or ".join(f"'{section}.{name}'" for section in sections[:3]) + "?"
     if len(loc) > 1 and name in spec_type().model_fields:
         return f"'{name}' stands at the top, outside every section"
+    models = {section: _model_at((section,)) for section in spec_type().model_fields}
+    sections = [section for section, model in models.items() if model is not None and name in model.model_fields]
+    if sections:
+        return "did you mean " + " or ".join(f"'{section}.{name}'" for section in sections[:3]) + "?"
     return hint
 
 
@@ -180,6 +188,3 @@ def _description(loc: Loc) -> str | None:
     model = _model_at(loc[:-1])
     field = model.model_fields.get(str(loc[-1])) if model is not None else None
     return field.description if field is not None else None
-
-
-__all__ = ["PRESETS", "Loaded", "load", "loaded", "preset_names"]

@@ -31,7 +31,8 @@ Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 def _refuse(problems: list[Problem]) -> None:
     """Raise every problem at its own place; a plain ValueError would point at the whole section."""
     if problems:
-        raise ValidationError.from_exception_data("Spec", [InitErrorDetails(type=what, loc=where, input=value) for where, what, value in problems])
+        errors = [InitErrorDetails(type=what, loc=where, input=value) for where, what, value in problems]
+        raise ValidationError.from_exception_data("Spec", errors)
 
 
 def _in_range(operators: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
@@ -66,7 +67,9 @@ class Spec(Config):
         default={}, description="operator variants with their severities, as name: value"
     )
     seeds: Annotated[tuple[Seed, ...], NO_REPEATS, Field(min_length=1, description="evaluation seeds")]
-    training_seed: Seed | None = Field(default=None, description="null: every seed trains its own models; a number: all share the models of that seed")
+    training_seed: Seed | None = Field(
+        default=None, description="null: every seed trains its own models; a number: all share the models of that seed"
+    )
     episodes: int = assumed(30, "episodes per cell and seed", ge=1)
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
@@ -106,10 +109,6 @@ def _variant_problems(spec: Spec) -> list[Problem]:
     for index, variant in enumerate(spec.variants):
         if variant not in offered:
             problems.append((("variants", index), unknown("variant of the listed methods", variant, offered), variant))
-    for name in method_sections():
-        if "variant" in getattr(spec, name).model_fields_set and len(METHODS[name].variants) > 1:
-            what = PydanticCustomError("misplaced", "the variants of '{name}' are listed in `variants:` at the top", {"name": name})
-            problems.append(((name, "variant"), what, None))
     return problems
 
 

@@ -30,7 +30,8 @@ def override(number: int, text: str) -> Override:
     key, equals, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
     if not equals or not all(path):
-        raise UsageError(f"--set #{number}: '{text}' is not of the form key=value", "for example --set wasp.candidates=64 or --set 'seeds=[0, 1]'")
+        example = "for example --set wasp.candidates=64 or --set 'seeds=[0, 1]'"
+        raise UsageError(f"--set #{number}: '{text}' is not of the form key=value", example)
     try:
         document, problems = plain(parse(f"value: {value.strip()}", f"--set {text}"))
     except InvalidSpec as error:

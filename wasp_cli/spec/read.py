@@ -138,8 +138,9 @@ def _plain(source: Source, node: Any, loc: Loc, problems: list[Problem], budget:
     if isinstance(node, CommentedMap) and not isinstance(node, CommentedOrderedMap):
         result: dict[str, Any] = {}
         for key, value in node.items():
-            if not isinstance(key, str | int | float) or isinstance(key, bool) or str(key) in result:
-                problems.append(source.problem((*loc, key) if isinstance(key, str | int) else loc, f"a key should be a plain word, not {key!r}", at_key=True))
+            if isinstance(key, bool) or not isinstance(key, str | int | float) or str(key) in result:
+                place = (*loc, key) if isinstance(key, str | int) else loc
+                problems.append(source.problem(place, f"a key should be a plain word, not {key!r}", at_key=True))
                 continue
             result[str(key)] = _plain(source, value, (*loc, str(key)), problems, budget, above)
         return result
@@ -169,10 +170,19 @@ def _scalar(source: Source, node: Any, loc: Loc, problems: list[Problem]) -> Any
     return None
 
 
+_KINDS = {
+    "CommentedSeq": "a list",
+    "CommentedSet": "a set",
+    "CommentedOrderedMap": "an ordered mapping",
+    "TaggedScalar": "a value with a tag",
+    "bytes": "binary data",
+}
+
+
 def _kind(node: Any) -> str:
     if isinstance(node, str):
         return "a single word" if " " not in node and "\n" not in node else "plain text"
-    names = {"CommentedSeq": "a list", "CommentedSet": "a set", "CommentedOrderedMap": "an ordered mapping", "TaggedScalar": "a value with a tag"}
-    if type(node).__name__ in names:
-        return names[type(node).__name__]
-    return {bytes: "binary data", datetime.date: "a date"}.get(type(node), "a date" if isinstance(node, datetime.date) else f"a {type(node).__name__}")
+    if isinstance(node, datetime.date):  # ruamel's timestamps too
+        return "a date"
+    name = type(node).__name__
+    return _KINDS.get(name, f"a {name}")

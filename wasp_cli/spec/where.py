@@ -31,7 +31,7 @@ def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> 
     and a missing field is reported at the mapping it is missing from. A key that came through a merge (`<<`) has no position
     of its own; its mapping stands for it.
     """
-    wants_key = at_key or bool(loc) and loc[-1] == KEY
+    wants_key = at_key or (bool(loc) and loc[-1] == KEY)
     position, node, depth = START, document, 0
     for index, part in enumerate(loc):
         if part == KEY:

@@ -1,13 +1,13 @@
 """The folders of `results/`: every path that wasp writes is made here, from checked names.
 
-    results/
-      store/<kind>/<key>/      artifacts: what the stage wrote, and manifest.json; complete or not there
-      failures/<key>.json      why a node failed last; removed when it succeeds
-      work/<key>/              checkpoints of nodes that can resume; removed when the node is done
-      locks/<key>              held by the process that computes a node
-      tmp/                     artifacts being written; on the same file system, so that publishing is one rename
-      runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
-      reports/<spec>/          tables and figures
+results/
+  store/<kind>/<key>/      artifacts: what the stage wrote, and manifest.json; complete or not there
+  failures/<key>.json      why a node failed last; removed when it succeeds
+  work/<key>/              checkpoints of nodes that can resume; removed when the node is done
+  locks/<key>              held by the process that computes a node
+  tmp/                     artifacts being written; on the same file system, so that publishing is one rename
+  runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
+  reports/<spec>/          tables and figures
 """
 
 from __future__ import annotations
