@@ -1,0 +1,70 @@
+"""The commands that the documentation shows exist, with the options that it shows."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from wasp_cli.app import app
+from wasp_cli.spec.load import load
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The code blocks of a language on a page."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def shown() -> list[tuple[str, str]]:
+    """(page, command line) of every `$ wasp ...`."""
+    return [
+        (page.name, line[2:].partition("  #")[0].strip())
+        for page in PAGES
+        for block in blocks(page, "console")
+        for line in block.splitlines()
+        if line.startswith("$ wasp")
+    ]
+
+
+def parse(line: str) -> dict[str, Any]:
+    """Parse a command line as `wasp` would, without running it."""
+    name, *arguments = shlex.split(line)[1:]
+    group: Any = typer.main.get_command(app)
+    assert name in group.commands, f"no command '{name}'"
+    with group.commands[name].make_context(name, arguments) as context:
+        parameters: dict[str, Any] = context.params
+        return parameters
+
+
+@pytest.mark.parametrize(("page", "line"), shown(), ids=lambda part: part)
+def test_shown_commands_parse(page: str, line: str) -> None:
+    parameters = parse(line)
+    if parameters.get("set_"):
+        assert load(ROOT / parameters["spec"], parameters["set_"])
+    for value in parameters.values():
+        for path in value if isinstance(value, list) else [value]:
+            if isinstance(path, Path) and path.suffix == ".yaml":
+                assert (ROOT / path).is_file(), f"{page} shows {path}, which is not there"
+
+
+def test_pages_show_commands() -> None:
+    assert len(shown()) >= 8
+
+
+@pytest.mark.parametrize("text", [text for page in PAGES for text in blocks(page, "yaml") if text.startswith("name:")])
+def test_shown_specs_are_valid(text: str, tmp_path: Path) -> None:
+    (tmp_path / "spec.yaml").write_text(text, encoding="utf-8")
+    assert load(tmp_path / "spec.yaml").spec.tasks
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), f"{page.name} links to {target}"
