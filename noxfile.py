@@ -9,6 +9,7 @@ torch takes minutes to install, so all sessions but `lint` share one environment
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -21,13 +22,12 @@ SPECS = sorted(path.as_posix() for path in Path("specs").glob("*.yaml") if path.
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
-def enter(session: nox.Session) -> None:
-    """Put the environment of the session `project` first on the path."""
+def run(session: nox.Session, program: str, *arguments: str) -> None:
+    """Run a program of the environment that the session `project` built."""
     environment = session.cache_dir.parent / "project"
-    session.env["VIRTUAL_ENV"] = str(environment)
-    session.env["PATH"] = os.pathsep.join([str(environment / BIN), os.environ.get("PATH", "")])
-    # Two libraries that each start a thread per core make everything slower on a small machine.
-    session.env.setdefault("OMP_NUM_THREADS", "1")
+    path = os.pathsep.join([str(environment / BIN), os.environ.get("PATH", "")])
+    env = {"VIRTUAL_ENV": str(environment), "PATH": path, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
+    session.run(str(environment / BIN / program), *arguments, env=env, external=True)
 
 
 @nox.session
@@ -48,58 +48,51 @@ def project(session: nox.Session) -> None:
 @nox.session(venv_backend="none", requires=["project"])
 def types(session: nox.Session) -> None:
     """mypy, strict."""
-    enter(session)
-    session.run("python", "-m", "mypy", external=True)
+    run(session, "python", "-m", "mypy")
 
 
 @nox.session(venv_backend="none", requires=["project"])
 def layers(session: nox.Session) -> None:
     """The walls between the rooms (import-linter contracts in pyproject.toml)."""
-    enter(session)
-    session.run("lint-imports", "--no-cache", external=True)
+    run(session, "lint-imports", "--no-cache")
 
 
 @nox.session(venv_backend="none", requires=["project"])
 def tests(session: nox.Session) -> None:
     """The fast tests; arguments go to pytest."""
-    enter(session)
-    session.run("python", "-m", "pytest", "-m", "not slow", "--durations=10", *session.posargs, external=True)
+    run(session, "python", "-m", "pytest", "-m", "not slow", "--durations=10", *session.posargs)
 
 
 @nox.session(venv_backend="none", requires=["project"])
 def specs(session: nox.Session) -> None:
     """Every shipped spec reads and validates."""
-    enter(session)
     for spec in SPECS:
-        session.run("wasp", "check", spec, external=True)
+        run(session, "wasp", "check", spec)
 
 
 @nox.session(venv_backend="none", requires=["project"])
 def smoke(session: nox.Session) -> None:
     """The main job end to end in a fresh folder; a second run must compute nothing; then the report."""
-    enter(session)
     results = Path(session.create_tmp()).resolve() / "results"
-    session.run("python", "-c", "import shutil, sys; shutil.rmtree(sys.argv[1], ignore_errors=True)", str(results), external=True)
-    session.run("wasp", "run", "specs/smoke.yaml", "--results", str(results), external=True)
+    shutil.rmtree(results, ignore_errors=True)
+    run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
     before = artifacts(results)
-    session.run("wasp", "run", "specs/smoke.yaml", "--results", str(results), external=True)
+    run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
     if not before or artifacts(results) != before:
         session.error("the second run of specs/smoke.yaml touched artifacts of the first one")
-    session.run("wasp", "report", str(results), external=True)
+    run(session, "wasp", "report", str(results))
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
 def slow(session: nox.Session) -> None:
     """Tests that take minutes."""
-    enter(session)
-    session.run("python", "-m", "pytest", "-m", "slow", *session.posargs, external=True)
+    run(session, "python", "-m", "pytest", "-m", "slow", *session.posargs)
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
 def benchmarks(session: nox.Session) -> None:
     """Speed, as ratios to a limit measured in the same run."""
-    enter(session)
-    session.run("python", "-m", "pytest", "tests/benchmarks", "--benchmark-enable", "--benchmark-only", *session.posargs, external=True)
+    run(session, "python", "-m", "pytest", "tests/benchmarks", "--benchmark-enable", "--benchmark-only", *session.posargs)
 
 
 def artifacts(results: Path) -> dict[str, int]:
