@@ -14,7 +14,9 @@ from torch import nn
 from wasp_cli.models.weights import read_tensors
 
 
-def save_training(folder: Path, module: nn.Module, optimizer: torch.optim.Optimizer, source: torch.Generator, counters: dict[str, Any]) -> None:
+def save_training(
+    folder: Path, module: nn.Module, optimizer: torch.optim.Optimizer, source: torch.Generator, counters: dict[str, Any]
+) -> None:
     """Replace the checkpoint in `folder` atomically."""
     tensors = {f"model/{name}": tensor.contiguous() for name, tensor in module.state_dict().items()}
     for i, state in optimizer.state_dict()["state"].items():

@@ -52,7 +52,8 @@ def train_critics(
             for target, online in zip(slow.parameters(), critics.parameters(), strict=True):
                 target.lerp_(online, config.slow)
         if update % 20 == 0:
-            report(update / config.updates, f"update {update}/{config.updates}, V_r {float(target_r.mean()):.2f}, V_c {float(target_c.mean()):.3f}")
+            means = f"V_r {float(target_r.mean()):.2f}, V_c {float(target_c.mean()):.3f}"
+            report(update / config.updates, f"update {update}/{config.updates}, {means}")
     critics.eval().requires_grad_(False)
     return critics
 
@@ -103,5 +104,5 @@ def rank_agreement(critics: LatentCritics, replay: Replay, latents: Latents, ret
 
 
 def _spearman(a: np.ndarray, b: np.ndarray) -> float:
-    ranks = [np.argsort(np.argsort(x)).astype(float) for x in (a, b)]
-    return float(np.corrcoef(*ranks)[0, 1])
+    first, second = (np.argsort(np.argsort(x)).astype(np.float64) for x in (a, b))
+    return float(np.corrcoef(first, second)[0, 1])

@@ -81,7 +81,9 @@ class Commander:
         return self._last
 
 
-def record(task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int) -> Replay:
+def record(
+    task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int
+) -> Replay:
     """One episode per row, as a shard.
 
     Args:

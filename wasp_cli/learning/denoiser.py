@@ -74,7 +74,7 @@ def train_denoiser(
         with torch.no_grad():
             for old, new in zip(average.parameters(), denoiser.parameters(), strict=True):
                 old.lerp_(new, 1 - decay)
-        smoothed = 0.98 * smoothed + 0.02 * float(loss)
+        smoothed = 0.98 * smoothed + 0.02 * float(loss.detach())
         if update % 100 == 0:
             report(update / config.updates, f"update {update}/{config.updates}, loss {smoothed:.3f}")
     average.eval()

@@ -58,6 +58,6 @@ def train_ensemble(
             for old, new in zip(target.parameters(), ensemble.parameters(), strict=True):
                 old.lerp_(new, config.target_rate)
         if update % 100 == 0:
-            report(update / config.updates, f"update {update}/{config.updates}, loss {float(loss):.4f}")
+            report(update / config.updates, f"update {update}/{config.updates}, loss {float(loss.detach()):.4f}")
     ensemble.eval().requires_grad_(False)
-    return ensemble, {"td_loss": float(loss)}
+    return ensemble, {"td_loss": float(loss.detach())}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,7 +66,7 @@ def train_expert(
         save_skill(export_actor(model, normalised), out / checkpoint_name(fraction), task, config)
 
     rule = MultiplierRule(config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit)
-    early = {int(f * config.interactions): (lambda f=f: store(f)) for f in config.checkpoints if f < 1.0}
+    early = {int(f * config.interactions): functools.partial(store, f) for f in config.checkpoints if f < 1.0}
     callback = LagrangianCallback(env, rule, config.interactions, progress, log_std_floor=config.log_std_floor, checkpoints=early)
     model.learn(config.interactions, callback=callback)
     store(1.0)
@@ -78,12 +79,13 @@ def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
     hidden = [layer.out_features for layer in layers[:-1]]
     policy = PrivilegedPolicy(layers[0].in_features, hidden, layers[-1].out_features)
     own = [m for m in policy.net if isinstance(m, nn.Linear)]
+    statistics: Any = normalised.obs_rms
     with torch.no_grad():
         for mine, theirs in zip(own, layers, strict=True):
             mine.weight.copy_(theirs.weight)
             mine.bias.copy_(theirs.bias)
-        policy.mean.copy_(torch.as_tensor(normalised.obs_rms.mean))
-        policy.std.copy_(torch.as_tensor(np.sqrt(normalised.obs_rms.var + normalised.epsilon)))
+        policy.mean.copy_(torch.as_tensor(statistics.mean))
+        policy.std.copy_(torch.as_tensor(np.sqrt(statistics.var + normalised.epsilon)))
         policy.log_std.copy_(model.policy.log_std)
     return policy
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,7 @@ class MultiplierRule:
         return min(self.bound, max(0.0, value + self.rate * excess))
 
 
-class LagrangianCallback(BaseCallback):  # type: ignore[misc]
+class LagrangianCallback(BaseCallback):
     """Moves the multiplier, keeps exploration above a floor, records the learning curve and stores checkpoints."""
 
     def __init__(
@@ -40,7 +40,7 @@ class LagrangianCallback(BaseCallback):  # type: ignore[misc]
         progress: Callable[[float, str], None],
         *,
         log_std_floor: float | None = None,
-        checkpoints: dict[int, Callable[[], None]] | None = None,
+        checkpoints: Mapping[int, Callable[[], None]] | None = None,
     ) -> None:
         super().__init__()
         self._tasks, self._rule, self._total, self._progress = env, rule, total, progress

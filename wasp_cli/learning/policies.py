@@ -50,7 +50,7 @@ def distil(
         loss.backward()
         optimizer.step()
         if update % 50 == 0:
-            report(update / config.updates, f"update {update}/{config.updates}, loss {float(loss):.3f}")
+            report(update / config.updates, f"update {update}/{config.updates}, loss {float(loss.detach()):.3f}")
     skills.eval().requires_grad_(False)
     rest = torch.arange(train, len(privileged))
     seen = latents.at(rest).features
@@ -63,7 +63,8 @@ def distil(
 
 def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:
     """Write `skills.safetensors` and its arguments."""
-    save_weights(skills, folder / "skills.safetensors", fractions=list(skills.fractions), features=features, hidden=list(hidden), action=action)
+    path = folder / "skills.safetensors"
+    save_weights(skills, path, fractions=list(skills.fractions), features=features, hidden=list(hidden), action=action)
 
 
 def load_skills(folder: Path) -> Skills:

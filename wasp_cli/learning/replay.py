@@ -58,22 +58,25 @@ class Replay(NamedTuple):
     def window_starts(self, length: int) -> NDArray[np.int64]:
         """Rows from which `length` rows follow within one episode."""
         starts = np.arange(len(self.first) - length + 1)
-        return starts[self.episode[starts] == self.episode[starts + length - 1]]
+        whole: NDArray[np.int64] = starts[self.episode[starts] == self.episode[starts + length - 1]]
+        return whole
 
     def held_out(self, share: float) -> NDArray[np.bool_]:
         """[N] rows of the last `share` of the episodes, which no training sees."""
         episodes = int(self.episode.max()) + 1
-        return self.episode >= episodes - max(1, int(round(share * episodes)))
+        return self.episode >= episodes - max(1, round(share * episodes))
 
     def rows(self, mask: NDArray[np.bool_]) -> Replay:
         """The rows of a mask (whole episodes)."""
-        return Replay(*(field[mask] for field in self))
+        fields: dict[str, Any] = {name: value[mask] for name, value in self._asdict().items()}
+        return Replay(**fields)
 
 
 def write_shard(path: Path, replay: Replay) -> None:
     """Write whole episodes to one file."""
+    images = np.ascontiguousarray(replay.pixels)
     arrays = [
-        pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(replay.first), [None, pa.py_buffer(np.ascontiguousarray(replay.pixels))]),
+        pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(replay.first), [None, pa.py_buffer(images)]),
         _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.terminal), pa.array(replay.first),
         _lists(replay.privileged), pa.array(replay.episode), pa.array(replay.behaviour.tolist(), pa.string()),
     ]  # fmt: skip

@@ -89,7 +89,7 @@ class AssistedTask(TaskVecEnv):
         return executed, (self._alpha * effort).astype(np.float32)
 
 
-class ValueWarmup(BaseCallback):  # type: ignore[misc]
+class ValueWarmup(BaseCallback):
     """Trains only the value function at first, so that the residual does not move on noise."""
 
     def __init__(self, until: int) -> None:
@@ -114,7 +114,13 @@ class ValueWarmup(BaseCallback):  # type: ignore[misc]
 
 
 def train_residual(
-    task: VectorTask, model: SafetyWorldModel, skills: Skills, config: ResidualConfig, name: str, seed: int, report: Callable[[float, str], None]
+    task: VectorTask,
+    model: SafetyWorldModel,
+    skills: Skills,
+    config: ResidualConfig,
+    name: str,
+    seed: int,
+    report: Callable[[float, str], None],
 ) -> tuple[ResidualPolicy, list[dict[str, float]]]:
     """Maximise E sum (r - alpha ||delta||^2) subject to the cost limit.
 
@@ -139,8 +145,9 @@ def train_residual(
         learning_rate=config.learning_rate,
         policy_kwargs={"net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init},
     )  # fmt: skip
-    nn.init.zeros_(ppo.policy.action_net.weight)
-    nn.init.zeros_(ppo.policy.action_net.bias)
+    output = actor_layers(ppo.policy)[-1]
+    nn.init.zeros_(output.weight)
+    nn.init.zeros_(output.bias)
     rule = MultiplierRule(
         config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit,
         delay=int(config.multiplier_delay * config.interactions),

@@ -19,6 +19,9 @@ class Curve:
     """Sums of finished episodes since the last `take`."""
 
     def __init__(self) -> None:
+        self._clear()
+
+    def _clear(self) -> None:
         self.returns: list[float] = []
         self.costs: list[float] = []
         self.env_steps = 0
@@ -31,11 +34,11 @@ class Curve:
             "cost": float(np.mean(self.costs)) if self.costs else float("nan"),
             "cost_per_1000": 1000.0 * self.costly_env_steps / max(1, self.env_steps),
         }
-        self.__init__()  # type: ignore[misc]
+        self._clear()
         return row
 
 
-class TaskVecEnv(VecEnv):  # type: ignore[misc]
+class TaskVecEnv(VecEnv):
     """B episodes with autoreset. The reward is (r - penalty - multiplier * c_t) / scale; `observe` makes the observation.
 
     Subclasses override `observe`, `execute` and `begin` to put an operator and a filter between policy and task.

@@ -75,7 +75,7 @@ class Windows:
     def sample(self, batch: int, source: torch.Generator) -> Batch:
         """B sequences; episodes may change within one (`first` marks it)."""
         start = torch.randint(self._starts, (batch,), generator=source).numpy()
-        wanted = int(round(self._share * batch))
+        wanted = round(self._share * batch)
         if wanted and len(self._costly):
             picked = self._costly[torch.randint(len(self._costly), (wanted,), generator=source).numpy()]
             back = torch.randint(self._length, (wanted,), generator=source).numpy()
@@ -84,10 +84,18 @@ class Windows:
         replay = self._replay
         first = replay.first[index].copy()
         first[:, 0] = 1.0  # a sequence begins without a past
-        return Batch(*(torch.from_numpy(a[index]) for a in (replay.pixels, replay.action, replay.reward, replay.cost, replay.terminal)), torch.from_numpy(first))
+
+        def take(values: NDArray[Any]) -> Tensor:
+            return torch.from_numpy(values[index])
+
+        return Batch(
+            take(replay.pixels), take(replay.action), take(replay.reward), take(replay.cost), take(replay.terminal), torch.from_numpy(first)
+        )
 
 
-def train(model: SafetyWorldModel, replay: Replay, config: WorldModelConfig, seed: int, work: Path, report: Report) -> dict[str, list[float]]:
+def train(
+    model: SafetyWorldModel, replay: Replay, config: WorldModelConfig, seed: int, work: Path, report: Report
+) -> dict[str, list[float]]:
     """Minimise Eq. 6; goes on from its own checkpoint in `work`.
 
     Returns:
@@ -118,15 +126,17 @@ def train(model: SafetyWorldModel, replay: Replay, config: WorldModelConfig, see
             counters["skipped"] += 1
             if counters["skipped"] > SKIPS:
                 named = ", ".join(f"{name} {float(loss):.3g}" for name, loss in losses.items())
-                raise TrainingError(f"{counters['skipped']} updates had a non-finite loss, last at update {update}: {named}", "lower learning_rate")
+                problem = f"{counters['skipped']} updates had a non-finite loss, last at update {update}: {named}"
+                raise TrainingError(problem, "lower world_model.learning_rate")
             continue
         total.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
         optimizer.step()
         if update % 20 == 0 or update == config.updates - 1:
-            for name, loss in losses.items():
-                counters["curves"][name].append(float(loss))
-            shown = f"image {float(losses['beta_o']):.0f}, reward {float(losses['beta_r']):.2f}, cost {float(losses['beta_c']):.2f}"
+            values = {name: float(loss.detach()) for name, loss in losses.items()}
+            for name, value in values.items():
+                counters["curves"][name].append(value)
+            shown = f"image {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost {values['beta_c']:.2f}"
             report((update + 1) / config.updates, f"update {update + 1}/{config.updates}, {shown}")
         if (update + 1) % config.checkpoint_every == 0:
             save_training(work, model, optimizer, source, counters | {"update": update + 1})
@@ -157,9 +167,8 @@ def encode(model: SafetyWorldModel, replay: Replay, report: Report) -> Latents:
         for t in range(max(len(rows) for rows in group)):
             # Rows whose episode is over repeat its last row; what they produce is not stored.
             index = np.array([rows[min(t, len(rows) - 1)] for rows in group])
-            latent = model.filter(
-                latent, torch.from_numpy(replay.action[index]), torch.from_numpy(replay.pixels[index]), torch.from_numpy(replay.first[index])
-            )
+            action, pixels, first = (torch.from_numpy(field[index]) for field in (replay.action, replay.pixels, replay.first))
+            latent = model.filter(latent, action, pixels, first)
             live = np.array([t < len(rows) for rows in group])
             keep = torch.from_numpy(index[live])
             h[keep] = latent.h[live]
@@ -205,11 +214,13 @@ def refit_heads(model: SafetyWorldModel, replay: Replay, latents: Latents, confi
         loss.backward()
         optimizer.step()
         if update % 50 == 0:
-            report(update / config.refit_updates, f"refit {update}/{config.refit_updates}, cost {float(cost):.3f}")
+            report(update / config.refit_updates, f"refit {update}/{config.refit_updates}, cost {float(cost.detach()):.3f}")
 
 
 @torch.inference_mode()
-def open_loop(model: SafetyWorldModel, replay: Replay, latents: Latents, horizon: int, seed: int, samples: int = 4) -> list[dict[str, float]]:
+def open_loop(
+    model: SafetyWorldModel, replay: Replay, latents: Latents, horizon: int, seed: int, samples: int = 4
+) -> list[dict[str, float]]:
     """Held-out quality of imagined rewards and costs, a row per imagined step 1..H.
 
     Columns: base rate of cost, AUPRC of c-hat, AUPRC of persistence ("cost stays what it is"), mean predicted / base rate, reward R2.

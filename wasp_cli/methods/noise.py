@@ -26,7 +26,8 @@ class DecisionNoise:
     def next(self) -> list[np.random.Generator]:
         """Generators of every row's next decision."""
         generators = [
-            np.random.Generator(np.random.Philox(key=seed, counter=[0, step, 1, 0])) for seed, step in zip(self.seeds, self.step, strict=True)
+            np.random.Generator(np.random.Philox(key=seed, counter=[0, step, 1, 0]))
+            for seed, step in zip(self.seeds, self.step, strict=True)
         ]
         self.step = [step + 1 for step in self.step]
         return generators

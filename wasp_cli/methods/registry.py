@@ -34,10 +34,17 @@ METHODS: Registry[MethodInfo] = Registry(
     (
         MethodInfo("human", "Human-only", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig"),
         MethodInfo("ida", "IDA", "wasp_cli.methods.ida:IDA", "wasp_cli.methods.configs:IDAConfig", ("ida_q",), calibrated=True),
-        MethodInfo("diffusion", "Diffusion", "wasp_cli.methods.diffusion:Diffusion", "wasp_cli.methods.configs:DiffusionConfig", ("denoiser",)),
+        MethodInfo(
+            "diffusion", "Diffusion", "wasp_cli.methods.diffusion:Diffusion", "wasp_cli.methods.configs:DiffusionConfig", ("denoiser",)
+        ),
         MethodInfo("saferl", "SafeRL-Res", "wasp_cli.methods.saferl:SafeRLRes", "wasp_cli.methods.configs:SafeRLConfig", ("residual",)),
         MethodInfo(
-            "wasp", "WASP", "wasp_cli.methods.wasp.assistant:WASP", "wasp_cli.methods.configs:WASPConfig", ("critics",), calibrated=True,
+            "wasp",
+            "WASP",
+            "wasp_cli.methods.wasp.assistant:WASP",
+            "wasp_cli.methods.configs:WASPConfig",
+            ("critics",),
+            calibrated=True,
             variants=("full", "safety-only", "task-only", "no-case2", "no-rollout"),
         ),
         MethodInfo("expert", "Expert", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", impaired=False),

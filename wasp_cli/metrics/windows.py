@@ -13,4 +13,5 @@ def window_sums(values: NDArray[Any], episode: NDArray[Any], width: int) -> NDAr
     if len(values) < width:
         return np.zeros(0)
     sums = np.convolve(values.astype(np.float64), np.ones(width), "valid")
-    return sums[episode[width - 1 :] == episode[: len(sums)]]
+    whole: NDArray[np.float64] = sums[episode[width - 1 :] == episode[: len(sums)]]
+    return whole

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -38,7 +39,7 @@ class Denoiser(nn.Module):
     def __init__(self, features: int, action: int, hidden: Sequence[int], steps: int) -> None:
         super().__init__()
         sizes = [features + action, *hidden]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.scales = nn.ModuleList(nn.Embedding(steps, b) for b in hidden)
         for scale in self.scales:
             nn.init.ones_(scale.weight)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -27,17 +28,23 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, zero: bool = False)
 
 
 class Encoder(nn.Module):
-    """Images float [B, 6, 64, 64] to embeddings [B, 128 * depth]: four convolutions 4x4, stride 2."""
+    """Images uint8 [B, 6, 64, 64] minus a mean image to embeddings [B, 128 * depth]: four convolutions 4x4, stride 2."""
 
     def __init__(self, depth: int) -> None:
         super().__init__()
         sizes = [CHANNELS, depth, 2 * depth, 4 * depth, 8 * depth]
-        self.layers = nn.ModuleList(nn.Conv2d(a, b, 4, 2, 1) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        self.layers = nn.ModuleList(nn.Conv2d(a, b, 4, 2, 1) for a, b in pairwise(sizes))
         self.size = 8 * depth * 16
 
-    def forward(self, images: Tensor) -> Tensor:
-        x = images.contiguous(memory_format=torch.channels_last)
-        for layer in self.layers:
+    def forward(self, pixels: Tensor, mean: Tensor) -> Tensor:
+        """Embed `pixels` / 255 - `mean`, where `mean` [6, 64, 64] is in [0, 1]."""
+        first, *rest = self.layers
+        assert isinstance(first, nn.Conv2d)
+        # A convolution is linear: centring its output by that of one mean image spares two passes over all images.
+        images = pixels.to(dtype=mean.dtype, memory_format=torch.channels_last)
+        centre = F.conv2d(mean.unsqueeze(0), first.weight, None, 2, 1)
+        x = F.silu(F.conv2d(images, first.weight / 255.0, first.bias, 2, 1) - centre)
+        for layer in rest:
             x = F.silu(layer(x))
         return x.flatten(1)
 
@@ -50,10 +57,11 @@ class Decoder(nn.Module):
         sizes = [8 * depth, 4 * depth, 2 * depth, depth, CHANNELS]
         self.depth = depth
         self.inputs = nn.Linear(features, 8 * depth * 16)
-        self.layers = nn.ModuleList(nn.ConvTranspose2d(a, b, 4, 2, 1) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        self.layers = nn.ModuleList(nn.ConvTranspose2d(a, b, 4, 2, 1) for a, b in pairwise(sizes))
 
     def forward(self, features: Tensor) -> Tensor:
         x = self.inputs(features).view(-1, 8 * self.depth, 4, 4).contiguous(memory_format=torch.channels_last)
         for i, layer in enumerate(self.layers):
             x = layer(F.silu(x) if i else x)
-        return x
+        images: Tensor = x
+        return images

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -11,12 +12,11 @@ from torch import Tensor, nn
 class ResidualPolicy(nn.Module):
     """Mean residual delta(h, z, a^H): features [B, F] and command [B, A] to [B, A] in [-2, 2]."""
 
-
     def __init__(self, features: int, action: int, hidden: Sequence[int]) -> None:
         super().__init__()
         sizes = [features + action, *hidden]
         layers: list[nn.Module] = []
-        for a, b in zip(sizes[:-1], sizes[1:], strict=True):
+        for a, b in pairwise(sizes):
             layers += [nn.Linear(a, b), nn.Tanh()]
         self.net = nn.Sequential(*layers, nn.Linear(sizes[-1], action))
         nn.init.zeros_(self.net[-1].weight)  # type: ignore[arg-type]

@@ -63,7 +63,8 @@ class RSSM(nn.Module):
         # One percent of a uniform distribution keeps every KL finite; float32 whatever the autocast.
         shaped = logits.float().unflatten(-1, (self.variables, self.classes))
         probs = (1 - self.unimix) * shaped.softmax(-1) + self.unimix / self.classes
-        return probs.log()
+        logs: Tensor = probs.log()
+        return logs
 
     def sample(self, log_probs: Tensor, noise: Tensor | None) -> Tensor:
         """One-hot [..., Z] by the Gumbel trick with straight-through gradients; the mode when `noise` is None."""

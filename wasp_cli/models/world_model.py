@@ -76,7 +76,7 @@ class SafetyWorldModel(nn.Module):
 
     def embed(self, pixels: Tensor) -> Tensor:
         """uint8 [B, 6, 64, 64] to the image half of the posterior's first layer [B, hidden]."""
-        return self.rssm.posterior_o(self.encoder(self.centred(pixels)))  # type: ignore[no-any-return]
+        return self.rssm.posterior_o(self.encoder(pixels, self.mean_image))  # type: ignore[no-any-return]
 
     def centred(self, pixels: Tensor) -> Tensor:
         """uint8 images to float in [-1, 1], minus the mean image."""
@@ -117,7 +117,8 @@ class SafetyWorldModel(nn.Module):
 
     def decode(self, latent: Latent) -> Tensor:
         """Images in [0, 1], [B, 6, 64, 64]."""
-        return (self.decoder(latent.features) + self.mean_image).clamp(0, 1)
+        images: Tensor = (self.decoder(latent.features) + self.mean_image).clamp(0, 1)
+        return images
 
     # -- losses of Eq. 6 ----------------------------------------------------------------------------------------
 

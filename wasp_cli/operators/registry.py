@@ -29,7 +29,11 @@ OPERATORS: Registry[OperatorInfo] = Registry(
         OperatorInfo("noisy", "Noisy", "wasp_cli.operators.noisy:NoisyOperator", 0.0, 1.0, "probability of a uniform action"),
         OperatorInfo("laggy", "Laggy", "wasp_cli.operators.laggy:LaggyOperator", 0.0, 1.0, "probability of repeating the last command"),
         OperatorInfo(
-            "limited-skill", "Limited skill", "wasp_cli.operators.limited:LimitedSkillOperator", 0.0, 1.0,
+            "limited-skill",
+            "Limited skill",
+            "wasp_cli.operators.limited:LimitedSkillOperator",
+            0.0,
+            1.0,
             "fraction of the expert's interactions",
         ),
         OperatorInfo("reaction-time", "Reaction time", "wasp_cli.operators.delayed:DelayedOperator", 0.0, 10.0, "delay in seconds"),

@@ -39,10 +39,15 @@ class Job:
     """Survives an interruption; resumable stages keep their checkpoint here."""
     progress: Progress = field(default=no_progress)
     threads: int = 1
+    """For physics and cameras, whose results do not depend on it: it varies with how many nodes run side by side."""
 
 
 class Stage(Protocol):
-    """A node kind. Heavy imports go inside `run`, so that planning needs no torch."""
+    """A node kind. Heavy imports go inside `run`, so that planning needs no torch.
+
+    A class may set `torch_threads` (1 where it does not): threads of linear algebra in this stage. It is a constant of the stage and not
+    an option of the run, because another number may round differently, and the same key must give the same bytes.
+    """
 
     kind: ClassVar[str]
     config: ClassVar[type[Config]]

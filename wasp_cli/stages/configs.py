@@ -44,7 +44,8 @@ class ExpertConfig(Config):
 
     @model_validator(mode="after")
     def _checkpoints_rise_to_one(self) -> ExpertConfig:
-        if list(self.checkpoints) != sorted(set(self.checkpoints)) or not self.checkpoints or self.checkpoints[-1] != 1.0 or self.checkpoints[0] <= 0:
+        rising = list(self.checkpoints) == sorted(set(self.checkpoints))
+        if not rising or not self.checkpoints or self.checkpoints[-1] != 1.0 or self.checkpoints[0] <= 0:
             raise ValueError("checkpoints must rise and end at 1.0")
         return self
 

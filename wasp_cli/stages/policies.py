@@ -51,7 +51,8 @@ class PoliciesStage:
         seeds = [derive("policies-evaluation", job.task, job.seed, i) for i in range(config.evaluation_episodes)]
         loop = expert_episodes(task, model, skills, seeds)
         latent = {"return": float(loop.reward.sum(0).mean()), "cost": float(loop.cost_env.sum(0).mean())}
-        (job.out_dir / "evaluation.json").write_text(json.dumps({"latent": latent, "privileged": privileged, "explained": explained}, indent=1))
+        evaluation = {"latent": latent, "privileged": privileged, "explained": explained}
+        (job.out_dir / "evaluation.json").write_text(json.dumps(evaluation, indent=1))
         expert = privileged[f"{fractions[-1]:g}"]
         return {
             **latent, "privileged_return": expert["return"], "privileged_cost": expert["cost"], "explained": round(explained["1"], 3),

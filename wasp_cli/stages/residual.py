@@ -37,4 +37,4 @@ class ResidualStage:
             policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)
         )
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
-        return {"interactions": curve[-1]["interactions"], "cost_per_1000": curve[-1]["cost_per_1000"], "multiplier": curve[-1]["multiplier"]}
+        return {name: curve[-1][name] for name in ("interactions", "cost_per_1000", "multiplier")}

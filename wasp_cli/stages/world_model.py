@@ -65,5 +65,6 @@ class WorldModelStage:
         summary: dict[str, Any] = {name: round(values[-1], 4) for name, values in curves.items() if values}
         for row in quality:
             if row["k"] in (1, 5, 15):
-                summary |= {f"{name}@{row['k']}": round(row[name], 3) for name in ("auprc", "persistence", "predicted_over_base", "reward_r2")}
+                shown = ("auprc", "persistence", "predicted_over_base", "reward_r2")
+                summary |= {f"{name}@{row['k']}": round(row[name], 3) for name in shown}
         return summary
