@@ -78,7 +78,7 @@ def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
         except KeyboardInterrupt:
             if os.environ.get("WASP_DEBUG"):
                 raise
-            print("interrupted: everything that was finished is kept; the same command goes on from there", file=sys.stderr)
+            print("interrupted", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
 
     return wrapped

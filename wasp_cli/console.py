@@ -6,10 +6,10 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING
 
+from wasp_cli.errors import Interrupted, WaspError
+
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from wasp_cli.errors import WaspError
 
 
 @cache
@@ -36,7 +36,8 @@ def plain(text: str) -> None:
 
 def report_error(error: WaspError) -> None:
     """Print an expected error: what happened, then how to fix it."""
-    err().print("[bold red]error:[/] ", end="")
+    if not isinstance(error, Interrupted):
+        err().print("[bold red]error:[/] ", end="")
     err().print(error.message, markup=False, soft_wrap=True)
     if error.hint:
         err().print(f"       {error.hint}", markup=False, soft_wrap=True)

@@ -8,7 +8,8 @@
     ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
     ├── UsageError                  2   a command-line argument is wrong
     │   └── UnknownName             2   a name that no registry knows
-    └── SpecError                   3   a spec does not read or does not validate
+    ├── SpecError                   3   a spec does not read or does not validate
+    └── Interrupted               130   Ctrl-C or SIGTERM ended a run
 
 An expected error prints as one message and a hint, never as a traceback.
 """
@@ -76,6 +77,12 @@ class SpecError(WaspError):
     """A spec file does not read or does not validate. `message` holds every problem with its position."""
 
     exit_code = 3
+
+
+class Interrupted(WaspError):
+    """Ctrl-C or SIGTERM ended a run; what was finished is kept."""
+
+    exit_code = 130
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -142,12 +142,11 @@ def _syntax(node: ast.AST) -> Iterator[str]:
     yield type(node).__name__
     for name in node._fields:
         value = getattr(node, name, None)
-        if name == "body" and isinstance(value, list) and value and _is_docstring(node, value[0]):
-            value = value[1:]
-        if value is None or value == [] or name in ("ctx", "type_comment"):
+        items = [item for item in value if not _is_text(item)] if isinstance(value, list) else [value]
+        if items in ([], [None]) or name in ("ctx", "type_comment"):
             continue
         yield f"({name}"
-        for item in value if isinstance(value, list) else (value,):
+        for item in items:
             if isinstance(item, ast.AST):
                 yield from _syntax(item)
             else:
@@ -155,9 +154,9 @@ def _syntax(node: ast.AST) -> Iterator[str]:
         yield ")"
 
 
-def _is_docstring(parent: ast.AST, first: object) -> bool:
-    holds = isinstance(parent, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-    return holds and isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str)
+def _is_text(item: object) -> bool:
+    """A string that stands alone: the docstring of a module, a class, a function or an attribute."""
+    return isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant) and isinstance(item.value.value, str)
 
 
 @cache

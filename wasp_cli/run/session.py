@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wasp_cli.console import duration, plain
-from wasp_cli.errors import CellsFailed, UnknownName
+from wasp_cli.errors import CellsFailed, Interrupted, UnknownName
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
@@ -18,6 +18,7 @@ from wasp_cli.run.progress import board
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.spec.load import Loaded
+from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
@@ -81,11 +82,12 @@ def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
     Raises:
         SpecError: the spec has a task that this version does not have.
         StoreError: the results folder cannot be written.
-        KeyboardInterrupt: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
+        Interrupted: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
     """
     require_tasks(loaded)
     layout = Layout(results.absolute())
     layout.prepare()
+    sweep(layout)
     plan = plan_against(lay_out(loaded.spec), layout)
     run_id = new_run(layout, loaded, plan)
     summary = _compute(plan, layout, run_id, jobs) if plan.to_run() else Summary()
@@ -103,13 +105,20 @@ def _compute(plan: Plan, layout: Layout, run_id: str, jobs: int) -> Summary:
         runner = Runner(layout, run_id, pool, cores=cores(), board=shown)
         try:
             summary = runner.run(plan)
+        except KeyboardInterrupt:
+            _kill(pool)
+            kept = f"{runner.summary.done} of {len(plan.to_run())} nodes were finished and are kept"
+            raise Interrupted(f"interrupted: {kept}", "the same command goes on from there") from None
         except BaseException:
-            # A second Ctrl-C must not leave workers behind.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-            pool.close(kill=True)
+            _kill(pool)
             raise
     pool.close()
     return summary
+
+
+def _kill(pool: Pool) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not leave workers behind
+    pool.close(kill=True)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import math
 import os
 import sys
@@ -22,6 +21,7 @@ from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store.artifact import discard, is_published, publish, read_manifest, read_record, staging_folder, write_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held
 
 PROGRESS_SECONDS = 0.5
 """How often a node may write down its progress."""
@@ -48,23 +48,15 @@ def execute(order: Order, *, own_process: bool = True) -> Outcome:
 
 
 def _locked(order: Order, layout: Layout, log: Path, started: float) -> Outcome:
-    """Hold the node's lock meanwhile. The kernel releases it however this process ends, so that no lock is ever stale."""
-    path = layout.lock(order.key)
-    path.parent.mkdir(parents=True, exist_ok=True)
     running = layout.running(order.run_id, order.key)
-    with path.open("wb") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            _tell(running, order, 0.0, "another run computes it; waiting")
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        try:
-            if is_published(layout, order.kind, order.key):
-                summary = read_manifest(layout, order.kind, order.key).get("summary", {})
-                return Outcome(order.key, "shared", time.monotonic() - started, summary, log=str(log))
-            return _computed(order, layout, log, started, running)
-        finally:
-            running.unlink(missing_ok=True)
+    try:
+        with held(layout.lock(order.key), lambda: _tell(running, order, 0.0, "another run computes it; waiting")):
+            if not is_published(layout, order.kind, order.key):
+                return _computed(order, layout, log, started, running)
+            summary = read_manifest(layout, order.kind, order.key).get("summary", {})
+            return Outcome(order.key, "shared", time.monotonic() - started, summary, log=str(log))
+    finally:
+        running.unlink(missing_ok=True)
 
 
 def _computed(order: Order, layout: Layout, log: Path, started: float, running: Path) -> Outcome:

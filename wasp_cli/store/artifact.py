@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.store.layout import MANIFEST, Layout
+from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.lock import is_held
 
 
 def staging_folder(layout: Layout, key: str) -> Path:
@@ -101,6 +102,17 @@ def read_record(path: Path) -> dict[str, Any] | None:
 def dumps(record: Mapping[str, Any]) -> str:
     """JSON as people read it. What has no JSON form (a NaN too) is an error here, not in the reader."""
     return json.dumps(record, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+
+def sweep(layout: Layout) -> int:
+    """Remove what killed processes left in `tmp/`; what a living one still writes stays. Returns how many folders went."""
+    removed = 0
+    for folder in layout.tmp.glob("*-*"):
+        key = folder.name.partition("-")[0]
+        if is_key(key) and not is_held(layout.lock(key)):
+            discard(folder)
+            removed += 1
+    return removed
 
 
 def discard(folder: Path) -> None:

@@ -107,6 +107,11 @@ def slug(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "-", text).strip("-.")[:100] or "node"
 
 
+def is_key(text: str) -> bool:
+    """Whether a text has the form of a key."""
+    return bool(_KEY.fullmatch(text))
+
+
 def _name(name: str) -> str:
     if not _NAME.fullmatch(name):
         raise StoreError(f"'{name}' cannot name a folder of the results")
@@ -114,6 +119,6 @@ def _name(name: str) -> str:
 
 
 def _key(key: str) -> str:
-    if not _KEY.fullmatch(key):
+    if not is_key(key):
         raise StoreError(f"'{key}' is no key")
     return key
