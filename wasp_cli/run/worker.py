@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from wasp_cli.config import Config
-from wasp_cli.errors import TrainingError, WaspError
+from wasp_cli.errors import ArtifactError, TrainingError, WaspError
 from wasp_cli.registry import load_target
 from wasp_cli.run.order import Order, Outcome
 from wasp_cli.spec.model import Spec
@@ -152,8 +152,12 @@ def record_failure(layout: Layout, order: Order, outcome: Outcome) -> None:
 
 def attempts(layout: Layout, key: str) -> int:
     """How often a node has failed since it last succeeded."""
-    record = read_record(layout.failure(key))
-    return 0 if record is None else int(record.get("attempt", 1))
+    try:
+        record = read_record(layout.failure(key))
+    except ArtifactError:  # it failed; how often is lost
+        return 1
+    attempt = 0 if record is None else record.get("attempt", 1)
+    return attempt if isinstance(attempt, int) else 1
 
 
 def _failed(order: Order, started: float, log: Path, message: str, hint: str | None) -> Outcome:

@@ -38,11 +38,15 @@ def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mappin
     try:
         os.replace(staging, place)
     except OSError:
-        if not (place / MANIFEST).is_file():
-            raise
-        shutil.rmtree(staging)
-    else:
-        _sync(place.parent)
+        if (place / MANIFEST).is_file():
+            shutil.rmtree(staging)
+            return place
+        # No artifact, whatever it is: someone has removed files by hand.
+        rubbish = staging.with_name(f"{staging.name}-rubbish")
+        os.replace(place, rubbish)
+        os.replace(staging, place)
+        discard(rubbish)
+    _sync(place.parent)
     return place
 
 
@@ -50,7 +54,7 @@ def published(layout: Layout, kind: str) -> set[str]:
     """The keys of all artifacts of a kind."""
     try:
         with os.scandir(layout.kind(kind)) as entries:
-            return {entry.name for entry in entries}
+            return {entry.name for entry in entries if os.path.isfile(f"{entry.path}/{MANIFEST}")}
     except FileNotFoundError:
         return set()
     except OSError as error:

@@ -1,0 +1,5 @@
+from __future__ import annotations
+
+from tests.run.harness import fakes, small_spec
+
+__all__ = ["fakes", "small_spec"]

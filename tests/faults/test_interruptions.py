@@ -1,0 +1,90 @@
+"""`wasp run` itself is interrupted or killed; the next run goes on from there."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, data_of, group_is_gone, run, start, wait_until
+from wasp_cli.run.journal import read_journal
+from wasp_cli.store.layout import Layout
+
+
+def finished(results: Path) -> set[str]:
+    return {path.parent.name for path in results.glob("store/*/*/manifest.json")}
+
+
+def end(process: subprocess.Popen[str]) -> tuple[str, str]:
+    return process.communicate(timeout=30)
+
+
+@pytest.mark.parametrize(
+    ("number", "whole_group", "jobs"),
+    [(signal.SIGINT, True, 2), (signal.SIGINT, False, 1), (signal.SIGTERM, False, 2), (signal.SIGINT, True, 0)],
+    ids=["ctrl-c", "sigint to the parent, one worker", "sigterm", "ctrl-c without workers"],
+)
+def test_interrupted_runs_keep_what_is_finished(
+    number: signal.Signals, whole_group: bool, jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.15)
+    process = start("run", small_spec, "--results", results, "-j", str(jobs))
+    wait_until(lambda: len(finished(results)) >= 5)
+    (os.killpg if whole_group else os.kill)(process.pid, number)
+    _, errors = end(process)
+    assert process.returncode == 130
+    assert errors.count("\ninterrupted: ") == 1
+    assert "nodes were finished and are kept" in errors
+    assert "Traceback" not in errors
+    wait_until(lambda: group_is_gone(process.pid))
+    kept, ran = finished(results), len(fakes.executions())
+    fakes.set()
+    summary = run(small_spec, results)
+    assert summary.complete
+    assert summary.done == len(finished(results)) - len(kept)
+    assert len(fakes.executions()) == ran + summary.done
+    assert data_of(results) == data_of_undisturbed(small_spec, tmp_path)
+
+
+@pytest.mark.parametrize("everything", [False, True], ids=["parent killed", "everything killed"])
+def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything: bool, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.2)
+    process = start("run", small_spec, "--results", results, "-j", "2")
+    wait_until(lambda: len(finished(results)) >= 4 and any(results.glob("tmp/*")))
+    (os.killpg if everything else os.kill)(process.pid, signal.SIGKILL)
+    end(process)
+    wait_until(lambda: group_is_gone(process.pid))
+    assert all((folder / "data.bin").is_file() for folder in results.glob("store/*/*"))
+    assert not everything or list(results.glob("tmp/*"))
+    kept = finished(results)
+    fakes.set()
+    second = start("run", small_spec, "--results", results, "-j", "2")
+    _, errors = end(second)
+    assert second.returncode == 0, errors
+    assert f"{len(finished(results)) - len(kept)} computed, {len(kept)} computed before" in errors
+    assert not list(results.glob("tmp/*"))
+    assert data_of(results) == data_of_undisturbed(small_spec, tmp_path)
+    layout = Layout(results)
+    events = [read_journal(journal)[-1]["event"] for journal in sorted(layout.runs.glob("*/journal.jsonl"))]
+    assert events[-1] == "run ended"
+
+
+def test_two_runs_share_one_store(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.05)
+    both = [start("run", small_spec, "--results", results, "-j", "2") for _ in range(2)]
+    errors = [end(process)[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], errors
+    ran = fakes.executions()
+    assert len(ran) == len(set(ran)) == len(finished(results))
+    assert data_of(results) == data_of_undisturbed(small_spec, tmp_path)
+
+
+def data_of_undisturbed(spec: Path, tmp_path: Path) -> dict[str, bytes]:
+    run(spec, tmp_path / "undisturbed")
+    return data_of(tmp_path / "undisturbed")

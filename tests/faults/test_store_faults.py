@@ -1,0 +1,76 @@
+"""Results folders that cannot be used, or hold rubbish."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, prepared, run
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.run.record import read_run, recorded_specs, results_of
+from wasp_cli.store.layout import Layout
+
+
+def test_results_that_are_a_file_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "results").write_text("not a folder")
+    with pytest.raises(StoreError, match="it is a file"):
+        Layout(tmp_path / "results").prepare()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_results_without_permission_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir(mode=0o500)
+    with pytest.raises(StoreError, match="permission denied"):
+        Layout(tmp_path / "results").prepare()
+
+
+def test_an_emptied_artifact_place_is_filled_again(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    _, layout, plan = prepared(small_spec, results)
+    node = plan.steps[0].node
+    for path in layout.artifact(node.kind, node.key).iterdir():
+        path.unlink()
+    assert run(small_spec, results).done == 1
+    assert layout.manifest(node.kind, node.key).is_file()
+
+
+def test_damaged_records_are_named_not_obeyed(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"s0 ida_q": "refuse"})
+    results = tmp_path / "results"
+    run(small_spec, results)
+    layout = Layout(results)
+    (record,) = layout.failures.iterdir()
+    record.write_text("{")
+    _, _, plan = prepared(small_spec, results)
+    assert [step.reason for step in plan.steps if step.state == "failed"] == ["failed before: its record is damaged"]
+    fakes.set()
+    assert run(small_spec, results).complete
+    (run_id,) = recorded_specs(layout).values()
+    (layout.run(run_id) / "spec.json").write_text('{"name": "../../x"}')
+    with pytest.raises(ArtifactError, match="cannot read the spec of run"):
+        read_run(layout, run_id)
+
+
+def test_a_folder_without_runs_is_no_results(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="it holds no runs"):
+        results_of(tmp_path)
+    with pytest.raises(StoreError, match="no such folder"):
+        results_of(tmp_path / "absent")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_ends_a_node_not_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    from tests.run.harness import new_run
+    from wasp_cli.run.pool import InlinePool
+    from wasp_cli.run.runner import Runner
+
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+    run_id = new_run(layout, loaded, plan)
+    node = plan.to_run()[0]
+    layout.log(run_id, node.label, node.key).symlink_to("/dev/full")
+    summary = Runner(layout, run_id, InlinePool()).run(plan)
+    assert [failure.node.key for failure in summary.failed] == [node.key]
+    assert "No space left" in summary.failed[0].outcome.message

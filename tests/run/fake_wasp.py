@@ -1,0 +1,16 @@
+"""`wasp` with fake stages and no report, as a process that tests can kill: python tests/run/fake_wasp.py run SPEC ..."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+    import wasp_cli.app
+    from tests.run import fake_stages
+
+    fake_stages.install()
+    wasp_cli.app._show_report = lambda layout, spec, cells: print(f"{len(cells)} cells")  # type: ignore[assignment]
+    wasp_cli.app.main()

@@ -1,0 +1,115 @@
+"""Fixtures and helpers for tests that run fake stages, in this process or in others."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.run import fake_stages
+from wasp_cli.plan import grid
+from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.run.pool import InlinePool, Pool
+from wasp_cli.run.record import new_run
+from wasp_cli.run.runner import Runner, Summary
+from wasp_cli.spec.load import Loaded, load
+from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.layout import Layout
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SMALL = """
+name: small
+preset: smoke
+tasks: [goal1]
+methods: [human, ida, wasp, expert]
+operators:
+  noisy: {mild: 0.2}
+  laggy: {moderate: 0.7}
+seeds: [0, 1]
+"""
+
+
+@dataclass
+class Fakes:
+    """The behaviour of the fake stages, and what they have done."""
+
+    folder: Path
+
+    def set(self, **options: Any) -> None:
+        os.environ[fake_stages.OPTIONS] = json.dumps({"log": str(self.log), **options})
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "executions.log"
+
+    def executions(self) -> list[str]:
+        return self.log.read_text(encoding="utf-8").splitlines() if self.log.exists() else []
+
+
+@pytest.fixture
+def fakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fakes]:
+    """Fake stages in the place of all real ones."""
+    monkeypatch.setenv(fake_stages.OPTIONS, "{}")
+    grid.stage_class.cache_clear()
+    before = fake_stages.install()
+    state = Fakes(tmp_path)
+    state.set()
+    yield state
+    STAGES._own.update(before)
+    STAGES._all = None
+    grid.stage_class.cache_clear()
+
+
+@pytest.fixture
+def small_spec(tmp_path: Path) -> Path:
+    path = tmp_path / "small.yaml"
+    path.write_text(SMALL, encoding="utf-8")
+    return path
+
+
+def prepared(spec: Path, results: Path) -> tuple[Loaded, Layout, Plan]:
+    loaded, layout = load(spec), Layout(results)
+    layout.prepare()
+    return loaded, layout, plan_against(grid.lay_out(loaded.spec), layout)
+
+
+def run(spec: Path, results: Path, pool: Pool | None = None) -> Summary:
+    """One run through the runner itself."""
+    loaded, layout, plan = prepared(spec, results)
+    return Runner(layout, new_run(layout, loaded, plan), pool or InlinePool()).run(plan)
+
+
+def data_of(results: Path) -> dict[str, bytes]:
+    """The payload of every artifact in a store."""
+    return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    """`wasp` with fake stages in a session of its own, so that a signal to its group cannot reach the tests."""
+    command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("the condition never came true")
+        time.sleep(0.02)
+
+
+def group_is_gone(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return True
+    return False

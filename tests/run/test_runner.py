@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, data_of, prepared, run
+from wasp_cli.run.journal import read_journal
+from wasp_cli.run.pool import LokyPool
+from wasp_cli.run.record import read_run, recorded_specs
+from wasp_cli.run.runner import failures_text
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.layout import Layout
+
+
+def test_a_run_computes_every_node_once_and_a_second_run_none(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    _, _, plan = prepared(small_spec, results)
+    summary = run(small_spec, results)
+    assert summary.complete
+    assert summary.done == len(plan.steps) == len(fakes.executions()) == len(set(fakes.executions()))
+    _, _, again = prepared(small_spec, results)
+    assert again.count("cached") == len(again.steps)
+    assert run(small_spec, results).done == 0
+
+
+def test_a_renamed_and_reordered_spec_finds_everything_computed(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    text = small_spec.read_text(encoding="utf-8")
+    text = text.replace("name: small", "name: other").replace("mild: 0.2", "weak: 0.2").replace("[0, 1]", "[1, 0]")
+    small_spec.write_text(text.replace("[human, ida, wasp, expert]", "[wasp, expert, human, ida]"), encoding="utf-8")
+    assert run(small_spec, results).done == 0
+
+
+def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(behave={"s0 ida_q": "raise"})
+    summary = run(small_spec, results)
+    assert [failure.node.kind for failure in summary.failed] == ["ida_q"]
+    assert {(node.kind, node.axes["method"], node.seed) for node, _ in summary.blocked} == {
+        ("calibration", "ida", 0),
+        ("evaluate", "ida", 0),
+    }
+    outcome = summary.failed[0].outcome
+    assert outcome.message.startswith("ZeroDivisionError: one by zero (fake_stages.py:")
+    assert "Traceback" in Path(outcome.log).read_text(encoding="utf-8")
+    assert outcome.log in failures_text(summary.failed)
+    _, layout, plan = prepared(small_spec, results)
+    assert {(step.state, step.node.kind) for step in plan.steps if step.state != "cached"} == {
+        ("failed", "ida_q"), ("missing", "calibration"), ("missing", "evaluate"),
+    }  # fmt: skip
+    fakes.set()
+    repaired = run(small_spec, results)
+    assert repaired.complete
+    assert repaired.done == 1 + len(summary.blocked)
+    assert read_manifest(layout, "ida_q", summary.failed[0].node.key)["provenance"]["attempt"] == 2
+    assert not list(layout.failures.iterdir())
+
+
+def test_an_expected_error_is_told_with_its_hint(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"s1 expert": "refuse"})
+    summary = run(small_spec, tmp_path / "results")
+    (failure,) = [failure for failure in summary.failed if failure.node.kind == "expert"]
+    assert (failure.outcome.message, failure.outcome.hint) == ("the loss is not finite", "lower the learning rate")
+
+
+def test_a_stage_that_exits_fails_and_nothing_else(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"evaluate human {} noisy": "exit"})
+    summary = run(small_spec, tmp_path / "results")
+    assert len(summary.failed) == 2
+    assert not summary.blocked
+
+
+def test_the_manifest_tells_what_where_and_how(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    run(small_spec, tmp_path / "results")
+    layout = Layout(tmp_path / "results")
+    (path,) = [path for path in layout.store.glob("critics/*/manifest.json") if json.loads(path.read_text())["seed"] == 1]
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    assert manifest["key"] == path.parent.name
+    assert manifest["label"] == "goal1 s1 critics"
+    assert manifest["upstream"].keys() == {"dataset", "world_model", "policies"}
+    assert manifest["settings"] == {"action_repeat": 4, "returns": {"gamma_r": 0.99, "gamma_c": 0.95, "lam": 0.95}}
+    assert manifest["summary"]["nothing"] is None
+    assert manifest["provenance"]["attempt"] == 1
+    assert manifest["provenance"]["versions"]["torch"]
+    assert manifest["provenance"]["seconds"] >= 0
+    assert manifest["sources"]
+
+
+def test_nothing_is_left_lying_about(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    run(small_spec, tmp_path / "results")
+    layout = Layout(tmp_path / "results")
+    assert not list(layout.tmp.iterdir())
+    assert not list((layout.root / "work").iterdir())
+    (folder,) = layout.runs.iterdir()
+    assert not list((folder / "running").iterdir())
+
+
+def test_the_journal_and_the_record_tell_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"s0 ida_q": "refuse"})
+    summary = run(small_spec, tmp_path / "results")
+    layout = Layout(tmp_path / "results")
+    runs = recorded_specs(layout)
+    assert list(runs) == ["small"]
+    events = read_journal(layout.run(runs["small"]) / "journal.jsonl")
+    counts = {name: sum(event["event"] == name for event in events) for name in ("done", "failed", "blocked", "run started", "run ended")}
+    assert counts == {"done": summary.done, "failed": 1, "blocked": len(summary.blocked), "run started": 1, "run ended": 1}
+    recorded = read_run(layout, runs["small"])
+    loaded, _, plan = prepared(small_spec, tmp_path / "results")
+    assert recorded.spec == loaded.spec
+    assert recorded.cells == [(cell, node.key) for cell, node in plan.grid.cells]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_workers_give_the_same_bytes_as_this_process(jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    run(small_spec, tmp_path / "inline")
+    pool = LokyPool(jobs)
+    try:
+        summary = run(small_spec, tmp_path / "workers", pool)
+    finally:
+        pool.close(kill=True)
+    assert summary.complete
+    assert data_of(tmp_path / "workers") == data_of(tmp_path / "inline")
+    logs = list((tmp_path / "workers/runs").glob("*/logs/*.log"))
+    assert len(logs) == summary.done
+    assert all("fake goal1" in log.read_text(encoding="utf-8") for log in logs)
