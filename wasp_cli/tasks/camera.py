@@ -29,7 +29,8 @@ TILE_DARK, TILE_LIGHT = (0.859, 0.843, 0.765), (0.949, 0.914, 0.855)
 TILE_SIDE = 0.35
 SPHERE_COLOUR, ARROW_COLOUR = (0.7412, 0.0431, 0.1843), (0.0039, 0.1529, 0.3961)
 VASE_COLOUR, GOAL_COLOUR, HAZARD_COLOUR = (0.0, 1.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-GOAL_ALPHA = HAZARD_ALPHA = 0.25
+# More opaque than the reference package (0.25): far hazards and goals are a few pixels at 64 x 64 and would vanish from the latent.
+GOAL_ALPHA = HAZARD_ALPHA = 0.7
 
 
 class Scene(NamedTuple):

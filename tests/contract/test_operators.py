@@ -1,0 +1,98 @@
+"""Every registered operator keeps the promises of `operators.base`."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+
+LADDER = {"noisy": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24}
+NAMES = [*OPERATORS, UNIMPAIRED]
+ROWS, ACTION, STEPS = 4, 2, 12
+
+
+def policy(features: Tensor) -> Tensor:
+    return features[:, :ACTION].tanh()
+
+
+def human() -> Human:
+    return Human(skill=lambda fraction: lambda f: policy(f) * fraction, action_size=ACTION, decision_seconds=0.08)
+
+
+def make(name: str, seeds: list[int]) -> Operator:
+    return build_operator(name, LADDER.get(name), human(), EpisodeNoise(seeds), len(seeds))
+
+
+def features(rows: int = ROWS) -> list[Tensor]:
+    source = torch.Generator().manual_seed(7)
+    return [torch.randn(rows, 5, generator=source) for _ in range(STEPS)]
+
+
+def commands(operator: Operator, seen: list[Tensor]) -> Tensor:
+    return torch.stack([operator.command(f) for f in seen])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_variant_has_a_severity_for_these_tests(name: str) -> None:
+    assert name in LADDER or name == UNIMPAIRED
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_are_bounded_and_repeatable(name: str) -> None:
+    first, second = (commands(make(name, [1, 2, 3, 4]), features()) for _ in range(2))
+    assert first.shape == (STEPS, ROWS, ACTION)
+    assert first.abs().max() <= 1
+    assert torch.equal(first, second)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_row_does_not_depend_on_the_others(name: str) -> None:
+    together = commands(make(name, [1, 2, 3, 4]), features())
+    alone = commands(make(name, [3]), [f[2:3] for f in features()])
+    assert torch.equal(together[:, 2:3], alone)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_memory_is_cleared_at_the_start_of_an_episode(name: str) -> None:
+    used, seen = make(name, [1, 2, 3, 4]), features()
+    commands(used, seen)
+    used.reset(torch.tensor([True, False, True, False]))
+    fresh = make(name, [1, 2, 3, 4])
+    for key, value in used.memory.items():
+        assert torch.equal(value[[0, 2]], fresh.memory[key][[0, 2]])
+    same = torch.equal(used.memory["queue"][1], fresh.memory["queue"][1]) if "queue" in used.memory else False
+    assert not same
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_snapshot_brings_the_same_commands_back(name: str) -> None:
+    operator, seen = make(name, [1, 2, 3, 4]), features()
+    commands(operator, seen[:6])
+    memory, steps = operator.snapshot(), list(operator.noise.step)  # type: ignore[attr-defined]
+    wanted = commands(operator, seen[6:])
+    operator.restore(memory)
+    operator.noise.step = steps  # type: ignore[attr-defined]
+    assert torch.equal(commands(operator, seen[6:]), wanted)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_fork_continues_from_the_real_memory_and_leaves_it_alone(name: str) -> None:
+    operator, seen = make(name, [1, 2, 3, 4]), features()
+    commands(operator, seen[:6])
+    before = operator.snapshot()
+    rows = torch.tensor([2, 0])
+    uniforms = torch.rand(3, 6, operator.draws)
+    fork = operator.fork(rows, 3, DrawnNoise(uniforms))
+    spread = [f[rows].repeat_interleave(3, 0) for f in seen[6:9]]
+    imagined = commands(fork, spread)
+    assert imagined.shape == (3, 6, ACTION)
+    assert all(torch.equal(before[key], operator.memory[key]) for key in before)
+    memory = {key: value[rows].repeat_interleave(3, 0) for key, value in before.items()}
+    for k in range(3):
+        issued, memory = operator.act(operator.policy(spread[k]), memory, uniforms[k])
+        assert torch.equal(imagined[k], issued)

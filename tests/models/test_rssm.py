@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from wasp_cli.models.base import Latent
+from wasp_cli.models.rssm import RSSM, balanced_kl, kl_divergence
+
+
+def small() -> RSSM:
+    torch.manual_seed(0)
+    return RSSM(action=2, embed=6, deter=8, hidden=8, variables=3, classes=4, unimix=0.01)
+
+
+def logs(*rows: tuple[float, ...]) -> torch.Tensor:
+    return torch.tensor(rows, dtype=torch.float64).log()
+
+
+def test_kl_is_the_sum_over_variables_by_hand() -> None:
+    q, p = logs((0.5, 0.5), (0.9, 0.1)), logs((0.25, 0.75), (0.5, 0.5))
+    by_hand = 0.5 * math.log(2) + 0.5 * math.log(0.5 / 0.75) + 0.9 * math.log(1.8) + 0.1 * math.log(0.2)
+    assert kl_divergence(q, p).item() == pytest.approx(by_hand)
+    assert kl_divergence(q, q).item() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_balance_sends_each_gradient_to_one_side() -> None:
+    q = torch.randn(5, 3, 4, requires_grad=True)
+    p = torch.randn(5, 3, 4, requires_grad=True)
+    representation, prediction = balanced_kl(q.log_softmax(-1), p.log_softmax(-1), 0.0)
+    assert representation.item() == pytest.approx(prediction.item())
+    representation.backward(retain_graph=True)
+    assert q.grad is not None
+    assert p.grad is None
+    q.grad = None
+    prediction.backward()
+    assert q.grad is None
+    assert p.grad is not None
+
+
+def test_free_nats_clip_the_sum_and_stop_the_gradient() -> None:
+    q = (torch.zeros(1, 2, 2) + 0.1 * torch.randn(1, 2, 2)).requires_grad_()
+    representation, _ = balanced_kl(q.log_softmax(-1), torch.zeros(1, 2, 2).log_softmax(-1), 1.0)
+    assert representation.item() == 1.0
+    representation.backward()
+    assert q.grad is not None
+    assert (q.grad == 0).all()
+
+
+def test_unimix_leaves_no_class_impossible() -> None:
+    rssm = small()
+    probs = rssm.prior(1e4 * torch.randn(10, 8)).exp()
+    assert probs.min() >= 0.01 / 4 - 1e-7
+    torch.testing.assert_close(probs.sum(-1), torch.ones(10, 3))
+
+
+def test_samples_are_one_hot_and_follow_the_distribution() -> None:
+    rssm = small()
+    log_probs = torch.tensor([0.7, 0.1, 0.1, 0.1]).log().expand(20000, 3, 4)
+    uniform = torch.rand(20000, 3, 4, generator=torch.Generator().manual_seed(0)).clamp(1e-9)
+    with torch.no_grad():
+        drawn = rssm.sample(log_probs, -(-uniform.log()).log()).unflatten(-1, (3, 4))
+        mode = rssm.sample(log_probs, None).unflatten(-1, (3, 4))
+    assert (drawn.sum(-1) == 1).all()
+    torch.testing.assert_close(drawn.mean((0, 1)), torch.tensor([0.7, 0.1, 0.1, 0.1]), atol=0.01, rtol=0)
+    assert (mode[..., 0] == 1).all()
+
+
+def test_an_episode_start_masks_h_z_and_the_action() -> None:
+    rssm = small()
+    projected, noise = torch.randn(1, 6, 8), torch.randn(1, 6, 3, 4)
+    first = torch.tensor([[1.0, 0, 0, 1, 0, 0]])
+    with torch.no_grad():
+        action = torch.randn(1, 6, 2)
+        whole = rssm.observe(projected, action, first, noise)
+        changed = action.clone()
+        changed[:, :4] += 5.0  # everything before the second episode, and the action that "led" to its first step
+        other = rssm.observe(projected + 0, changed, first, noise)
+        rest = rssm.observe(projected[:, 3:], action[:, 3:], first[:, 3:], noise[:, 3:])
+    assert not torch.equal(whole.latent.h[:, 1], other.latent.h[:, 1])
+    assert torch.equal(whole.latent.h[:, 3:], other.latent.h[:, 3:])
+    torch.testing.assert_close(whole.latent.h[:, 3:], rest.latent.h)
+
+
+def test_observing_step_by_step_is_observing_the_sequence() -> None:
+    rssm = small()
+    projected, noise, action = torch.randn(2, 5, 8), torch.randn(2, 5, 3, 4), torch.randn(2, 5, 2)
+    first = torch.zeros(2, 5)
+    with torch.no_grad():
+        seen = rssm.observe(projected, action, first, noise)
+        latent = rssm.initial(2)
+        for t in range(5):
+            h = rssm.recur(latent, action[:, t])
+            latent = Latent(h, rssm.sample(rssm.posterior(h, projected[:, t]), noise[:, t]))
+    torch.testing.assert_close(latent.h, seen.latent.h[:, -1])
+    assert torch.equal(latent.z, seen.latent.z[:, -1])

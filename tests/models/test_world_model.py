@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from wasp_cli.models.base import Latent
+from wasp_cli.models.nets import Encoder
+from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
+
+SIZES = Sizes(action=2, deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, unimix=0.01, reward_scale=5.0, cost_weight=5.0)
+
+
+def model() -> SafetyWorldModel:
+    torch.manual_seed(0)
+    return SafetyWorldModel(SIZES)
+
+
+def batch(rows: int = 2, steps: int = 3) -> Batch:
+    source = torch.Generator().manual_seed(1)
+    flags = torch.zeros(rows, steps)
+    pixels = torch.randint(0, 256, (rows, steps, 6, 64, 64), generator=source, dtype=torch.uint8)
+    return Batch(pixels, torch.randn(rows, steps, 2, generator=source), torch.randn(rows, steps, generator=source), flags + 0, flags, flags)
+
+
+def test_centring_by_linearity_is_centring() -> None:
+    torch.manual_seed(0)
+    encoder, mean = Encoder(2), torch.rand(6, 64, 64)
+    pixels = torch.randint(0, 256, (3, 6, 64, 64), dtype=torch.uint8)
+    x = pixels / 255.0 - mean
+    for layer in encoder.layers:
+        x = torch.nn.functional.silu(layer(x))
+    torch.testing.assert_close(encoder(pixels, mean), x.flatten(1), atol=1e-5, rtol=1e-5)
+
+
+def test_the_terms_of_equation_6_all_reach_the_encoder() -> None:
+    world = model()
+    losses = world.losses(batch(), torch.randn(2, 3, 3, 4), torch.tensor([0, 2]), free_nats=0.0)
+    assert set(losses) == {"alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n"}
+    parameter = world.rssm.posterior_o.weight
+    for name, loss in losses.items():
+        (gradient,) = torch.autograd.grad(loss, parameter, retain_graph=True, allow_unused=True)
+        # The prediction term trains the prior alone; the reward head starts at zero, so its features get no gradient yet.
+        if name not in ("alpha_p", "beta_r"):
+            assert gradient is not None, name
+            assert gradient.abs().sum() > 0, name
+
+
+def test_the_cost_is_a_calibrated_probability_after_the_weight_is_removed() -> None:
+    """A head trained with weight 5 on events of probability 0.1 answers 0.1."""
+    world = model()
+    features = torch.zeros(1, world.feature_size)
+    optimizer = torch.optim.Adam(world.cost_head.parameters(), lr=0.02)
+    cost = torch.zeros(1, 1000)
+    cost[:, :100] = 1.0
+    for _ in range(300):
+        _, loss = world.head_losses(features.expand(1000, -1), torch.zeros(1000), cost[0])
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    latent = Latent(features[:, : SIZES.deter], features[:, SIZES.deter :])
+    assert world.cost(latent).item() == pytest.approx(0.1, abs=0.005)
+    biased = world.cost_head(features).sigmoid().item()
+    assert biased == pytest.approx(5 * 0.1 / (5 * 0.1 + 0.9), abs=0.02)
+    assert world.cost_logit(latent).item() == pytest.approx(math.log(0.1 / 0.9), abs=0.06)
+
+
+def test_filtering_is_deterministic_and_forgets_at_an_episode_start() -> None:
+    world = model().eval()
+    pixels = batch().pixels[:, 0]
+    with torch.inference_mode():
+        once, twice = (world.filter(world.initial(2), torch.zeros(2, 2), pixels, torch.ones(2)) for _ in range(2))
+        later = world.filter(once, torch.randn(2, 2), pixels, torch.tensor([1.0, 0.0]))
+    assert torch.equal(once.h, twice.h)
+    torch.testing.assert_close(later.h[0], once.h[0])
+    assert not torch.allclose(later.h[1], once.h[1])
+
+
+def test_an_event_one_step_after_a_reset_is_learned_and_imagined() -> None:
+    """The classic failure: a mask one step early makes heads see a blank context, and imagination never predicts the event."""
+    torch.manual_seed(3)
+    world = SafetyWorldModel(SIZES)
+    optimizer = torch.optim.Adam(world.parameters(), lr=3e-3)
+    source = torch.Generator().manual_seed(0)
+    for _ in range(150):
+        action = torch.where(torch.rand(32, 3, 2, generator=source) < 0.5, -1.0, 1.0)
+        first = torch.tensor([1.0, 0, 0]).expand(32, 3)
+        cost = (action[..., 0] > 0).float() * torch.tensor([0.0, 1, 0])  # the action at the start decides the next step's cost
+        pixels = torch.zeros(32, 3, 6, 64, 64, dtype=torch.uint8)
+        seen = world.observe(Batch(pixels, action, cost, cost, cost * 0, first), torch.randn(32, 3, 3, 4, generator=source))
+        _, cost_loss = world.head_losses(seen.latent.features, cost, cost)
+        from wasp_cli.models.rssm import balanced_kl
+
+        loss = cost_loss + sum(balanced_kl(seen.posterior, seen.prior, 0.1))
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    with torch.inference_mode():
+        start = world.filter(world.initial(2), torch.zeros(2, 2), torch.zeros(2, 6, 64, 64, dtype=torch.uint8), torch.ones(2))
+        arrived = world.imagine(start, torch.tensor([[1.0, 0.0], [-1.0, 0.0]]), torch.zeros(2, world.noise_size))
+        costly, free = world.cost(arrived).tolist()
+    assert costly > 0.7
+    assert free < 0.2

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.delayed import delay_steps
+from wasp_cli.operators.mixed import MixedOperator
+from wasp_cli.operators.noise import EpisodeNoise
+
+STEPS = 4000
+
+
+def human() -> Human:
+    return Human(skill=lambda fraction: lambda f: f[:, :2] * fraction, action_size=2, decision_seconds=0.08)
+
+
+def operator(name: str, value: float, rows: int = 1) -> Operator:
+    return build_operator(name, value, human(), EpisodeNoise(list(range(rows))), rows)
+
+
+def rising(step: int, rows: int = 1) -> Tensor:
+    return torch.full((rows, 2), (step + 1) / (2 * STEPS))
+
+
+def test_noise_replaces_the_stated_share_by_uniform_commands() -> None:
+    noisy = operator("noisy", 0.4)
+    issued = torch.stack([noisy.command(rising(t)) for t in range(STEPS)])[:, 0]
+    intended = torch.stack([rising(t) for t in range(STEPS)])[:, 0]
+    replaced = (issued != intended).any(-1)
+    assert replaced.float().mean().item() == pytest.approx(0.4, abs=0.03)
+    random = issued[replaced]
+    assert random.mean().abs() < 0.06
+    assert random.std().item() == pytest.approx(1 / np.sqrt(3), abs=0.03)
+
+
+def test_lag_repeats_what_was_issued_and_holds_for_the_expected_time() -> None:
+    laggy = operator("laggy", 0.7)
+    issued = torch.stack([laggy.command(rising(t)) for t in range(STEPS)])[:, 0, 0]
+    assert issued[0] == rising(0)[0, 0]  # the first command of an episode is fresh
+    repeated = issued[1:] == issued[:-1]
+    assert repeated.float().mean().item() == pytest.approx(0.7, abs=0.03)
+    fresh = ~repeated
+    assert torch.equal(issued[1:][fresh], torch.stack([rising(t) for t in range(1, STEPS)])[fresh][:, 0, 0])
+
+
+def test_lag_ignores_what_an_assistant_executed() -> None:
+    laggy = operator("laggy", 1.0)
+    first = laggy.command(torch.tensor([[0.3, -0.3]]))
+    # An assistant may execute anything in between: the operator is never told.
+    assert torch.equal(laggy.command(torch.tensor([[0.9, 0.9]])), first)
+
+
+@pytest.mark.parametrize(("seconds", "step", "wanted"), [(0.16, 0.08, 2), (0.24, 0.08, 3), (0.40, 0.08, 5), (0.24, 0.16, 2), (0.4, 0.16, 3)])
+def test_delays_are_whole_decision_steps_rounded_up(seconds: float, step: float, wanted: int) -> None:
+    assert delay_steps(seconds, step) == wanted
+
+
+def test_a_delayed_operator_answers_what_it_saw_then_and_starts_neutral() -> None:
+    delayed = operator("reaction-time", 0.24)
+    issued = torch.stack([delayed.command(rising(t)) for t in range(20)])[:, 0]
+    assert (issued[:3] == 0).all()
+    assert torch.equal(issued[3:], torch.stack([rising(t) for t in range(17)])[:, 0])
+
+
+def test_limited_skill_is_the_earlier_checkpoint() -> None:
+    assert torch.allclose(operator("limited-skill", 0.25).command(torch.ones(1, 2)), torch.full((1, 2), 0.25))
+
+
+def test_rows_of_a_batch_draw_independently() -> None:
+    noisy = operator("noisy", 1.0, rows=64)
+    issued = noisy.command(torch.zeros(64, 2))
+    assert len({tuple(row) for row in issued.tolist()}) == 64
+
+
+def test_a_mixture_draws_an_operator_for_every_episode() -> None:
+    rows = 200
+    parts = [build_operator(n, v, human(), EpisodeNoise(list(range(rows))), rows) for n, v in (("limited-skill", 0.5), ("limited-skill", 0.1))]
+    mixed = MixedOperator(parts, seed=0)
+    mixed.reset(torch.ones(rows, dtype=torch.bool))
+    seen = mixed.command(torch.ones(rows, 2))[:, 0]
+    assert (seen == 0.5).float().mean().item() == pytest.approx(0.5, abs=0.12)
+    before = mixed.choice.clone()
+    mixed.reset(torch.arange(rows) < 10)
+    assert torch.equal(mixed.choice[10:], before[10:])
