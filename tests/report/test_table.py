@@ -73,12 +73,17 @@ def test_csv_reads_back() -> None:
     assert second == ["a", "y, z", "", "", "1", "0"]
 
 
-@pytest.mark.parametrize(("width", "spread"), [(120, True), (40, False)])
-def test_terminal_drops_the_spread_before_it_wraps(width: int, spread: bool) -> None:
+@pytest.mark.parametrize(
+    ("width", "spread", "delta", "optional"),
+    [(120, True, True, True), (60, False, True, True), (44, False, True, False), (30, False, False, False)],
+)
+def test_terminal_leaves_out_what_does_not_fit(width: int, spread: bool, delta: bool, optional: bool) -> None:
     console = Console(width=width, file=io.StringIO(), record=True)
-    wide = Value(12.25, 3.5, 3)
-    console.print(terminal(table(row("a", "x", wide, wide), row("[red]b", "y", wide, wide)), width))
+    wide = Value(12.25, 3.5, 3, delta=1.5)
+    columns = (RETURN, COST, Column("extra", "Extra", optional=True))
+    console.print(terminal(table(row("a", "x", wide, wide, wide), row("[red]b", "y", wide, wide, wide), columns=columns), width))
     text = console.export_text()
-    assert ("±" in text.split("too narrow")[0]) == spread
-    assert "12.25" in text
+    assert ("±" in text, "+1.5" in text, "Extra" in text) == (spread, delta, optional)
+    assert text.count("12.25") == (4 if optional else 2)
+    assert ("too narrow" in text) == (width < 100)
     assert "[red]b" in text  # a label is no markup

@@ -30,11 +30,10 @@ def ablation_table(frame: Frame) -> Table | None:
             numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
         rows.append(Row((task_title(group.task), assistant_title(group, ablation=True)), numbers))
     cells = [cell for group in found for cell in group.cells]
-    notes = (
-        spread_note(cells),
-        "In brackets: mean difference to the full method over the operators, severities and seeds that both have.",
+    meanings = ("In brackets: mean difference to the full method over the operators, severities and seeds that both have.",)
+    return Table(
+        "table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), (spread_note(cells), *missing_notes(frame)), meanings
     )
-    return Table("table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), (*notes, *missing_notes(frame)))
 
 
 def _order(found: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +22,10 @@ PAPER_COLUMNS = (
     Column("int_rate", "Int.", "down"),
     Column("mag", "Mag.", "down"),
 )
-MORE_COLUMNS = (Column("mag_int", "Mag.|int", "down"), Column("decision_p50_ms", "ms", digits=1, spread=False))
+MORE_COLUMNS = (
+    Column("mag_int", "Mag.|int", "down", optional=True),
+    Column("decision_p50_ms", "ms", digits=1, spread=False, optional=True),
+)
 DETAIL_COLUMNS = (
     Column("goals", "Goals", "up", spread=False),
     Column("safe_success", "Safe succ. (%)", "up", digits=1, scale=100.0, spread=False),
@@ -52,10 +56,10 @@ def main_table(frame: Frame) -> Table:
     """Table 1: per task and method the mean over all operator variants and severities."""
     columns = PAPER_COLUMNS + MORE_COLUMNS
     rows = [Row(_labels(group), values(group, columns)) for group in _full(frame)]
-    notes = [spread_note(frame.cells), *MEANINGS]
-    if any(not METHODS[group.method].impaired for group in _full(frame)):
-        notes.append(REFERENCE_NOTE)
-    return Table("table1", "Main results", LABELS, columns, tuple(rows), (*notes, *missing_notes(frame)))
+    notes = (spread_note(frame.cells), *missing_notes(frame))
+    has_reference = any(not METHODS[group.method].impaired for group in _full(frame))
+    meanings = (*MEANINGS, REFERENCE_NOTE) if has_reference else MEANINGS
+    return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, meanings)
 
 
 def detail_table(frame: Frame) -> Table:
@@ -64,11 +68,11 @@ def detail_table(frame: Frame) -> Table:
     for group in _full(frame):
         spread = (over_episodes(group.cells, np.median), over_episodes(group.cells, np.max))
         rows.append(Row(_labels(group), (*spread, *values(group, DETAIL_COLUMNS))))
-    notes = (
+    meanings = (
         "Median and worst are over all episodes of a row: a mean cost is often carried by few of them.",
         "Jump² is the mean squared change between two executed actions. Case II is its share of the planner's iterations.",
     )
-    return Table("details", "More columns", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), notes)
+    return Table("details", "More columns", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), meanings=meanings)
 
 
 def operator_table(frame: Frame) -> Table:
@@ -84,7 +88,9 @@ def operator_table(frame: Frame) -> Table:
         Column(f"{variant}.{column.key}", f"{operator_title(variant)}: {column.title}", column.better, column.digits)
         for variant, column in columns
     ]
-    return Table("operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), ("Mean over the severities of a variant.",))
+    return Table(
+        "operators", "Per operator variant", LABELS, tuple(headings), tuple(rows), meanings=("Mean over the severities of a variant.",)
+    )
 
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
@@ -101,9 +107,12 @@ def missing_notes(frame: Frame) -> list[str]:
 
 
 def _part(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
-    # Neither the reference row, nor an incomplete one, nor the autonomy of no assistance at all can be the best.
-    ranked = group.complete and METHODS[group.method].impaired and not (group.method == "human" and column.key in AUTONOMY)
-    return summarise(cells, column.key, ranked) if cells else UNDEFINED
+    if not cells:
+        return UNDEFINED
+    value = summarise(cells, column.key)
+    # Neither the reference row, nor an incomplete one, nor the autonomy of a method that never acts can be the best.
+    idle = column.key in AUTONOMY and value.mean == 0.0
+    return replace(value, ranked=value.ranked and group.complete and METHODS[group.method].impaired and not idle)
 
 
 def _full(frame: Frame) -> list[Group]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from rich import box
-from rich.console import Console, Group
+from rich.console import Group
 from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -53,6 +53,8 @@ class Column:
     """Printed number per stored number: 100 for percent."""
     spread: bool = True
     """Whether ± is printed; data files have it anyway."""
+    optional: bool = False
+    """Left out where there is no room."""
 
     @property
     def heading(self) -> str:
@@ -66,14 +68,14 @@ class Column:
         rounded = round(value * self.scale, self.digits) + 0.0
         return f"{rounded:{'+' if sign else ''}.{self.digits}f}"
 
-    def cell(self, value: Value, spread: bool = True) -> str:
+    def cell(self, value: Value, spread: bool = True, delta: bool = True) -> str:
         """`mean ± sd (difference)`."""
         if value.mean is None:
             return MISSING
         text = self.number(value.mean)
         if value.sd is not None and self.spread and spread:
             text += f" ± {self.number(value.sd)}"
-        if value.delta is not None:
+        if value.delta is not None and delta:
             text += f" ({self.number(value.delta, sign=True)})"
         return text
 
@@ -98,6 +100,9 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
+    """What a reader must know before believing a number; printed everywhere."""
+    meanings: tuple[str, ...] = ()
+    """What the columns mean; printed where there is room."""
     grouped: bool = True
     """Whether the first label forms groups; otherwise all rows are one."""
     ranked: bool = True
@@ -148,8 +153,8 @@ def markdown(table: Table) -> str:
         cells = [column.cell(value) for column, value in zip(table.columns, row.values, strict=True)]
         cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
         lines.append(line([*_labels(table, r), *cells]))
-    if table.notes:
-        lines += ["", *(f"- {note}" for note in table.notes)]
+    if table.notes or table.meanings:
+        lines += ["", *(f"- {note}" for note in table.notes + table.meanings)]
     return "\n".join(lines) + "\n"
 
 
@@ -179,36 +184,41 @@ def _plain(cell: str | float | None) -> str | float:
 
 
 def terminal(table: Table, width: int = 120) -> Group:
-    """For a rich console of some width; the best values are bold. Where ± does not fit, only the means are shown."""
-    rich = _rich(table, spread=True)
+    """For a rich console of some width; the best values are bold. What does not fit is left out, never cut off."""
     notes = list(table.notes)
-    if _natural_width(rich) > width:
-        rich = _rich(table, spread=False)
-        notes.insert(0, "The terminal is too narrow for ±; the files have it.")
+    every = tuple(range(len(table.columns)))
+    needed = tuple(c for c in every if not table.columns[c].optional)
+    attempts = ((every, True, True), (every, False, True), (needed, False, True), (needed, False, False))
+    for attempt in attempts:
+        rich, least = _rich(table, width, *attempt)
+        if least <= width:
+            break
+    if attempt != attempts[0]:
+        notes.append(f"{width} columns are too narrow for everything; the files have it.")
     return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
 
 
-def _rich(table: Table, spread: bool) -> RichTable:
+def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta: bool) -> tuple[RichTable, int]:
+    """A table of some columns, and the least width at which only its headings wrap."""
+    texts = [[table.columns[c].cell(row.values[c], spread, delta) for c in shown] for row in table.rows]
+    headings = [table.columns[c].heading for c in shown]
+    labels = [max(map(len, column)) for column in zip(table.labels, *(row.labels for row in table.rows), strict=True)]
+    numbers = [max(map(len, column)) for column in zip(*texts, strict=True)] or [0] * len(shown)
+    loose = [max(number, len(heading)) for number, heading in zip(numbers, headings, strict=True)]
+    tight = [max(number, *map(len, heading.split())) for number, heading in zip(numbers, headings, strict=True)]
+    frame = sum(labels) + 2 * (len(labels) + len(shown))  # each column has a space and a rule beside it
     rich = RichTable(title=escape(table.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
-    for label in table.labels:
-        rich.add_column(escape(label), no_wrap=True)
-    for column in table.columns:
-        rich.add_column(escape(column.heading), justify="right", overflow="fold")
-    for r, row in enumerate(table.rows):
+    rich.padding = (0, 1, 0, 0)
+    for label, size in zip(table.labels, labels, strict=True):
+        rich.add_column(escape(label), width=size)
+    for heading, size in zip(headings, loose if frame + sum(loose) <= width else tight, strict=True):
+        rich.add_column(escape(heading), justify="right", width=size)
+    for r, line in enumerate(texts):
         if r and table.grouped and table.starts_group(r):
             rich.add_section()
-        cells = [
-            Text(column.cell(value, spread), style="bold green" if (r, c) in table.marks else "")
-            for c, (column, value) in enumerate(zip(table.columns, row.values, strict=True))
-        ]
+        cells = [Text(text, style="bold green" if (r, c) in table.marks else "") for c, text in zip(shown, line, strict=True)]
         rich.add_row(*(Text(label) for label in _labels(table, r)), *cells)
-    return rich
-
-
-def _natural_width(rich: RichTable) -> int:
-    """Characters that a table takes when nothing is wrapped."""
-    unbounded = Console(width=10_000)
-    return rich.__rich_measure__(unbounded, unbounded.options).maximum
+    return rich, frame + sum(tight)
 
 
 def _labels(table: Table, row: int) -> list[str]:

@@ -23,8 +23,8 @@ def threshold_table(frame: Frame) -> Table:
         numbers = tuple(_threshold(group.cells, column.key) for column in COLUMNS)
         if any(value.mean is not None for value in numbers):
             rows.append(Row((task_title(group.task), assistant_title(group, ablation=group.assistant_variant != "full")), numbers))
-    notes = ("tau_c: expected costly decision steps within the horizon; tau_r: return; tau_Q: IDA's advantage.",)
-    return Table("thresholds", "Thresholds in force", ("Task", "Method"), COLUMNS, tuple(rows), notes)
+    meanings = ("tau_c: expected costly decision steps within the horizon; tau_r: return; tau_Q: IDA's advantage.",)
+    return Table("thresholds", "Thresholds in force", ("Task", "Method"), COLUMNS, tuple(rows), meanings=meanings)
 
 
 def _threshold(cells: tuple[CellNumbers, ...], key: str) -> Value:

@@ -13,7 +13,7 @@ from wasp_cli.report.titles import task_title
 from wasp_cli.store.artifact import is_published, read_manifest
 from wasp_cli.store.layout import Layout
 
-SHOWN = 8
+SHOWN = 24
 """Numbers of a stage that fit on a line; the manifests have all."""
 
 
