@@ -92,7 +92,7 @@ def slow(session: nox.Session) -> None:
 @nox.session(venv_backend="none", requires=["project"], default=False)
 def benchmarks(session: nox.Session) -> None:
     """Speed, as ratios to a limit measured in the same run."""
-    run(session, "python", "-m", "pytest", "tests/benchmarks", "--benchmark-enable", "--benchmark-only", *session.posargs)
+    run(session, "python", "-m", "pytest", "-o", "addopts=--import-mode=importlib --benchmark-only", "tests/benchmarks", *session.posargs)
 
 
 def artifacts(results: Path) -> dict[str, int]:

@@ -47,7 +47,8 @@ LABELS = ("Task", "Method")
 MEANINGS = (
     "Return and Cost are sums over the env steps of an episode. Viol., Int. and Mag. count decision steps and pool the episodes of a cell. "
     "A row is the mean of its cells (operator variants x severities).",
-    "Mag. is the mean deviation over all decision steps, Mag.|int over the intervened ones. ms is the median wall time of a decision.",
+    "Mag. is the mean deviation over all decision steps, Mag.|int over the intervened ones. ms is the median wall time "
+    "per decision; the episodes of a cell are decided side by side.",
 )
 REFERENCE_NOTE = "Expert is the unimpaired operator without assistance, for reference; it is never marked best."
 

@@ -262,7 +262,7 @@ def _read(path: Path, columns: Sequence[str]) -> pa.Table:
                     f"{path} has table version {int(marked)}, this wasp reads up to {VERSION}",
                     "upgrade wasp, or use another results folder",
                 )
-            return file.read(columns=list(columns))
+            return file.read(columns=list(columns), use_threads=False)  # a cell is too small for threads
     except FileNotFoundError as error:
         raise StoreError(f"{path} does not exist", "run the spec again: finished cells are kept") from error
     except (pa.ArrowException, OSError) as error:
