@@ -54,7 +54,9 @@ def test_lag_ignores_what_an_assistant_executed() -> None:
     assert torch.equal(laggy.command(torch.tensor([[0.9, 0.9]])), first)
 
 
-@pytest.mark.parametrize(("seconds", "step", "wanted"), [(0.16, 0.08, 2), (0.24, 0.08, 3), (0.40, 0.08, 5), (0.24, 0.16, 2), (0.4, 0.16, 3)])
+@pytest.mark.parametrize(
+    ("seconds", "step", "wanted"), [(0.16, 0.08, 2), (0.24, 0.08, 3), (0.40, 0.08, 5), (0.24, 0.16, 2), (0.4, 0.16, 3)]
+)
 def test_delays_are_whole_decision_steps_rounded_up(seconds: float, step: float, wanted: int) -> None:
     assert delay_steps(seconds, step) == wanted
 
@@ -78,7 +80,9 @@ def test_rows_of_a_batch_draw_independently() -> None:
 
 def test_a_mixture_draws_an_operator_for_every_episode() -> None:
     rows = 200
-    parts = [build_operator(n, v, human(), EpisodeNoise(list(range(rows))), rows) for n, v in (("limited-skill", 0.5), ("limited-skill", 0.1))]
+    parts = [
+        build_operator(n, v, human(), EpisodeNoise(list(range(rows))), rows) for n, v in (("limited-skill", 0.5), ("limited-skill", 0.1))
+    ]
     mixed = MixedOperator(parts, seed=0)
     mixed.reset(torch.ones(rows, dtype=torch.bool))
     seen = mixed.command(torch.ones(rows, 2))[:, 0]

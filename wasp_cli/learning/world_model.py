@@ -125,7 +125,7 @@ def train(
         if not torch.isfinite(total):
             counters["skipped"] += 1
             if counters["skipped"] > SKIPS:
-                named = ", ".join(f"{name} {float(loss):.3g}" for name, loss in losses.items())
+                named = ", ".join(f"{name} {float(loss.detach()):.3g}" for name, loss in losses.items())
                 problem = f"{counters['skipped']} updates had a non-finite loss, last at update {update}: {named}"
                 raise TrainingError(problem, "lower world_model.learning_rate")
             continue

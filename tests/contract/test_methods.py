@@ -1,0 +1,159 @@
+"""Every registered assistant keeps the promises of `methods.base`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.artifacts import tiny_artifacts
+from wasp_cli.learning.assistants import build_assistant, load_parts
+from wasp_cli.learning.closed_loop import human
+from wasp_cli.methods.base import Assistant, Heldout, Parts
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import Operator
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.stages.configs import ReturnsConfig
+
+ROWS, STEPS = 5, 4
+SMALL: dict[str, dict[str, Any]] = {
+    "wasp": {
+        "horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "gate_rollouts": 2,
+        "tau_c": 1.2,
+    },
+}  # fmt: skip
+CASES = [(name, variant) for name in METHODS for variant in METHODS[name].variants]
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
+
+
+def assistant(parts: Parts, name: str, variant: str, **changes: Any) -> Assistant:
+    config = SMALL.get(name, {}) | changes
+    return build_assistant(name, config | ({"variant": variant} if len(METHODS[name].variants) > 1 else {}), parts)
+
+
+def latents(parts: Parts, rows: int, step: int) -> Latent:
+    source = torch.Generator().manual_seed(step)
+    h = torch.randn(rows, 12, generator=source)
+    z = torch.nn.functional.one_hot(torch.randint(4, (rows, 2), generator=source), 4).float().flatten(1)
+    return Latent(h, z)
+
+
+def operator(parts: Parts, rows: list[int]) -> Operator:
+    return build_operator("laggy", 0.5, human(parts.skills, 0.08, 2), EpisodeNoise([100 + r for r in rows]), len(rows))
+
+
+@torch.inference_mode()
+def drive(parts: Parts, made: Assistant, rows: list[int]) -> tuple[Tensor, Tensor, list[Any]]:
+    """Commands and actions [T, B, A] of a few decisions for some of the rows, and the records."""
+    who = operator(parts, rows)
+    made.reset(torch.ones(len(rows), dtype=torch.bool), [7 + r for r in rows])
+    commands, actions, records = [], [], []
+    for t in range(STEPS):
+        whole = latents(parts, ROWS, t)
+        latent = whole.rows(torch.tensor(rows))
+        a_h = who.command(latent.features).clamp(-1, 1)
+        before = a_h.clone()
+        decision = made.decide(latent, a_h, who)
+        assert torch.equal(a_h, before), "an assistant must not change the command it was given"
+        commands.append(before)
+        actions.append(decision.action)
+        records.append(decision.record)
+    return torch.stack(commands), torch.stack(actions), records
+
+
+@pytest.mark.parametrize(("name", "variant"), CASES)
+def test_actions_are_within_bounds_and_records_have_their_shapes(parts: Parts, name: str, variant: str) -> None:
+    commands, actions, records = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
+    assert actions.shape == commands.shape == (STEPS, ROWS, 2)
+    assert torch.isfinite(actions).all()
+    assert actions.abs().max() <= 1
+    for record in records:
+        assert all(field.shape == (ROWS,) for field in record)
+        assert record.gate.dtype == torch.int8
+        assert record.safe.dtype == torch.int16
+
+
+@pytest.mark.parametrize(("name", "variant"), CASES)
+def test_the_same_seeds_give_the_same_actions(parts: Parts, name: str, variant: str) -> None:
+    made = assistant(parts, name, variant)
+    first, again = (drive(parts, made, list(range(ROWS)))[1] for _ in range(2))
+    assert torch.equal(first, again)
+
+
+@pytest.mark.parametrize(("name", "variant"), CASES)
+def test_an_episode_does_not_depend_on_those_beside_it(parts: Parts, name: str, variant: str) -> None:
+    _, together, _ = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
+    _, alone, _ = drive(parts, assistant(parts, name, variant), [3])
+    torch.testing.assert_close(alone[:, 0], together[:, 3], atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "variant"), CASES)
+def test_where_no_gate_fired_the_command_stands(parts: Parts, name: str, variant: str) -> None:
+    commands, actions, records = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
+    silent = torch.stack([record.gate for record in records]) == 0
+    assert torch.equal(actions[silent], commands[silent])
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if METHODS[name].calibrated])
+def test_calibration_gives_finite_thresholds(parts: Parts, name: str) -> None:
+    rows = 30
+    latent = latents(parts, rows, 0)
+    zeros = torch.zeros(rows)
+    heldout = Heldout(latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long())
+    who = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * rows), rows)
+    with torch.inference_mode():
+        thresholds = assistant(parts, name, "full").calibrate(heldout, who, 3)  # type: ignore[attr-defined]
+    wanted = {"ida": "tau_q", "wasp": "tau_r"}.get(name)
+    assert wanted is None or torch.isfinite(torch.tensor(thresholds[wanted]))
+
+
+def test_human_only_executes_every_command(parts: Parts) -> None:
+    commands, actions, _ = drive(parts, assistant(parts, "human", "full"), list(range(ROWS)))
+    assert torch.equal(commands, actions)
+
+
+def test_ida_leaves_the_expert_alone_and_moves_a_bad_command(parts: Parts) -> None:
+    made = assistant(parts, "ida", "full", vote=0.0)
+    latent = latents(parts, 200, 0)
+    expert = parts.skills.expert(latent.features)
+    with torch.inference_mode():
+        same = made.decide(latent, expert, operator(parts, [0]))
+        moved = made.decide(latent, -expert, operator(parts, [0]))
+    assert torch.equal(same.action, expert)
+    assert 0 < int((moved.record.gate > 0).sum()) < 200  # an untrained ensemble votes either way
+    fired = moved.record.gate > 0
+    assert torch.equal(moved.action[fired], expert[fired])
+
+
+def test_diffusion_at_ratio_zero_returns_the_command_bit_for_bit(parts: Parts) -> None:
+    commands, actions, _ = drive(parts, assistant(parts, "diffusion", "full", ratio=0.0), list(range(ROWS)))
+    assert torch.equal(commands, actions)
+    _, moved, _ = drive(parts, assistant(parts, "diffusion", "full", ratio=0.6), list(range(ROWS)))
+    assert not torch.equal(commands, moved)
+
+
+def test_an_untrained_residual_is_exactly_zero(parts: Parts) -> None:
+    commands, actions, _ = drive(parts, assistant(parts, "saferl", "full"), list(range(ROWS)))
+    assert torch.equal(commands, actions)
+
+
+def test_the_variants_of_wasp_switch_off_what_they_name(parts: Parts) -> None:
+    def gates(variant: str, **changes: Any) -> set[int]:
+        _, _, records = drive(parts, assistant(parts, "wasp", variant, **changes), list(range(ROWS)))
+        return set(torch.stack([record.gate for record in records]).flatten().tolist())
+
+    eager = {"tau_c": 1.2, "tau_r": -10.0}
+    assert 2 in gates("full", **eager)
+    assert 2 not in gates("safety-only", **eager)
+    timid = {"tau_c": 1e-6}
+    assert gates("full", **timid) == {1}
+    assert 1 not in gates("task-only", **timid)

@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from wasp_cli.errors import ArtifactError, TrainingError
+from wasp_cli.learning.checkpoint import restore_training, save_training
+from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
+from wasp_cli.learning.denoiser import demonstrations
+from wasp_cli.learning.draws import generator
+from wasp_cli.learning.lagrangian import MultiplierRule
+from wasp_cli.learning.replay import Replay, read_replay, write_shard
+from wasp_cli.learning.world_model import Windows, build, encode, open_loop, refit_heads, train
+from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.stages.configs import MixtureConfig, WorldModelConfig
+
+TINY = WorldModelConfig(
+    deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, batch=3, length=6, updates=8, warmup=2, refit_updates=3, refit_horizon=4,
+    checkpoint_every=4,
+)  # fmt: skip
+
+
+def replay(lengths: tuple[int, ...] = (12, 9, 15), seed: int = 0) -> Replay:
+    random = np.random.default_rng(seed)
+    rows = sum(lengths)
+    first = np.zeros(rows, np.float32)
+    first[np.cumsum([0, *lengths[:-1]])] = 1
+    return Replay(
+        pixels=random.integers(0, 256, (rows, 6, 64, 64), dtype=np.uint8), action=random.uniform(-1, 1, (rows, 2)).astype(np.float32),
+        reward=random.normal(size=rows).astype(np.float32), cost=(random.random(rows) < 0.2).astype(np.float32),
+        terminal=np.zeros(rows, np.float32), first=first, privileged=random.normal(size=(rows, 5)).astype(np.float32),
+        episode=np.repeat(np.arange(len(lengths), dtype=np.int32), lengths), behaviour=np.repeat([("expert", "noisy")[i % 2] for i in range(len(lengths))], lengths),
+    )  # fmt: skip
+
+
+def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
+    whole = replay()
+    for number in (0, 1):
+        write_shard(tmp_path / f"shard-{number:04d}.parquet", whole.rows(whole.episode < 2 if number == 0 else whole.episode == 2))
+    again = read_replay(tmp_path)
+    for name, value in whole._asdict().items():
+        assert np.array_equal(getattr(again, name), value), name
+    assert read_replay(tmp_path, ["reward"]).pixels.size == 0
+
+
+def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match="no shards"):
+        read_replay(tmp_path)
+    (tmp_path / "shard-0000.parquet").write_bytes(b"PAR1 not really")
+    with pytest.raises(ArtifactError, match="cannot read"):
+        read_replay(tmp_path)
+
+
+def test_windows_that_must_stay_in_an_episode_do() -> None:
+    data = replay()
+    for start in data.window_starts(7):
+        assert len(set(data.episode[start : start + 7])) == 1
+    assert len(data.window_starts(7)) == (12 - 6) + (9 - 6) + (15 - 6)
+
+
+def test_sampled_sequences_begin_without_a_past_and_hold_costs() -> None:
+    data = replay((200, 200))
+    data.cost[:] = 0
+    data.cost[137] = 1
+    batch = Windows(data, 10, 0.5).sample(8, generator(0))
+    assert batch.pixels.shape == (8, 10, 6, 64, 64)
+    assert (batch.first[:, 0] == 1).all()
+    assert (batch.cost[:4].sum(1) == 1).all()
+
+
+def test_a_dataset_that_is_too_small_says_so() -> None:
+    with pytest.raises(TrainingError, match="fewer than one sequence"):
+        Windows(replay((3,)), 10, 0.0)
+
+
+def test_training_resumes_bit_for_bit(tmp_path: Path) -> None:
+    def fresh() -> torch.nn.Module:
+        torch.manual_seed(0)
+        return build(TINY, 2)
+
+    data, silent = replay(), lambda share, text: None
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    whole = fresh()
+    train(whole, data, TINY, 5, tmp_path / "a", silent)  # type: ignore[arg-type]
+
+    class Interrupted(Exception):
+        pass
+
+    def interrupt(share: float, text: str) -> None:
+        if (tmp_path / "b" / "training.safetensors").exists():
+            raise Interrupted
+
+    partial = fresh()
+    with pytest.raises(Interrupted):
+        train(partial, data, TINY, 5, tmp_path / "b", interrupt)  # type: ignore[arg-type]
+    again = fresh()
+    train(again, data, TINY, 5, tmp_path / "b", silent)  # type: ignore[arg-type]
+    for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
+        assert torch.equal(a, b), name
+
+
+def test_a_checkpoint_restores_moments_and_generator(tmp_path: Path) -> None:
+    module, source = torch.nn.Linear(3, 2), generator(1)
+    optimizer = torch.optim.Adam(module.parameters(), lr=0.1)
+    module(torch.ones(1, 3)).sum().backward()
+    optimizer.step()
+    save_training(tmp_path, module, optimizer, source, {"update": 7})
+    wanted = torch.rand(3, generator=source)
+    other, again = torch.nn.Linear(3, 2), generator(9)
+    fresh = torch.optim.Adam(other.parameters(), lr=0.1)
+    assert restore_training(tmp_path, other, fresh, again) == {"update": 7}
+    assert torch.equal(torch.rand(3, generator=again), wanted)
+    for a, b in zip(optimizer.state_dict()["state"].values(), fresh.state_dict()["state"].values(), strict=True):
+        assert all(torch.equal(torch.as_tensor(a[k]), torch.as_tensor(b[k])) for k in a)
+
+
+def test_a_non_finite_loss_is_skipped_then_stops_with_a_clear_message(tmp_path: Path) -> None:
+    data = replay()
+    data.reward[:] = np.nan
+    with pytest.raises(TrainingError, match=r"non-finite loss.*beta_r nan"):
+        train(build(TINY, 2), data, TINY, 0, tmp_path, lambda share, text: None)
+
+
+def test_the_refit_moves_only_reward_and_cost_heads() -> None:
+    torch.manual_seed(0)
+    model, data = build(TINY, 2), replay()
+    model.requires_grad_(False)
+    latents = encode(model, data, lambda share, text: None)
+    assert latents.h.shape == (36, 16)
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    model.reward_head.requires_grad_(True)
+    model.cost_head.requires_grad_(True)
+    refit_heads(model, data, latents, TINY, 0, lambda share, text: None)
+    moved = {name.split(".")[0] for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
+    assert moved == {"reward_head", "cost_head"}
+    assert [row["k"] for row in open_loop(model, data, latents, 4, 0)] == [1, 2, 3, 4]
+
+
+def test_encoding_is_what_the_closed_loop_filters() -> None:
+    torch.manual_seed(0)
+    model, data = build(TINY, 2), replay()
+    with torch.inference_mode():
+        latents = encode(model, data, lambda share, text: None)
+        latent = model.initial(1)
+        for row in np.flatnonzero(data.episode == 1):
+            one = [torch.from_numpy(field[row : row + 1]) for field in (data.action, data.pixels, data.first)]
+            latent = model.filter(latent, *one)
+            torch.testing.assert_close(latents.at(torch.tensor([row])).h, latent.h)
+
+
+def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
+    rule = MultiplierRule(initial=0.3, rate=0.1, bound=0.6, limit=25.0)
+    assert rule.next(0.3, 50.0) == pytest.approx(0.4)
+    assert rule.next(0.3, 0.0) == pytest.approx(0.2)
+    assert rule.next(0.05, 0.0) == 0.0
+    assert rule.next(0.55, 500.0) == 0.6
+
+
+def test_behaviours_follow_their_shares() -> None:
+    chosen = behaviours(MixtureConfig().model_dump(), 50, np.random.default_rng(0))
+    assert len(chosen) == 50
+    counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
+    assert counts == {"expert": 10, "noisy": 14, "laggy": 11, "early": 5, "bursts": 6, "random": 4}
+
+
+def commander(*rows: Behaviour) -> Commander:
+    torch.manual_seed(0)
+    skills = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)]
+    return Commander(skills, rows, 2, np.random.default_rng(0))
+
+
+def test_commands_do_what_their_behaviour_says() -> None:
+    rows = (Behaviour("plain"), Behaviour("early", skill=0), Behaviour("frozen", repeat=1.0), Behaviour("random", replace=1.0))
+    driver = commander(*rows)
+    random = np.random.default_rng(1)
+    seen = [random.normal(size=(4, 5)).astype(np.float32) for _ in range(6)]
+    issued = np.stack([driver.command(s) for s in seen])
+    expert, early = (driver._skills[i](torch.from_numpy(np.stack(seen))).detach().numpy() for i in (-1, 0))
+    np.testing.assert_allclose(issued[:, 0], expert[:, 0], rtol=1e-5)
+    np.testing.assert_allclose(issued[:, 1], early[:, 1], rtol=1e-5)
+    assert (issued[:, 2] == issued[0, 2]).all()  # a lag repeats from the second command on
+    assert len({tuple(a) for a in issued[:, 3]}) == 6
+    assert np.abs(issued).max() <= 1
+
+
+def test_bursts_are_held() -> None:
+    driver = commander(Behaviour("bursts", burst=1.0))
+    issued = [tuple(driver.command(np.zeros((1, 5), np.float32))[0]) for _ in range(60)]
+    runs = [len(list(group)) for _, group in itertools.groupby(issued)][:-1]
+    assert min(runs[::2]) >= 2
+    assert max(runs[::2]) <= 11
+    assert set(runs[1::2]) == {1}  # the intended command stands for one step before the next burst may begin
+
+
+def test_demonstrations_are_the_careful_near_expert_episodes() -> None:
+    data = replay()
+    data.cost[data.episode == 2] = 1
+    data.cost[data.episode != 2] = 0
+    assert set(data.episode[demonstrations(data)]) == {0, 2}  # 15 costly steps are within the limit of 25
+    many = replay((12, 9, 40))
+    many.cost[many.episode == 2] = 1
+    assert set(many.episode[demonstrations(many)]) == {0}
+    with pytest.raises(TrainingError, match="no near-expert episode"):
+        demonstrations(many.rows(many.episode == 1))

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wasp_cli.metrics.ranking import average_precision
+from wasp_cli.metrics.windows import window_sums
+
+
+def brute_force(event: list[bool], score: list[int]) -> float:
+    total, previous, area = sum(event), 0.0, 0.0
+    for threshold in sorted(set(score), reverse=True):
+        chosen = [e for e, s in zip(event, score, strict=True) if s >= threshold]
+        recall = sum(chosen) / total
+        area += (recall - previous) * sum(chosen) / len(chosen)
+        previous = recall
+    return area
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), min_size=1, max_size=40).filter(lambda rows: any(e for e, _ in rows)))
+def test_average_precision_is_the_step_sum(rows: list[tuple[bool, int]]) -> None:
+    event, score = zip(*rows, strict=True)
+    found = average_precision(np.array(event), np.array(score, float))
+    assert found == pytest.approx(brute_force(list(event), list(score)))
+
+
+def test_a_constant_score_has_the_base_rate_and_no_event_has_none() -> None:
+    assert average_precision(np.array([True, False, False, False]), np.zeros(4)) == pytest.approx(0.25)
+    assert np.isnan(average_precision(np.zeros(4, bool), np.arange(4.0)))
+
+
+def test_windows_do_not_cross_episodes() -> None:
+    values, episode = np.arange(6.0), np.array([0, 0, 0, 1, 1, 1])
+    assert window_sums(values, episode, 2).tolist() == [1, 3, 7, 9]
+    assert window_sums(values, episode, 4).tolist() == []
+    assert window_sums(values[:1], episode[:1], 4).tolist() == []

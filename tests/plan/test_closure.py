@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan import closure as module
+from wasp_cli.plan.closure import closure, closure_hash, source_hash
+from wasp_cli.registry import module_of
+
+Write = Callable[[str, str], None]
+
+
+@pytest.fixture
+def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
+    """Writes a module of a package `house` and forgets what was read before."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    forget()
+
+    def put(name: str, source: str) -> None:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(source, encoding="utf-8")
+        forget()
+
+    put("house/__init__.py", "")
+    yield put
+    forget()
+
+
+def forget() -> None:
+    for cached in (module._hash_of, module.source_hash, module._reach, module._imports, module._tree, module._file):
+        cached.cache_clear()
+
+
+def test_imports_are_followed_wherever_they_stand(write: Write) -> None:
+    write("house/a.py", "from house import b\nfrom .sub import c\nimport json, numpy\n")
+    write("house/b.py", "def f():\n    if True:\n        from house.d import g\n        return g\n")
+    write("house/sub/__init__.py", "")
+    write("house/sub/c.py", "try:\n    from ..e import x\nexcept ImportError:\n    x = None\n")
+    write("house/d.py", "from house.a import b\n")
+    write("house/e.py", "from house import nothing_there\n")
+    assert closure(["house.a"]) == {"house", "house.a", "house.b", "house.d", "house.sub", "house.sub.c", "house.e"}
+
+
+def test_imports_for_type_checking_do_not_count(write: Write) -> None:
+    write("house/a.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house import b\nelse:\n    from house import c\n")
+    write("house/b.py", "")
+    write("house/c.py", "")
+    assert closure(["house.a"]) == {"house", "house.a", "house.c"}
+
+
+def test_registries_are_not_followed(write: Write) -> None:
+    write("house/a.py", "from house.registry import THINGS\n")
+    write("house/registry.py", "from house import b\n")
+    write("house/b.py", "")
+    assert closure(["house.a"]) == {"house", "house.a"}
+
+
+def test_comments_docstrings_and_layout_do_not_count(write: Write) -> None:
+    write("house/a.py", "class A:\n    x: int = 1\n\n    def f(self):\n        return 1 + 2\n")
+    before = source_hash("house.a")
+    write(
+        "house/a.py",
+        '"""What."""\n# why\nclass A:\n    """A."""\n    x: int = 1\n    """x."""\n    def f(self):\n        """f."""\n        return (1 +\n 2)\n',
+    )
+    assert source_hash("house.a") == before
+    write("house/a.py", "class A:\n    x: int = 1\n\n    def f(self):\n        return 1 + 3\n")
+    assert source_hash("house.a") != before
+
+
+def test_a_change_far_down_counts_and_one_elsewhere_does_not(write: Write) -> None:
+    write("house/a.py", "from house import b\n")
+    write("house/b.py", "from house import c\n")
+    write("house/c.py", "x = 1\n")
+    write("house/other.py", "y = 1\n")
+    before = closure_hash(("house.a",))
+    write("house/other.py", "y = 2\n")
+    assert closure_hash(("house.a",)) == before
+    write("house/c.py", "x = 2\n")
+    assert closure_hash(("house.a",)) != before
+
+
+def test_fields_of_config_models_do_not_count_since_their_values_do(write: Write) -> None:
+    text = "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n    def twice(self):\n        return 2 * self.x\n"
+    write("house/configs.py", text)
+    before = source_hash("house.configs")
+    write("house/configs.py", text.replace("x: int = 1", "x: int = 5\n    y: int = 3") + "class New(Config):\n    z: int = 1\n")
+    assert source_hash("house.configs") == before
+    write("house/configs.py", text.replace("2 * self.x", "3 * self.x"))
+    assert source_hash("house.configs") != before
+    write("house/configs.py", text.replace("(1, 2)", "(1, 3)"))
+    assert source_hash("house.configs") != before
+
+
+def test_a_module_that_is_not_there_does_not_stop_planning(write: Write) -> None:
+    assert closure(["house.absent"]) == {"house.absent"}
+    assert closure_hash(("house.absent",))
+
+
+def test_orchestration_is_in_no_closure() -> None:
+    for name in closure(["wasp_cli.stages.evaluate", "wasp_cli.stages.residual"]):
+        part = name.split(".")[1]
+        assert part not in module.ORCHESTRATION
+
+
+def test_the_planner_belongs_to_wasp_alone() -> None:
+    planner = {name for name in closure([module_of(METHODS["wasp"].target)]) if name.startswith("wasp_cli.methods.wasp")}
+    assert planner
+    others = [module_of(info.target) for info in METHODS.values() if info.name != "wasp"]
+    assert not planner & closure(["wasp_cli.stages.evaluate", "wasp_cli.stages.calibration", *others])
+
+
+def test_nothing_is_imported() -> None:
+    before = set(sys.modules)
+    closure(["wasp_cli.stages.evaluate", module_of(METHODS["wasp"].target)])
+    assert not {name for name in set(sys.modules) - before if name.partition(".")[0] in ("torch", "mujoco")}
+
+
+def test_every_node_of_the_syntax_is_told_apart() -> None:
+    def text(source: str) -> str:
+        return "".join(module._syntax(ast.parse(source)))
+
+    sources = [
+        "x = 1",
+        "x = 1.0",
+        "x = '1'",
+        "x = True",
+        "x: int = 1",
+        "x += 1",
+        "y = 1",
+        "x = -1",
+        "def x(a=1): 0",
+        "def x(*, a=1): 0",
+        "x = [1]",
+        "x = (1,)",
+    ]
+    assert len({text(source) for source in sources}) == len(sources)

@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.grid import Grid, lay_out
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.waves import waves
+from wasp_cli.spec.model import Spec, validate
+
+DOCUMENT: dict[str, Any] = {
+    "name": "small",
+    "preset": "smoke",
+    "tasks": ["goal1"],
+    "methods": ["human", "ida", "wasp", "expert"],
+    "operators": {"noisy": {"mild": 0.2, "severe": 0.6}, "limited-skill": {"moderate": 0.25}},
+    "seeds": [0, 1],
+}
+
+
+def spec(**changes: Any) -> Spec:
+    return validate({**DOCUMENT, **changes})
+
+
+def grid(**changes: Any) -> Grid:
+    return lay_out(spec(**changes))
+
+
+def keys(laid_out: Grid) -> set[str]:
+    return {node.key for node in laid_out.nodes}
+
+
+def by_label(laid_out: Grid) -> dict[str, Node]:
+    return {node.label: node for node in laid_out.nodes}
+
+
+def changed(**changes: Any) -> set[str]:
+    """Labels of the nodes whose key a change moves."""
+    before, after = by_label(grid()), by_label(grid(**changes))
+    return {label for label in before.keys() & after.keys() if before[label].key != after[label].key}
+
+
+def test_table_1_has_the_size_of_the_paper() -> None:
+    severities = {"mild": 0.2, "moderate": 0.4, "severe": 0.6}
+    operators = {"noisy": severities, "laggy": severities, "reaction-time": severities, "limited-skill": {"a": 0.1, "b": 0.25, "c": 0.5}}
+    table = grid(tasks=["race1", "formula1", "goal1"], methods=list(METHODS), operators=operators, seeds=[0, 1, 2])
+    assert table.points == 3 * 6 * 4 * 3 * 3
+    assert len(table.cells) == 3 * 5 * 12 * 3 + 3 * 3
+    assert len({node.key for _, node in table.cells}) == len(table.cells)
+
+
+def test_the_expert_runs_once_for_all_operators() -> None:
+    cells = [cell for cell, _ in grid().cells if cell.method == "expert"]
+    assert [(cell.operator, cell.severity, cell.value) for cell in cells] == [("none", None, None)] * 2
+
+
+def test_names_and_orders_enter_no_key() -> None:
+    shuffled = {
+        "name": "other",
+        "methods": ["wasp", "expert", "human", "ida"],
+        "operators": {"limited-skill": {"x": 0.25}, "noisy": {"strong": 0.6, "weak": 0.2}},
+        "seeds": [1, 0],
+    }
+    assert keys(grid(**shuffled)) == keys(grid())
+
+
+def test_a_severity_named_twice_is_one_node() -> None:
+    double = grid(operators={"noisy": {"mild": 0.2, "weak": 0.2}})
+    assert len({node.key for cell, node in double.cells if cell.method == "human"}) == 2
+    assert len([cell for cell, _ in double.cells if cell.method == "human"]) == 4
+
+
+def test_a_part_of_a_grid_has_the_same_keys() -> None:
+    assert keys(grid(methods=["wasp"], seeds=[1])) < keys(grid())
+
+
+def test_ablations_share_training_and_the_calibration_of_the_whole() -> None:
+    ablation = grid(methods=["wasp"], variants=["full", "no-case2"])
+    assert keys(grid(methods=["wasp"])) < keys(ablation)
+    assert sum(node.kind == "calibration" for node in ablation.nodes) == 2
+    assert {cell.assistant for cell, _ in ablation.cells} == {"full", "no-case2"}
+    assert {node.axes["method_config"]["variant"] for node in ablation.nodes if node.kind == "evaluate"} == {"full", "no-case2"}
+
+
+def test_methods_without_ablations_run_once_whatever_is_asked_of_others() -> None:
+    cells = grid(variants=["no-case2"]).cells
+    assert {cell.assistant for cell, _ in cells if cell.method == "human"} == {"full"}
+    assert {cell.assistant for cell, _ in cells if cell.method == "wasp"} == {"no-case2"}
+
+
+def test_the_planner_moves_wasp_alone() -> None:
+    moved = changed(wasp={"candidates": 9})
+    assert moved
+    assert all(" wasp" in label for label in moved)
+
+
+def test_the_world_model_moves_everything_after_it() -> None:
+    moved = changed(world_model={"updates": 21})
+    still = set(by_label(grid())) - moved
+    assert {label.split(maxsplit=2)[2] for label in still} == {"expert", "dataset"}
+
+
+def test_more_episodes_move_evaluations_only() -> None:
+    moved = changed(episodes=3)
+    assert moved == {node.label for node in grid().nodes if node.kind == "evaluate"}
+
+
+def test_shared_settings_move_the_stages_that_named_them() -> None:
+    moved = {label.split(maxsplit=2)[2].split()[0] for label in changed(returns={"gamma_c": 0.9})}
+    assert "critics" in moved
+    assert not {"expert", "dataset", "world_model", "policies"} & moved
+    assert len(changed(action_repeat=2)) == len(grid().nodes)
+
+
+def test_one_training_seed_serves_all_evaluation_seeds() -> None:
+    shared = grid(training_seed=5)
+    assert {node.seed for node in shared.nodes if node.kind != "evaluate"} == {5}
+    assert {node.seed for node in shared.nodes if node.kind == "evaluate"} == {0, 1}
+    # The same chain as that of evaluation seed 5.
+    assert keys(grid(training_seed=5, seeds=[5])) == keys(grid(seeds=[5]))
+
+
+def test_an_evaluation_reads_what_its_method_needs() -> None:
+    nodes = by_label(grid())
+    assert set(nodes["goal1 s0 human noisy=0.2"].needs) == {"world_model", "policies"}
+    assert set(nodes["goal1 s0 wasp noisy=0.2"].needs) == {"world_model", "policies", "critics", "calibration"}
+    assert set(nodes["goal1 s0 calibration ida"].needs) == {"heldout", "world_model", "policies", "ida_q"}
+    assert nodes["goal1 s0 wasp noisy=0.2"].needs["calibration"].axes == {
+        "method": "wasp", "method_config": spec().method("wasp").model_dump(mode="json"),
+    }  # fmt: skip
+
+
+def test_waves_put_what_is_needed_first() -> None:
+    laid_out = grid()
+    nodes = list(laid_out.nodes)
+    random.Random(0).shuffle(nodes)
+    seen: set[str] = set()
+    for wave in waves(nodes):
+        for node in wave:
+            assert {needed.key for needed in node.needs.values()} <= seen
+        seen |= {node.key for node in wave}
+    assert seen == keys(laid_out)
+
+
+def test_waves_of_a_part_start_where_the_rest_is_done() -> None:
+    evaluations = [node for node in grid().nodes if node.kind == "evaluate"]
+    assert waves(evaluations) == [evaluations]

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wasp_cli.plan.keys import LENGTH, canonical, key_of, libraries
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
+    max_leaves=12,
+)
+IDENTITIES = st.dictionaries(st.text(max_size=6), VALUES, max_size=5)
+
+
+def reordered(value: Any) -> Any:
+    """The same content with the keys of every mapping in the opposite order."""
+    if isinstance(value, dict):
+        return {key: reordered(value[key]) for key in reversed(list(value))}
+    return [reordered(item) for item in value] if isinstance(value, list) else value
+
+
+@given(IDENTITIES)
+def test_the_order_of_keys_and_a_detour_over_json_do_not_count(identity: dict[str, Any]) -> None:
+    key = key_of(identity)
+    assert len(key) == LENGTH
+    assert set(key) <= set("0123456789abcdef")
+    assert key_of(reordered(identity)) == key
+    assert key_of(json.loads(json.dumps(identity))) == key
+
+
+@given(IDENTITIES, IDENTITIES)
+def test_same_content_if_and_only_if_same_key(one: dict[str, Any], other: dict[str, Any]) -> None:
+    assert (canonical(one) == canonical(other)) == (key_of(one) == key_of(other))
+
+
+def test_the_order_of_lists_counts() -> None:
+    assert key_of({"hidden": [64, 32]}) != key_of({"hidden": [32, 64]})
+
+
+def test_what_is_no_number_has_no_key() -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        key_of({"tau": float("nan")})
+
+
+def test_library_versions_are_major_and_minor() -> None:
+    assert all(version.count(".") == 1 for version in libraries().values())

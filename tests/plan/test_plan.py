@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from tests.plan.test_grid import grid
+from wasp_cli.plan.plan import Plan, make_plan, plan_against, sort_of
+from wasp_cli.plan.show import show
+from wasp_cli.store.layout import Layout
+
+
+def text_of(plan: Plan, workers: int = 2) -> str:
+    console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    show(plan, console, workers)
+    return console.export_text()
+
+
+def test_each_node_has_a_state_and_a_reason() -> None:
+    laid_out = grid(tasks=["race1", "goal1"])
+    ours = [node for node in laid_out.nodes if node.task == "goal1"]
+    cached, failed = ours[0], ours[1]
+    plan = make_plan(laid_out, {cached.kind: {cached.key}}, {failed.key: "the loss is not finite"})
+    steps = {step.node.key: step for step in plan.steps}
+    assert steps[cached.key].state == "cached"
+    assert (steps[failed.key].state, steps[failed.key].reason) == ("failed", "failed before: the loss is not finite")
+    assert plan.count("blocked") == sum(node.task == "race1" for node in laid_out.nodes)
+    assert plan.missing_tasks() == ["race1"]
+    assert {node.key for node in plan.to_run()} == {node.key for node in ours[1:]}
+
+
+def test_times_come_from_nodes_of_the_same_sort() -> None:
+    laid_out = grid(seeds=[0], methods=["human", "expert"])
+    seconds = {sort_of(node): 10.0 for node in laid_out.nodes}
+    plan = make_plan(laid_out, {}, {}, seconds)
+    # expert, dataset, world model and policies follow one another; the four evaluations share two workers
+    assert plan.estimate(2) == (pytest.approx(4 * 10 + 4 * 10 / 2), 0)
+    assert plan.estimate(100) == (pytest.approx(5 * 10), 0)
+    assert make_plan(laid_out, {}, {}, {"expert": 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
+
+
+def test_the_plan_reads_well() -> None:
+    laid_out = grid(tasks=["race1", "goal1"])
+    text = text_of(make_plan(laid_out, {}, {laid_out.nodes[-1].key: "no luck"}))
+    assert "48 grid points, 40 cells to evaluate" in text
+    assert "task 'race1' is not implemented in this version" in text
+    assert "failed before: no luck" in text
+    assert "there is no estimate" in text
+    done = make_plan(laid_out, {node.kind: {node.key for node in laid_out.nodes} for node in laid_out.nodes}, {})
+    assert "nothing to run" in text_of(done)
+
+
+def test_the_plan_as_json_names_every_cell_and_node() -> None:
+    laid_out = grid()
+    record = json.loads(json.dumps(make_plan(laid_out, {}, {}).as_json()))
+    keys = {node["key"] for node in record["nodes"]}
+    assert {cell["key"] for cell in record["cells"]} <= keys
+    assert all(set(node["needs"].values()) <= keys for node in record["nodes"])
+    assert record["counts"] == {"missing": len(keys)}
+
+
+def test_a_results_folder_that_is_not_there_has_nothing(tmp_path: Path) -> None:
+    plan = plan_against(grid(), Layout(tmp_path / "absent"))
+    assert plan.count("missing") == len(plan.steps)
+    assert not (tmp_path / "absent").exists()

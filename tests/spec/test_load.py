@@ -1,0 +1,257 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.errors import UsageError
+from wasp_cli.spec.load import Loaded, load, loaded
+from wasp_cli.spec.problem import InvalidSpec, Problem
+from wasp_cli.spec.read import parse
+
+SPECS = Path(__file__).parents[2] / "specs"
+
+GOOD = """\
+name: good
+preset: smoke
+tasks: [goal1]
+methods: [human, wasp]
+operators:
+  noisy: {mild: 0.2}
+seeds: [0]
+"""
+
+
+def read(text: str) -> Loaded:
+    return loaded(parse(text, "x.yaml"))
+
+
+def problems(text: str) -> tuple[Problem, ...]:
+    with pytest.raises(InvalidSpec) as caught:
+        read(text)
+    assert caught.value.exit_code == 3
+    return caught.value.problems
+
+
+def only(text: str) -> Problem:
+    (problem,) = problems(text)
+    return problem
+
+
+def at(problem: Problem) -> tuple[int, int]:
+    assert problem.position is not None
+    return problem.position.line, problem.position.column
+
+
+@pytest.mark.parametrize("path", sorted(SPECS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_shipped_specs_are_valid(path: Path) -> None:
+    if path.stem == "paper":
+        pytest.skip("the paper's printed numbers, no spec")
+    assert load(path).spec.name == path.stem
+
+
+def test_presets_lie_under_the_file() -> None:
+    spec = read(GOOD + "wasp: {candidates: 10}\nworld_model: {updates: 7}\n").spec
+    assert spec.method("wasp").model_dump()["candidates"] == 10
+    assert spec.method("wasp").model_dump()["iterations"] == 2
+    assert spec.stage("world_model").model_dump()["updates"] == 7
+    assert spec.stage("world_model").model_dump()["deter"] == 32
+
+
+def test_episodes_at_the_top_reach_the_evaluation() -> None:
+    assert read(GOOD + "episodes: 9\n").spec.stage("evaluate").model_dump()["episodes"] == 9
+    assert read(GOOD).spec.stage("evaluate").model_dump()["episodes"] == 2
+
+
+def test_a_resolved_spec_reads_again() -> None:
+    spec = load(SPECS / "table2.yaml").spec
+    assert type(spec).model_validate_json(spec.model_dump_json(), strict=True) == spec
+
+
+def test_counts_may_be_written_like_people_do() -> None:
+    assert read(GOOD + "expert: {interactions: 1.5e6}\n").spec.stage("expert").model_dump()["interactions"] == 1_500_000
+
+
+@pytest.mark.parametrize(
+    ("addition", "place", "message", "hint"),
+    [
+        ("wasp:\n  candidats: 64\n", (9, 3), "unknown key 'candidats'", "did you mean 'candidates'?"),
+        ("candidates: 64\n", (8, 1), "unknown key 'candidates'", "did you mean 'wasp.candidates'?"),
+        ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' stands at the top, outside every section"),
+        ("wasp: {tau_r: calib}\n", (8, 15), "should be a number or 'calibrated', not 'calib'", "did you mean 'calibrated'?"),
+        ("wasp: {alpha: '0.1'}\n", (8, 15), "should be a number, not '0.1'", None),
+        ("wasp: {rollouts: true}\n", (8, 18), "should be an integer, not true", None),
+        ("wasp: {rollouts: 1.5}\n", (8, 18), "should be an integer, not 1.5", None),
+        ("wasp: {rollouts: 0}\n", (8, 18), "should be greater than or equal to 1, not 0", None),
+        ("wasp: {horizon: 3}\n", (8, 1), "residual_steps (5) is longer than horizon (3)", None),
+        ("wasp: {variant: no-case2}\n", (8, 8), "'variant' is not set here", "write `variants: [full]` at the top, outside every section"),
+        ("evaluate: {episodes: 3}\n", (8, 12), "'episodes' is not set here", "write `episodes: 30` at the top, outside every section"),
+        ("wasp: 3\n", (8, 7), "should be a mapping of keys to values, not 3", None),
+        ("wasp: [a]\n", (8, 7), "should be a mapping of keys to values, not a list", None),
+        ("variants: [no-case]\n", (8, 12), "unknown assistant variant 'no-case'", "did you mean 'no-case2'?"),
+        ("returns: {gamma_c: .nan}\n", (8, 20), "should be a finite number, not nan", None),
+        ("expert: {hidden: [64, x]}\n", (8, 23), "should be an integer, not 'x'", None),
+        ("dataset: {mixture: {expert: 0.9}}\n", (8, 11), "the shares sum to 1.7, not 1", None),
+        ("training_seed: -1\n", (8, 16), "should be greater than or equal to 0, not -1", None),
+    ],
+)  # fmt: skip
+def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int, int], message: str, hint: str | None) -> None:
+    problem = only(GOOD + addition)
+    assert (at(problem), problem.message, problem.hint) == (place, message, hint)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "message", "hint"),
+    [
+        ("[goal1]", "[goal2]", (3, 9), "unknown task 'goal2'", "did you mean 'goal1'?"),
+        ("[goal1]", "[goal1, goal1]", (3, 8), "'goal1' is listed twice", None),
+        ("[goal1]", "[]", (3, 8), "should not be empty", "the tasks"),
+        ("[goal1]", "goal1", (3, 8), "should be a list, not 'goal1'", None),
+        ("wasp]", "waspp]", (4, 18), "unknown method 'waspp'", "did you mean 'wasp'?"),
+        ("noisy", "nosy", (6, 3), "unknown operator variant 'nosy'", "did you mean 'noisy'?"),
+        ("mild: 0.2", "mild: 1.2", (6, 17), "should lie between 0 and 1 (probability of a uniform action), not 1.2", None),
+        ("noisy: {mild: 0.2}", "limited-skill: {mild: 0.3}", (6, 25), "no such value in expert.checkpoints",
+         "checkpoints: 0.1, 0.25, 0.5, 1"),
+        ("{mild: 0.2}", "{}", (6, 10), "should not be empty", None),
+        ("seeds: [0]\n", "", (1, 1), "missing key 'seeds'", "evaluation seeds"),
+        ("seeds: [0]", "seeds:", (7, 1), "should be a list, not nothing (null)", None),
+        ("name: good", "name: ../good", (1, 7), "'../good' is not a usable name",
+         "letters, digits, dot, dash and underscore, beginning with a letter or a digit"),
+        ("smoke", "smok", (2, 9), "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'", "did you mean 'smoke'?"),
+        ("operators:\n  noisy: {mild: 0.2}\n", "", (1, 1), "the listed methods assist an operator; name at least one variant", None),
+        ("[human, wasp]", "[human]\nvariants: [no-case2]", (5, 12), "unknown variant of the listed methods 'no-case2'", "known: full"),
+    ],
+)  # fmt: skip
+def test_wrong_names_and_values_are_told_where_they_stand(
+    old: str, new: str, place: tuple[int, int], message: str, hint: str | None
+) -> None:
+    assert old in GOOD
+    problem = only(GOOD.replace(old, new))
+    assert (at(problem), problem.message, problem.hint) == (place, message, hint)
+
+
+def test_operators_may_be_absent_when_nobody_is_impaired() -> None:
+    assert read("name: x\ntasks: [goal1]\nmethods: [expert]\nseeds: [0]\n").spec.operators == {}
+
+
+def test_all_problems_come_at_once_in_file_order() -> None:
+    text = GOOD.replace("goal1", "goal2").replace("0.2", "7").replace("[0]", "[0, 0]") + "extra: 1\nwasp: {alpha: x}\n"
+    assert [at(problem) for problem in problems(text)] == [(3, 9), (6, 17), (7, 8), (8, 1), (9, 15)]
+
+
+def test_the_residual_mixes_known_operators_at_known_values() -> None:
+    text = GOOD + "residual: {operators: {nosy: [0.1], noisy: [2], limited-skill: [0.3]}}\n"
+    assert [problem.message.split(",")[0] for problem in problems(text)] == [
+        "unknown operator variant 'nosy'",
+        "should lie between 0 and 1 (probability of a uniform action)",
+        "no such value in expert.checkpoints",
+    ]
+
+
+def test_merge_keys_and_anchors_keep_positions() -> None:
+    text = GOOD + "critics: &c\n  updates: 3\n  hidden: [8, x]\ndenoiser:\n  <<: *c\n  starts: 4\n"
+    found = {(problem.message, at(problem)) for problem in problems(text)}
+    # What came through the merge points at where it is written; the key that it brought has no place but its section.
+    assert ("unknown key 'starts'", (13, 3)) in found
+    assert ("should be an integer, not 'x'", (10, 15)) in found
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "message"),
+    [
+        ("", (1, 1), "the file is empty"),
+        ("# nothing\n", (1, 1), "the file is empty"),
+        ("- a\n", (1, 1), "a spec is a mapping of keys to values, not a list"),
+        ("hello\n", (1, 1), "a spec is a mapping of keys to values, not a single word"),
+        ("a: [1\nb: 2\n", (2, 2), "not valid YAML: expected ',' or ']', but got ':'"),
+        ("a: 1\nb: 2\na: 3\n", (3, 1), "found duplicate key 'a'"),
+        ("a: 1\n\tb: 2\n", (2, 1), "not valid YAML: found character '\\t' that cannot start any token"),
+        ("a: *x\n", (1, 4), "not valid YAML: found undefined alias 'x'"),
+        ("a: 1\n---\nb: 1\n", (2, 1), "not valid YAML: but found another document"),
+        ("name: \x01\n", (1, 7), "not a text file: special characters are not allowed"),
+        ("a: " + "9" * 5000, (1, 1), "not valid YAML: Exceeds the limit"),
+        ("a: 2020-13-45\n", (1, 1), "not valid YAML: month must be in 1..12"),
+        ("[" * 5000, (1, 1), "nested too deeply"),
+    ],
+)
+def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text: str, place: tuple[int, int], message: str) -> None:
+    problem = only(text)
+    assert at(problem) == place
+    assert problem.message.startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("2020-01-01", "a date is no value of a spec"),
+        ("!thing x", "a value with a tag is no value of a spec"),
+        ("!!binary aGk=", "binary data is no value of a spec"),
+        ("!!set {a}", "a set is no value of a spec"),
+        ("{[a]: b}", "a key should be a plain word"),
+    ],
+)
+def test_values_without_a_plain_form_are_refused(value: str, message: str) -> None:
+    assert any(problem.message.startswith(message) for problem in problems(f"{GOOD}extra: {value}\n"))
+
+
+def test_a_document_inside_itself_is_refused() -> None:
+    assert problems("&all\n" + GOOD + "extra: {more: *all}\n")[0].message == "contains itself through an alias"
+
+
+def test_a_bomb_of_aliases_is_refused_quickly() -> None:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 9)]
+    assert "aliases of aliases" in only("\n".join(lines)).message
+
+
+def test_the_excerpt_puts_a_caret_under_the_mistake() -> None:
+    assert str(only(GOOD.replace("[goal1]", "[goal2]"))) == (
+        "x.yaml:3:9: unknown task 'goal2'\n    3 | tasks: [goal2]\n      |         ^\n    did you mean 'goal1'?"
+    )
+
+
+def test_long_lines_show_the_part_around_the_mistake() -> None:
+    text = str(only(GOOD + f"wasp: {{{' ' * 500}alpha: x}}\n"))
+    excerpt, caret = text.splitlines()[1:3]
+    assert len(excerpt) < 130
+    assert excerpt[caret.index("^")] == "x"
+
+
+def test_settings_are_validated_as_if_they_stood_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    spec = load(path, ["wasp.candidates=16", "seeds=[3, 4]", "operators.noisy.mild=0.3", "training_seed=null"]).spec
+    assert spec.method("wasp").model_dump()["candidates"] == 16
+    assert (spec.seeds, spec.operators, spec.training_seed) == ((3, 4), {"noisy": {"mild": 0.3}}, None)
+    with pytest.raises(InvalidSpec) as caught:
+        load(path, ["wasp.candidats=16", "seeds=x"])
+    assert [problem.place for problem in caught.value.problems] == ["--set seeds=x", "--set wasp.candidats=16"]
+    assert "wasp.candidats: unknown key 'candidats'" in caught.value.message
+
+
+@pytest.mark.parametrize("text", ["x", "=1", "a..b=1", "seeds=[1", "seeds=1\ntasks: []"])
+def test_settings_of_another_form_are_usage_errors(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "good.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    with pytest.raises(UsageError, match="--set #1"):
+        load(path, [text])
+
+
+def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text(GOOD, encoding="utf-8")
+    (tmp_path / "binary").write_bytes(b"name: x\nno: \xff\xfe")
+    for path, message in (
+        (tmp_path / "b.yaml", "no such file"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "binary", "byte 0xff is not UTF-8"),
+    ):
+        with pytest.raises(InvalidSpec, match=message) as caught:
+            load(path)
+        assert caught.value.problems[0].position is not None
+    assert at(caught.value.problems[0]) == (2, 5)
+
+
+def test_windows_files_are_read_too(tmp_path: Path) -> None:
+    path = tmp_path / "good.yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+    assert load(path).spec.name == "good"

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.store.artifact import (
+    is_published,
+    publish,
+    published,
+    read_manifest,
+    read_record,
+    staging_folder,
+    sweep,
+    write_record,
+)  # fmt: skip
+from wasp_cli.store.layout import Layout, slug
+from wasp_cli.store.lock import held, is_held
+
+KEY, OTHER = "a" * 20, "b" * 20
+
+
+@pytest.fixture
+def layout(tmp_path: Path) -> Layout:
+    layout = Layout(tmp_path)
+    layout.prepare()
+    return layout
+
+
+def staged(layout: Layout, content: str) -> Path:
+    folder = staging_folder(layout, KEY)
+    (folder / "deep").mkdir()
+    (folder / "deep" / "data").write_text(content)
+    return folder
+
+
+def test_an_artifact_appears_whole(layout: Layout) -> None:
+    assert published(layout, "expert") == set()
+    place = publish(layout, "expert", KEY, staged(layout, "one"), {"key": KEY})
+    assert (place / "deep" / "data").read_text() == "one"
+    assert read_manifest(layout, "expert", KEY) == {"key": KEY}
+    assert published(layout, "expert") == {KEY}
+    assert not list(layout.tmp.iterdir())
+
+
+def test_the_first_of_two_stays(layout: Layout) -> None:
+    publish(layout, "expert", KEY, staged(layout, "one"), {})
+    place = publish(layout, "expert", KEY, staged(layout, "two"), {})
+    assert (place / "deep" / "data").read_text() == "one"
+    assert not list(layout.tmp.iterdir())
+
+
+def test_rubbish_in_the_place_gives_way(layout: Layout) -> None:
+    place = layout.artifact("expert", KEY)
+    place.mkdir(parents=True)
+    (place / "rubbish").write_text("x")
+    assert not is_published(layout, "expert", KEY)
+    assert published(layout, "expert") == set()
+    publish(layout, "expert", KEY, staged(layout, "one"), {})
+    assert sorted(path.name for path in place.iterdir()) == ["deep", "manifest.json"]
+    assert not list(layout.tmp.iterdir())
+
+
+def test_a_manifest_without_a_json_form_publishes_nothing(layout: Layout) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        publish(layout, "expert", KEY, staged(layout, "one"), {"loss": float("nan")})
+    assert not layout.artifact("expert", KEY).exists()
+
+
+def test_links_are_no_artifacts(layout: Layout) -> None:
+    folder = staged(layout, "one")
+    (folder / "link").symlink_to("/etc/hostname")
+    with pytest.raises(ArtifactError, match="is a link"):
+        publish(layout, "expert", KEY, folder, {})
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "\x00", "[" * 20000])
+def test_damaged_records_are_told(text: str, layout: Layout) -> None:
+    path = layout.failure(KEY)
+    path.write_text(text)
+    with pytest.raises(ArtifactError, match="is damaged"):
+        read_record(path)
+
+
+def test_records_come_and_go(layout: Layout) -> None:
+    assert read_record(layout.failure(KEY)) is None
+    write_record(layout.failure(KEY), {"message": "x"})
+    assert read_record(layout.failure(KEY)) == {"message": "x"}
+    assert json.loads(layout.failure(KEY).read_text()) == {"message": "x"}
+    with pytest.raises(ArtifactError, match="no artifact"):
+        read_manifest(layout, "expert", KEY)
+
+
+def test_a_lock_is_held_by_one_and_ends_with_its_process(layout: Layout) -> None:
+    path = layout.lock(KEY)
+    assert not is_held(path)
+    with held(path, lambda: None):
+        assert is_held(path)
+    assert not is_held(path)
+    code = f"import os; from pathlib import Path; from wasp_cli.store.lock import held\nwith held(Path({str(path)!r}), print): os._exit(9)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[2]).returncode == 9
+    assert path.exists()
+    assert not is_held(path)
+
+
+def test_sweeping_spares_what_is_being_written(layout: Layout) -> None:
+    staged(layout, "left behind")
+    mine = staging_folder(layout, OTHER)
+    (layout.tmp / "unknown").mkdir()
+    with held(layout.lock(OTHER), lambda: None):
+        assert sweep(layout) == 1
+    assert sorted(path.name for path in layout.tmp.iterdir()) == sorted([mine.name, "unknown"])
+
+
+@pytest.mark.parametrize("name", ["", "..", ".hidden", "a/b", "a\\b", "a b", "x" * 200, "\x00"])
+def test_names_never_become_paths_unchecked(name: str, layout: Layout) -> None:
+    for make in (layout.kind, layout.reports, layout.run, lambda key: layout.artifact("expert", key), layout.work, layout.failure):
+        with pytest.raises(StoreError):
+            make(name)
+
+
+def test_labels_become_file_names() -> None:
+    assert slug("goal1 s0 wasp/no-case2 noisy=0.4") == "goal1-s0-wasp-no-case2-noisy=0.4"
+    assert slug("../..") == "node"
