@@ -58,16 +58,15 @@ def test_registries_are_not_followed(write: Write) -> None:
     write("house/a.py", "from house.registry import THINGS\n")
     write("house/registry.py", "from house import b\n")
     write("house/b.py", "")
-    assert closure(["house.a"]) == {"house", "house.a"}
+    assert closure(["house.a"]) == {"house.a"}
 
 
 def test_comments_docstrings_and_layout_do_not_count(write: Write) -> None:
     write("house/a.py", "class A:\n    x: int = 1\n\n    def f(self):\n        return 1 + 2\n")
     before = source_hash("house.a")
-    write(
-        "house/a.py",
-        '"""What."""\n# why\nclass A:\n    """A."""\n    x: int = 1\n    """x."""\n    def f(self):\n        """f."""\n        return (1 +\n 2)\n',
-    )
+    documented = ['"""What."""', "# why", "class A:", '    """A."""', "    x: int = 1", '    """x."""']
+    documented += ["    def f(self):", '        """f."""', "        return (1 +", "                2)"]
+    write("house/a.py", "\n".join(documented))
     assert source_hash("house.a") == before
     write("house/a.py", "class A:\n    x: int = 1\n\n    def f(self):\n        return 1 + 3\n")
     assert source_hash("house.a") != before
@@ -138,5 +137,8 @@ def test_every_node_of_the_syntax_is_told_apart() -> None:
         "def x(*, a=1): 0",
         "x = [1]",
         "x = (1,)",
+        "def x(a): 0",
+        "async def x(a): 0",
+        "x = lambda a: 0",
     ]
     assert len({text(source) for source in sources}) == len(sources)

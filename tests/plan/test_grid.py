@@ -107,7 +107,7 @@ def test_more_episodes_move_evaluations_only() -> None:
 
 
 def test_shared_settings_move_the_stages_that_named_them() -> None:
-    moved = {label.split(maxsplit=2)[2].split()[0] for label in changed(returns={"gamma_c": 0.9})}
+    moved = {label.split(maxsplit=2)[2] for label in changed(returns={"gamma_c": 0.9})}
     assert "critics" in moved
     assert not {"expert", "dataset", "world_model", "policies"} & moved
     assert len(changed(action_repeat=2)) == len(grid().nodes)

@@ -118,6 +118,16 @@ def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
     return loc
 
 
+_WORDS = {
+    "an object": "a mapping of keys to values",
+    "a valid dictionary": "a mapping of keys to values",
+    "a valid array": "a list",
+    "a valid integer": "an integer",
+    "a valid ": "a ",
+}
+"""pydantic's words for what a YAML file holds, and ours."""
+
+
 def _wording(loc: Loc, entries: list[dict[str, Any]]) -> tuple[str, str | None, bool]:
     first = entries[0]
     context = first.get("ctx") or {}
@@ -126,15 +136,16 @@ def _wording(loc: Loc, entries: list[dict[str, Any]]) -> tuple[str, str | None, 
         return f"unknown key '{name}'", _key_hint(loc), True
     if first["type"] == "missing":
         return (f"missing key '{name}'" if loc[-1:] != (KEY,) else first["msg"]), _description(loc), False
-    if "hint" in context or first["type"] in ("misplaced", "repeated", "severity_range"):
+    if "hint" in context or first["type"] in ("repeated", "no_operator", "severity_range"):
         value = "" if first["type"] != "severity_range" else f", not {_shown(first['input'])}"
         return first["msg"] + value, context.get("hint"), False
     if first["type"] == "value_error":
         return str(context["error"]), None, True
     if first["type"] in ("too_short", "string_too_short"):
         return "should not be empty", _description(loc), False
-    message = " or ".join(dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries))
-    message = re.sub(r" or be ", " or ", message)
+    message = " or ".join(dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)).replace(" or be ", " or ")
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
     shown = _shown(first["input"])
     if any(entry["type"] == "string_pattern_mismatch" for entry in entries):
         return f"{shown} is not a usable name", "letters, digits, dot, dash and underscore, beginning with a letter or a digit", False

@@ -115,7 +115,9 @@ def _variant_problems(spec: Spec) -> list[Problem]:
 def _operator_problems(spec: Spec) -> list[Problem]:
     if spec.operators or not any(METHODS[method].impaired for method in spec.methods):
         return []
-    return [(("operators",), PydanticCustomError("missing", "the listed methods assist an operator; name at least one variant", {}), None)]
+    return [
+        (("operators",), PydanticCustomError("no_operator", "the listed methods assist an operator; name at least one variant", {}), None)
+    ]
 
 
 def _skill_problems(spec: Spec) -> list[Problem]:
