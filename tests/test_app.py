@@ -1,0 +1,227 @@
+"""The command line from outside: exit codes, messages, what goes to which stream, what is imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, fakes, small_spec
+from wasp_cli import __version__
+
+__all__ = ["fakes", "small_spec"]
+
+ROOT = Path(__file__).parents[1]
+SMOKE = "specs/smoke.yaml"
+
+
+def wasp(*arguments: str | Path, fake: bool = False, **environment: str) -> subprocess.CompletedProcess[str]:
+    program = ["tests/run/fake_wasp.py"] if fake else ["-m", "wasp_cli"]
+    variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", **environment}
+    command = [sys.executable, *program, *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=variables, check=False)
+
+
+def spec_with(tmp_path: Path, old: str, new: str) -> Path:
+    text = (ROOT / SMOKE).read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "spec.yaml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return path
+
+
+def test_help_names_every_command_and_an_example() -> None:
+    done = wasp("--help")
+    assert done.returncode == 0
+    for word in ("run", "plan", "check", "report", "ablate", "doctor", "wasp run specs/quickstart.yaml"):
+        assert word in done.stdout
+
+
+@pytest.mark.parametrize("command", ["run", "plan", "check", "report", "ablate", "doctor"])
+def test_every_command_has_help(command: str) -> None:
+    done = wasp(command, "--help")
+    assert done.returncode == 0
+    assert f"{command} [OPTIONS]" in done.stdout
+
+
+def test_version() -> None:
+    assert wasp("--version").stdout == f"wasp {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], ["plan", "specs/table1.yaml"], ["check", "specs/table1.yaml"], ["run", "specs/table1.yaml"], ["report", "/nowhere"]],
+    ids=lambda arguments: arguments[0],
+)
+def test_light_commands_import_nothing_heavy(arguments: list[str]) -> None:
+    heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium"]
+    if "--help" in arguments:
+        heavy += ["pydantic", "ruamel.yaml", "numpy"]
+    code = (
+        "import sys\nfrom wasp_cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        f"print('IMPORTED', [name for name in {heavy} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "wasp", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == "IMPORTED []", done.stderr
+
+
+def test_help_and_plan_are_quick() -> None:
+    def best(*arguments: str) -> float:
+        times = []
+        for _ in range(3):
+            start = time.perf_counter()
+            assert wasp(*arguments).returncode == 0
+            times.append(time.perf_counter() - start)
+        return min(times)
+
+    # Twice the promise (0.3 s and 1 s), since tests share the machine; the limits themselves are benchmarks.
+    assert best("--help") < 0.6
+    assert best("plan", "specs/table1.yaml") < 2.0
+
+
+def test_plan_lays_table_1_out_in_full() -> None:
+    done = wasp("plan", "specs/table1.yaml", "--results", "/nowhere")
+    assert done.returncode == 0
+    assert "648 grid points, 549 cells to evaluate" in done.stdout
+
+
+def test_plan_as_json_is_json_alone() -> None:
+    record = json.loads(wasp("plan", SMOKE, "--json", "--results", "/nowhere").stdout)
+    assert record["spec"] == "smoke"
+    assert {node["state"] for node in record["nodes"]} == {"missing"}
+
+
+def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
+    bad = spec_with(tmp_path, "[goal1]", "[goal2]")
+    done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
+    assert done.returncode == 3
+    assert "specs/table1.yaml: ok, 549 cells" in done.stderr
+    assert f"{bad}:4:9: unknown task 'goal2'" in done.stderr
+    assert "absent.yaml:1:1: no such file" in done.stderr
+    assert wasp("check", SMOKE).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("episodes: 2", "episode: 2", "unknown key 'episode'"),
+        ("episodes: 2", "episodes: two", ":12:11: should be an integer, not 'two'"),
+        ("[goal1]", "[gaol1]", "did you mean 'goal1'?"),
+        ("name: smoke", "name: [", "not valid YAML"),
+    ],
+)
+def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    path = spec_with(tmp_path, old, new)
+    for command in ("run", "plan", "check"):
+        done = wasp(command, path)
+        assert done.returncode == 3
+        assert expected in done.stderr
+        assert f"error: {path}:" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["run"], "Missing argument"),
+        (["runn"], "No such command"),
+        (["run", SMOKE, "-j", "-1"], "Invalid value for '--jobs'"),
+        (["run", SMOKE, "--task", "goal2"], "unknown task of this spec 'goal2'"),
+        (["plan", SMOKE, "--set", "seeds"], "--set #1: 'seeds' is not of the form key=value"),
+        (["ablate", "--variant", "no-case"], "did you mean 'no-case2'?"),
+        (["ablate", "--variant", "no-case2", "--task", "goal"], "did you mean 'goal1'?"),
+        (["ablate", "--variant", "no-case2", "--preset", "smok"], "did you mean 'smoke'?"),
+    ],
+)
+def test_wrong_usage_ends_with_2(arguments: list[str], expected: str) -> None:
+    done = wasp(*arguments)
+    assert done.returncode == 2
+    assert expected in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_task_that_is_not_there_yet_is_refused_at_the_start(tmp_path: Path) -> None:
+    from wasp_cli.tasks.registry import TASKS
+
+    absent = [task for task in ("race1", "formula1", "goal1") if not TASKS[task].implemented]
+    if not absent:
+        pytest.skip("every task is implemented")
+    done = wasp("run", "specs/table1.yaml", "--results", tmp_path / "results")
+    assert done.returncode == 3
+    assert f"specs/table1.yaml:5:9: task '{absent[0]}'" in done.stderr
+    assert "is not implemented in this version" in done.stderr
+    assert "--task goal1" in done.stderr
+    assert not (tmp_path / "results").exists()
+
+
+def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/results")):
+        done = wasp("run", SMOKE, "--results", place)
+        assert done.returncode == 1
+        assert done.stderr.startswith(f"error: cannot write results to '{place}'")
+        assert "--results DIR" in done.stderr
+
+
+def test_report_without_results_says_so(tmp_path: Path) -> None:
+    done = wasp("report", tmp_path)
+    assert done.returncode == 1
+    assert f"error: no results in '{tmp_path}': it holds no runs" in done.stderr
+
+
+def test_debug_shows_the_traceback() -> None:
+    for done in (wasp("--debug", "check", "/nowhere.yaml"), wasp("check", "/nowhere.yaml", WASP_DEBUG="1")):
+        assert "Traceback" in done.stderr
+        assert done.returncode == 1
+
+
+def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"s1 critics": "refuse"})
+    results = tmp_path / "results"
+    done = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
+    assert done.returncode == 1
+    assert "1 failed:\n  goal1 s1 critics: the loss is not finite\n      lower the learning rate\n      log: " in done.stderr
+    assert "goal1 s1 wasp noisy=0.2 (needs goal1 s1 critics)" in done.stderr
+    log = done.stderr.partition("log: ")[2].split()[0]
+    assert "the loss is not finite" in Path(log).read_text(encoding="utf-8")
+    assert done.stdout == "14 cells\n"
+    fakes.set()
+    again = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
+    assert again.returncode == 0
+    assert "4 computed, 28 computed before" in again.stderr
+
+
+def test_a_second_run_computes_nothing(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    first = wasp("run", small_spec, "--results", tmp_path / "results", "-j", "0", fake=True)
+    assert (first.returncode, "32 computed" in first.stderr) == (0, True), first.stderr
+    assert "[32/32] done" in first.stderr
+    start = time.perf_counter()
+    second = wasp("run", small_spec, "--results", tmp_path / "results", fake=True)
+    assert time.perf_counter() - start < 10
+    assert "0 computed, 32 computed before" in second.stderr
+    assert len(fakes.executions()) == 32
+
+
+def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Path) -> None:
+    options = ["--variant", "no-case2", "--task", "goal1", "--preset", "smoke", "--set", "seeds=[0]", "-j", "0"]
+    done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "24 cells\n"
+    evaluations = [line for line in fakes.executions() if "evaluate" in line]
+    assert sum("no-case2" in line for line in evaluations) == 12
+    assert sum("'full'" in line for line in evaluations) == 12
+
+
+def test_doctor_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
+    done = wasp("doctor", "--results", tmp_path / "results")
+    assert done.returncode == 0
+    for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "OpenGL", "results"):
+        assert word in done.stdout
+    assert not (tmp_path / "results").exists()
