@@ -78,8 +78,10 @@ def _draw(panel: Axes, group: Group) -> None:
         panel.plot([x, small_x], [y, small_y], color=colour, alpha=0.25, linewidth=0.8)
         panel.plot(small_x, small_y, marker, color=colour, markersize=4, alpha=0.55, markeredgewidth=0)
     cost_sd, return_sd = summarise(group.cells, "cost").sd, summarise(group.cells, "return").sd
+    # Larger, so that it shows behind an assistant that never acts.
+    size = 12 if group.method == "human" else 9
     panel.errorbar(
-        x, y, xerr=cost_sd, yerr=return_sd, fmt=marker, color=colour, markersize=9, markeredgecolor="white", capsize=2, elinewidth=1,
+        x, y, xerr=cost_sd, yerr=return_sd, fmt=marker, color=colour, markersize=size, markeredgecolor="white", capsize=2, elinewidth=1,
         label=assistant_title(group),
     )  # fmt: skip
 
