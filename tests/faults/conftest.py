@@ -1,5 +1,17 @@
 from __future__ import annotations
 
-from tests.run.harness import fakes, small_spec
+from pathlib import Path
 
-__all__ = ["fakes", "small_spec"]
+import pytest
+
+from tests.run.harness import SMALL, fakes
+
+__all__ = ["fakes"]
+
+
+@pytest.fixture
+def small_spec(tmp_path: Path) -> Path:
+    """One seed is enough where processes die."""
+    path = tmp_path / "small.yaml"
+    path.write_text(SMALL.replace("[0, 1]", "[0]"), encoding="utf-8")
+    return path

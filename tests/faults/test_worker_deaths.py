@@ -32,7 +32,7 @@ def test_a_node_that_kills_its_worker_is_named_and_the_others_finish(jobs: int, 
 
 def test_a_worker_killed_by_chance_costs_a_repetition_and_no_failure(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     run(small_spec, tmp_path / "calm")
-    fakes.set(behave={"goal1 s1 world_model": "kill once"})
+    fakes.set(behave={"goal1 s0 world_model": "kill once"})
     pool = LokyPool(2)
     try:
         summary = run(small_spec, tmp_path / "stormy", pool)
