@@ -38,7 +38,13 @@ def test_times_come_from_nodes_of_the_same_sort() -> None:
     # expert, dataset, world model and policies follow one another; the four evaluations share two workers
     assert plan.estimate(2) == (pytest.approx(4 * 10 + 4 * 10 / 2), 0)
     assert plan.estimate(100) == (pytest.approx(5 * 10), 0)
-    assert make_plan(laid_out, {}, {}, {"expert": 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
+    expert = sort_of(laid_out.nodes[0])
+    assert make_plan(laid_out, {}, {}, {expert: 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
+
+
+def test_times_of_other_sizes_do_not_count() -> None:
+    assert sort_of(grid(expert={"interactions": 3000}).nodes[0]) != sort_of(grid().nodes[0])
+    assert len({sort_of(node) for node in grid().nodes if node.kind == "expert"}) == 1
 
 
 def test_the_plan_reads_well() -> None:

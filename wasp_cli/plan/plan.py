@@ -12,9 +12,10 @@ from typing import Any, Literal
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.keys import canonical
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.waves import waves
-from wasp_cli.store.artifact import published, read_record
+from wasp_cli.store.artifact import published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
@@ -132,12 +133,12 @@ def _cause(path: Path) -> str:
 
 
 def sort_of(node: Node) -> str:
-    """Nodes of a sort take about as long: evaluations differ by method, everything else by kind."""
-    return _sort(node.kind, node.axes)
+    """Nodes of a sort take about as long: the same stage and method at the same sizes, whatever the seed and the operator."""
+    return _sort(node.kind, node.task, node.config, node.axes)
 
 
-def _sort(kind: str, axes: Mapping[str, Any]) -> str:
-    return f"{kind} {axes.get('method', '')}".strip()
+def _sort(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
+    return canonical([kind, task, config, axes.get("method"), axes.get("method_config")])
 
 
 def measured(layout: Layout, stored: Mapping[str, Iterable[str]]) -> dict[str, float]:
@@ -145,10 +146,12 @@ def measured(layout: Layout, stored: Mapping[str, Iterable[str]]) -> dict[str, f
     times: dict[str, list[float]] = {}
     for kind, keys in stored.items():
         for key in sorted(keys)[:_MEASURED]:
-            manifest = read_record(layout.manifest(kind, key)) or {}
-            seconds = manifest.get("provenance", {}).get("seconds")
-            if isinstance(seconds, int | float):
-                times.setdefault(_sort(kind, manifest.get("axes", {})), []).append(float(seconds))
+            try:
+                manifest = read_manifest(layout, kind, key)
+                sort = _sort(kind, manifest["task"], manifest["config"], manifest["axes"])
+                times.setdefault(sort, []).append(float(manifest["provenance"]["seconds"]))
+            except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):  # damaged: no measurement
+                continue
     return {sort: median(values) for sort, values in times.items()}
 
 
