@@ -33,7 +33,8 @@ def replay(lengths: tuple[int, ...] = (12, 9, 15), seed: int = 0) -> Replay:
         pixels=random.integers(0, 256, (rows, 6, 64, 64), dtype=np.uint8), action=random.uniform(-1, 1, (rows, 2)).astype(np.float32),
         reward=random.normal(size=rows).astype(np.float32), cost=(random.random(rows) < 0.2).astype(np.float32),
         terminal=np.zeros(rows, np.float32), first=first, privileged=random.normal(size=(rows, 5)).astype(np.float32),
-        episode=np.repeat(np.arange(len(lengths), dtype=np.int32), lengths), behaviour=np.repeat([("expert", "noisy")[i % 2] for i in range(len(lengths))], lengths),
+        episode=np.repeat(np.arange(len(lengths), dtype=np.int32), lengths),
+        behaviour=np.repeat([("expert", "noisy")[i % 2] for i in range(len(lengths))], lengths),
     )  # fmt: skip
 
 

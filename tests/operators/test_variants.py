@@ -80,10 +80,8 @@ def test_rows_of_a_batch_draw_independently() -> None:
 
 def test_a_mixture_draws_an_operator_for_every_episode() -> None:
     rows = 200
-    parts = [
-        build_operator(n, v, human(), EpisodeNoise(list(range(rows))), rows) for n, v in (("limited-skill", 0.5), ("limited-skill", 0.1))
-    ]
-    mixed = MixedOperator(parts, seed=0)
+    noise = EpisodeNoise(list(range(rows)))
+    mixed = MixedOperator([build_operator("limited-skill", value, human(), noise, rows) for value in (0.5, 0.1)], noise, seed=0)
     mixed.reset(torch.ones(rows, dtype=torch.bool))
     seen = mixed.command(torch.ones(rows, 2))[:, 0]
     assert (seen == 0.5).float().mean().item() == pytest.approx(0.5, abs=0.12)

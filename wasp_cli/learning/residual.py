@@ -36,15 +36,13 @@ class AssistedTask(TaskVecEnv):
         self._filter = Filter(model, task.batch)
         self._alpha = config.alpha
         self._command = torch.zeros(task.batch, task.action_size)
-        self._noises: list[EpisodeNoise] = []
+        self._noise = EpisodeNoise([0] * task.batch)
         owner = human(skills, task.decision_seconds, task.action_size)
         operators = []
         for variant, values in sorted(config.operators.items()):
             for value in values:
-                noise = EpisodeNoise([0] * task.batch)
-                self._noises.append(noise)
-                operators.append(build_operator(variant, value, owner, noise, task.batch))
-        self._operator = MixedOperator(operators, derive("residual-operators", name, seed))
+                operators.append(build_operator(variant, value, owner, self._noise, task.batch))
+        self._operator = MixedOperator(operators, self._noise, derive("residual-operators", name, seed))
         self._noise_seed = seed_stream(derive, "residual-noise", name, seed)
         super().__init__(task, model.feature_size + task.action_size, -2.0, 2.0, seed_stream(derive, "residual-episode", name, seed))
 
@@ -54,9 +52,7 @@ class AssistedTask(TaskVecEnv):
         if rows.any():
             self._operator.reset(first)
             for row in np.flatnonzero(rows):
-                drawn = self._noise_seed()
-                for noise in self._noises:
-                    noise.restart(int(row), drawn)
+                self._noise.restart(int(row), self._noise_seed())
             if not rows.all():
                 return self._restarted(seen, first)
         self._filter.executed(torch.from_numpy(np.asarray(executed, np.float32)))
@@ -68,7 +64,7 @@ class AssistedTask(TaskVecEnv):
         """New episodes in some rows only: the others have been observed already and must not move on twice."""
         old, command = self._filter.latent, self._command
         states = [(operator, operator.snapshot()) for operator in self._operator.operators]
-        steps = [list(noise.step) for noise in self._noises]
+        steps = list(self._noise.step)
         latent = self._filter.see(seen, first.float())
         mask = first.unsqueeze(-1)
         self._filter.latent = type(latent)(torch.where(mask, latent.h, old.h), torch.where(mask, latent.z, old.z))
@@ -78,8 +74,8 @@ class AssistedTask(TaskVecEnv):
             operator.memory = {
                 n: torch.where(first.view(-1, *([1] * (v.dim() - 1))), operator.memory[n], v) for n, v in memory.items()
             }  # fmt: skip
-        for noise, before in zip(self._noises, steps, strict=True):
-            noise.step = [new if row else b for new, b, row in zip(noise.step, before, first.tolist(), strict=True)]
+        moved = zip(self._noise.step, steps, first.tolist(), strict=True)
+        self._noise.step = [after if row else before for after, before, row in moved]
         return torch.cat([self._filter.latent.features, self._command], -1).numpy()
 
     def execute(self, action: Array) -> tuple[Array, Array]:

@@ -105,7 +105,7 @@ def train(
         TrainingError: more than a handful of updates had a non-finite loss.
     """
     weights = {name: getattr(config, name) for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")}
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate)
+    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
     mean = replay.pixels[:: max(1, len(replay.pixels) // 2000)].astype(np.float32).mean(0) / 255.0
     model.mean_image.copy_(torch.from_numpy(mean))

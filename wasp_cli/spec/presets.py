@@ -12,7 +12,7 @@ _CPU: Document = {
     "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64},
 }
 
-# Everything runs, nothing is learned: the code paths of every stage and method in a few minutes.
+# Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
 _SMOKE: Document = {
     "episodes": 2,
     "expert": {"interactions": 2000, "envs": 8, "rollout": 32, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
@@ -28,26 +28,30 @@ _SMOKE: Document = {
     "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
     "calibration": {"decisions": 20},
+    "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1},
 }  # fmt: skip
 
-# Ten minutes on two cores for one task with one seed: small, but every method has learned something.
+# Some eight minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
+# many small updates of the world model beat few large ones.
 _QUICK: Document = {
     "episodes": 10,
-    "expert": {"interactions": 150_000, "envs": 16, "evaluation_episodes": 5},
-    "dataset": {"steps": 12_000, "envs": 8},
-    "world_model": {
-        "deter": 128, "hidden": 64, "variables": 8, "classes": 8, "depth": 8, "head": 64,
-        "batch": 8, "length": 32, "updates": 400, "warmup": 50, "refit_updates": 100,
+    "expert": {
+        "interactions": 320_000, "rollout": 64, "gamma": 0.97, "entropy": 0.0, "multiplier_init": 0.2, "evaluation_episodes": 10,
     },
-    "policies": {"updates": 400, "batch": 256, "evaluation_episodes": 4},
-    "critics": {"updates": 150, "starts": 64},
-    "heldout": {"episodes": 4},
-    "ida_q": {"updates": 500, "hidden": [128, 128]},
-    "denoiser": {"updates": 1500, "batch": 512},
-    "residual": {"interactions": 20_000, "envs": 8},
-    "calibration": {"decisions": 150},
-    "wasp": {"candidates": 32, "elites": 10, "iterations": 2, "feasible": 10, "probe": 32, "gate_rollouts": 2},
+    "dataset": {"steps": 24_000, "envs": 16},
+    "world_model": {
+        "deter": 192, "hidden": 128, "variables": 12, "classes": 12, "depth": 8, "head": 96,
+        "batch": 8, "length": 16, "updates": 2200, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.35, "refit_updates": 300,
+    },
+    "policies": {"updates": 1500, "batch": 256},
+    "critics": {"updates": 300, "starts": 128},
+    "heldout": {"episodes": 16},
+    "ida_q": {"updates": 2000, "batch": 128, "hidden": [128, 128]},
+    "denoiser": {"updates": 3000, "batch": 256},
+    "residual": {"interactions": 24_000, "rollout": 64},
+    "calibration": {"decisions": 300},
+    "wasp": {"candidates": 48, "elites": 16, "iterations": 3, "feasible": 16, "probe": 48},
 }  # fmt: skip
 
 # Sizes that keep a large GPU busy; the critics and the planner imagine thousands of rollouts at once.
