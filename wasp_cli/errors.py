@@ -4,6 +4,7 @@
     ├── CellsFailed                 1   a run ended with failed or blocked nodes
     ├── StoreError                  1   the results folder cannot be read or written
     ├── ArtifactError               1   an artifact is damaged or does not fit what reads it
+    ├── SourceChanged               1   the code changed while a run was going
     ├── TaskError                   1   a task was driven wrongly (bad action, step after the end)
     ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
     ├── UsageError                  2   a command-line argument is wrong
@@ -45,6 +46,10 @@ class StoreError(WaspError):
 
 class ArtifactError(WaspError):
     """An artifact is damaged, or does not fit the component that reads it."""
+
+
+class SourceChanged(WaspError):
+    """The code changed while a run was going, so that a result would not belong to its key."""
 
 
 class TaskError(WaspError):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -48,7 +48,31 @@ def source_hashes(roots: Iterable[str]) -> dict[str, str]:
 @cache
 def source_hash(module: str) -> str:
     """Hash of one module's syntax without docstrings."""
-    tree = _tree(module)
+    return _digest(module, _tree(module))
+
+
+def changed_since(hashes: Mapping[str, str]) -> list[str]:
+    """The modules whose source is not what `source_hashes` once said; reads again only what was written since."""
+    return [module for module, known in hashes.items() if _fresh_hash(module) != known]
+
+
+_seen: dict[str, tuple[tuple[int, int], str]] = {}
+"""Stamp and hash of each module that `changed_since` has read."""
+
+
+def _fresh_hash(module: str) -> str:
+    file = _file(module)
+    try:
+        state = file.stat() if file is not None else None
+        stamp = (state.st_mtime_ns, state.st_size) if state is not None else (0, 0)
+        if _seen.get(module, (None, ""))[0] != stamp:
+            _seen[module] = stamp, _digest(module, ast.Module([], []) if file is None else ast.parse(file.read_bytes()))
+    except (OSError, SyntaxError, ValueError):  # removed, or half saved
+        return ""
+    return _seen[module][1]
+
+
+def _digest(module: str, tree: ast.Module) -> str:
     digest = hashlib.sha256()
     for text in _syntax(_configured(tree) if module.rpartition(".")[2] in CONFIGURATION else tree):
         digest.update(text.encode())

@@ -48,6 +48,5 @@ def _time(plan: Plan, workers: int) -> str:
     who = f"{workers} worker" + ("s" if workers > 1 else "")
     if not seconds:
         return "no node of these sizes has been measured yet, so there is no estimate of the time"
-    return f"about {duration(seconds)} on {who}" + (
-        f", without {unknown} nodes of sizes that have not been measured yet" if unknown else ""
-    )
+    rest = f", without {unknown} nodes of sizes that have not been measured yet" if unknown else ""
+    return f"about {duration(seconds)} on {who}{rest}"

@@ -49,12 +49,13 @@ def require_tasks(loaded: Loaded) -> None:
         SpecError: pointing at the first such task.
     """
     available = [name for name in TASKS if TASKS[name].implemented]
+    written = loaded.source.document.get("tasks") or []
     for task in loaded.spec.tasks:
         if not TASKS[task].implemented:
             possible = [name for name in loaded.spec.tasks if name in available]
             hint = f"run the others with --task {possible[0]}" if possible else "available: " + ", ".join(available)
-            index = loaded.spec.tasks.index(task)
-            raise loaded.problem(("tasks", index), f"task '{task}' ({TASKS[task].gym_id}) is not implemented in this version", hint)
+            place = ("tasks", written.index(task)) if task in written else ("tasks",)
+            raise loaded.problem(place, f"task '{task}' ({TASKS[task].gym_id}) is not implemented in this version", hint)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from wasp_cli.config import Config
-from wasp_cli.errors import ArtifactError, TrainingError, WaspError
+from wasp_cli.errors import ArtifactError, SourceChanged, TrainingError, WaspError
+from wasp_cli.plan.closure import changed_since
 from wasp_cli.registry import load_target
 from wasp_cli.run.order import Order, Outcome
 from wasp_cli.spec.model import Spec
@@ -67,6 +68,7 @@ def _computed(order: Order, layout: Layout, log: Path, started: float, running: 
         stage: Stage = load_target(order.stage)()
         _set_threads(getattr(stage, "torch_threads", 1))
         summary = _finite(stage.run(_job(order, layout, stage, staging, _progress(running, order))))
+        _require_planned_source(order)
         seconds = time.monotonic() - started
         publish(layout, order.kind, order.key, staging, _manifest(order, summary, seconds, started_at))
     except (Exception, SystemExit) as error:
@@ -78,6 +80,14 @@ def _computed(order: Order, layout: Layout, log: Path, started: float, running: 
     layout.failure(order.key).unlink(missing_ok=True)
     discard(layout.work(order.key))
     return Outcome(order.key, "done", seconds, summary, log=str(log))
+
+
+def _require_planned_source(order: Order) -> None:
+    """See that what ran is what the key says: a module may have been saved between planning and its import here."""
+    if changed := changed_since(order.sources):
+        raise SourceChanged(
+            f"the source changed while the run was going: {', '.join(changed)}", "run again; what the change does not touch is kept"
+        )
 
 
 def _job(order: Order, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
