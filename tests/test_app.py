@@ -101,7 +101,7 @@ def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
     bad = spec_with(tmp_path, "[goal1]", "[goal2]")
     done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
     assert done.returncode == 3
-    assert "specs/table1.yaml: ok, 549 cells" in done.stderr
+    assert "specs/table1.yaml: ok, 549 cells" in done.stdout
     assert f"{bad}:4:9: unknown task 'goal2'" in done.stderr
     assert "absent.yaml:1:1: no such file" in done.stderr
     assert wasp("check", SMOKE).returncode == 0

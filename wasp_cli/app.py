@@ -44,7 +44,7 @@ JobsOption = Annotated[
         "-j",
         min=0,
         metavar="N",
-        help="Worker processes; 0 computes in this process. [default: all cores]",
+        help="Worker processes; 0 computes in this process. (default: all cores)",
         show_default=False,
     ),
 ]
@@ -156,7 +156,7 @@ def check(
     set_: SetOption = None,
 ) -> None:
     """Validate specs: every mistake at once, with file, line and column."""
-    from wasp_cli.console import plain
+    from wasp_cli.console import out
     from wasp_cli.errors import SpecError
     from wasp_cli.plan.grid import cells_of
     from wasp_cli.spec.load import load
@@ -171,7 +171,7 @@ def check(
             continue
         absent = [task for task in spec.tasks if not TASKS[task].implemented]
         note = f"; not implemented in this version: {', '.join(absent)}" if absent else ""
-        plain(f"{path}: ok, {len(list(cells_of(spec)))} cells{note}")
+        out().print(f"{path}: ok, {len(list(cells_of(spec)))} cells{note}", markup=False, soft_wrap=True)
     if problems:
         raise SpecError("\n".join(problems))
 
@@ -181,7 +181,7 @@ def check(
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")] = Path("results"),
     spec: Annotated[
-        str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. [default: all that ran]", show_default=False)
+        str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
     ] = None,
 ) -> None:
     """Print the tables of what has run, from the results folder alone."""
@@ -203,7 +203,7 @@ def report(
 def ablate(
     variant: Annotated[str, typer.Option("--variant", metavar="NAME", help="The ablation, for example no-case2.", show_default=False)],
     task: Annotated[
-        str | None, typer.Option("--task", "-t", metavar="TASK", help="On this task. [default: the spec's]", show_default=False)
+        str | None, typer.Option("--task", "-t", metavar="TASK", help="On this task. (default: the spec's)", show_default=False)
     ] = None,
     spec: Annotated[Path, typer.Option("--spec", metavar="SPEC", help="For operators, seeds and budgets.")] = Path("specs/table2.yaml"),
     preset: Annotated[
