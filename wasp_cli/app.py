@@ -244,8 +244,9 @@ def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]]) -> N
 
     report = report_run(layout.root, spec, cells)
     report.terminal(out())
-    for path in report.write(layout.reports(spec.name)):
-        out().print(str(path), markup=False, soft_wrap=True)
+    page, *_ = report.write(layout.reports(spec.name))
+    out().print(f"report: {page} (its tables as Markdown and CSV, and the figure, are beside it)", markup=False, soft_wrap=True)
+    out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
 
 
 def _print_json(value: Any) -> None:

@@ -11,13 +11,13 @@ from torch import Tensor
 from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.closed_loop import human
+from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Heldout, Parts
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.stages.configs import ReturnsConfig
 
 ROWS, STEPS = 5, 4
 SMALL: dict[str, dict[str, Any]] = {

@@ -9,6 +9,7 @@ import torch
 
 from wasp_cli.errors import ArtifactError, TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
+from wasp_cli.learning.configs import MixtureConfig, WorldModelConfig
 from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
 from wasp_cli.learning.denoiser import demonstrations
 from wasp_cli.learning.draws import generator
@@ -16,7 +17,6 @@ from wasp_cli.learning.lagrangian import MultiplierRule
 from wasp_cli.learning.replay import Replay, read_replay, write_shard
 from wasp_cli.learning.world_model import Windows, build, encode, open_loop, refit_heads, train
 from wasp_cli.models.policy import PrivilegedPolicy
-from wasp_cli.stages.configs import MixtureConfig, WorldModelConfig
 
 TINY = WorldModelConfig(
     deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, batch=3, length=6, updates=8, warmup=2, refit_updates=3, refit_horizon=4,

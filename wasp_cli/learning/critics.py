@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.world_model import Latents
@@ -16,7 +17,6 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.stages.configs import CriticsConfig, ReturnsConfig
 
 
 def train_critics(

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 
 from wasp_cli.errors import TrainingError
+from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.learning.draws import generator
 from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.world_model import Latents
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
-from wasp_cli.stages.configs import DenoiserConfig
 
 COST_LIMIT = 25.0
 """Demonstrations come from episodes of at most this cost; it is kappa of the paper's experiments."""

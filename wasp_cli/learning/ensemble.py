@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from wasp_cli.learning.configs import EnsembleConfig
 from wasp_cli.learning.draws import generator
 from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.world_model import Latents
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.policy import Skills
-from wasp_cli.stages.configs import EnsembleConfig
 
 
 def train_ensemble(

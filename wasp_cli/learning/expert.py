@@ -13,12 +13,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
+from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.vec_env import TaskVecEnv, actor_layers, seed_stream
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.models.weights import load_weights, read_arguments, save_weights
 from wasp_cli.seeds import derive
-from wasp_cli.stages.configs import ExpertConfig
 from wasp_cli.tasks.base import VectorTask
 
 

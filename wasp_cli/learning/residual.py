@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from torch import nn
 
 from wasp_cli.learning.closed_loop import Filter, human
+from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.vec_env import Array, TaskVecEnv, actor_layers, seed_stream
 from wasp_cli.models.policy import Skills
@@ -22,7 +23,6 @@ from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.seeds import derive
-from wasp_cli.stages.configs import ResidualConfig
 from wasp_cli.tasks.base import Observation, VectorTask
 
 

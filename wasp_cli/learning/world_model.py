@@ -13,13 +13,13 @@ from torch import Tensor
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
+from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.replay import Replay
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.weights import load_weights, read_arguments, read_tensors, save_weights
 from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
-from wasp_cli.stages.configs import WorldModelConfig
 
 Report = Callable[[float, str], None]
 SKIPS = 5

@@ -14,12 +14,12 @@ from pydantic import AfterValidator, Field, ValidationError, create_model, model
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from wasp_cli.config import Config, assumed
+from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import load_target
 from wasp_cli.spec.names import NO_REPEATS, MethodName, OperatorName, Seed, SeverityName, SpecName, TaskName, VariantName, unknown
 from wasp_cli.spec.presets import PRESETS, merged
-from wasp_cli.stages.configs import ReturnsConfig
 from wasp_cli.stages.registry import STAGES
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]

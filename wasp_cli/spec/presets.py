@@ -42,7 +42,7 @@ _QUICK: Document = {
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {
         "deter": 192, "hidden": 128, "variables": 12, "classes": 12, "depth": 8, "head": 96,
-        "batch": 8, "length": 16, "updates": 2200, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.35, "refit_updates": 300,
+        "batch": 8, "length": 16, "updates": 2400, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25, "refit_updates": 300,
     },
     "policies": {"updates": 1500, "batch": 256},
     "critics": {"updates": 300, "starts": 128},
@@ -51,7 +51,7 @@ _QUICK: Document = {
     "denoiser": {"updates": 3000, "batch": 256},
     "residual": {"interactions": 24_000, "rollout": 64},
     "calibration": {"decisions": 300},
-    "wasp": {"candidates": 48, "elites": 16, "iterations": 3, "feasible": 16, "probe": 48},
+    "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32},
 }  # fmt: skip
 
 # Sizes that keep a large GPU busy; the critics and the planner imagine thousands of rollouts at once.

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
+from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.stages.base import Job
-from wasp_cli.stages.configs import DenoiserConfig
 
 
 class DenoiserStage:

@@ -9,8 +9,8 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
+from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.stages.base import Job
-from wasp_cli.stages.configs import ExpertConfig
 
 
 class ExpertStage:

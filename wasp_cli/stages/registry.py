@@ -1,4 +1,4 @@
-"""The stages by kind. Adding one is a module with its class, a config in `configs` and one line here."""
+"""The stages by kind. Adding one is a module with its class, a config in `learning.configs` and one line here."""
 
 from __future__ import annotations
 

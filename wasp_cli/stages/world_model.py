@@ -10,8 +10,8 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
+from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.stages.base import Job
-from wasp_cli.stages.configs import WorldModelConfig
 
 HELD_OUT = 0.1
 """Share of the episodes that no gradient sees."""
@@ -62,9 +62,6 @@ class WorldModelStage:
         (job.out_dir / "open_loop.json").write_text(json.dumps(quality, indent=1))
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
         reconstruction_sheet(model, replay.rows(held), test, job.out_dir / "reconstruction.png")
-        summary: dict[str, Any] = {name: round(values[-1], 4) for name, values in curves.items() if values}
-        for row in quality:
-            if row["k"] in (1, 5, 15):
-                shown = ("auprc", "persistence", "predicted_over_base", "reward_r2")
-                summary |= {f"{name}@{row['k']}": round(row[name], 3) for name in shown}
-        return summary
+        shown = ("auprc", "persistence", "predicted_over_base", "reward_r2")
+        summary = {f"{name}@{row['k']}": round(row[name], 3) for row in quality if row["k"] in (5, 1, 15) for name in shown}
+        return summary | {name: round(values[-1], 4) for name, values in curves.items() if values}

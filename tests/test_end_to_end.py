@@ -1,0 +1,137 @@
+"""The whole chain through the command line on the smallest budgets: every stage runs, and every method really acts."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.tables import read_episodes, read_steps
+
+SPEC = """
+name: chain
+preset: smoke
+tasks: [goal1]
+methods: [human, ida, diffusion, saferl, wasp, expert]
+variants: [full, safety-only, task-only]
+operators:
+  laggy: {severe: 0.85}
+seeds: [3]
+episodes: 2
+wasp: {tau_c: 0.05, tau_r: 0.0}      # untrained models see little: gates that fire all the same
+"""
+
+
+def wasp(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=600, check=False)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("chain")
+    spec = folder / "chain.yaml"
+    spec.write_text(SPEC)
+    done = wasp("run", str(spec), "--results", str(folder / "results"), "-j", "2")
+    assert done.returncode == 0, done.stderr
+    return folder / "results"
+
+
+def cells(results: Path) -> dict[tuple[str, str], Path]:
+    found = {}
+    for path in sorted((results / "store" / "evaluate").glob("*/cell.parquet")):
+        row = read_episodes([path]).slice(0, 1).to_pylist()[0]
+        found[row["method"], row["assistant_variant"]] = path
+    return found
+
+
+def test_every_stage_has_left_an_artifact_with_its_numbers(results: Path) -> None:
+    for kind in STAGES:
+        manifests = list((results / "store" / kind).glob("*/manifest.json"))
+        assert manifests, f"no {kind}"
+        for manifest in manifests:
+            assert json.loads(manifest.read_text())["summary"], f"{kind} says nothing about itself"
+
+
+def test_every_method_and_variant_has_its_cell_of_whole_episodes(results: Path) -> None:
+    wanted = {(name, "full") for name in METHODS} | {("wasp", "safety-only"), ("wasp", "task-only")}
+    assert set(cells(results)) == wanted
+    for path in cells(results).values():
+        episodes = read_episodes([path])
+        assert episodes.num_rows == 2
+        assert set(episodes["env_steps"].to_pylist()) == {1000}
+        assert read_steps(path).num_rows == 2 * 250
+
+
+def test_methods_act_and_human_only_does_not(results: Path) -> None:
+    full = {name: path for (name, variant), path in cells(results).items() if variant == "full"}
+    rates = {name: np.mean(read_episodes([path])["int_rate"].to_pylist()) for name, path in full.items()}
+    assert rates["human"] == 0
+    assert rates["expert"] == 0
+    for name in ("ida", "diffusion", "saferl", "wasp"):
+        assert rates[name] > 0, f"{name} never acted"
+
+
+def test_no_two_methods_have_the_same_rows(results: Path) -> None:
+    actions = {name: str(read_steps(path)["a"].combine_chunks()) for name, path in cells(results).items()}
+    assert len(set(actions.values())) == len(actions)
+
+
+def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(results: Path) -> None:
+    impaired = {name: path for name, path in cells(results).items() if name[0] != "expert"}
+    seeds = {tuple(read_episodes([path])["episode_seed"].to_pylist()) for path in impaired.values()}
+    assert len(seeds) == 1
+    first = {str(read_steps(path)["a_h"][0].as_py()) for path in impaired.values()}
+    assert len(first) == 1
+
+
+def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results: Path) -> None:
+    def steps(variant: str) -> pa.Table:
+        return read_steps(cells(results)["wasp", variant])
+
+    gates = {variant: set(steps(variant)["gate"].to_pylist()) for variant in ("full", "safety-only", "task-only")}
+    assert 2 not in gates["safety-only"]
+    assert 1 not in gates["task-only"]
+    assert gates["full"] & {1, 2}
+    full = steps("full").to_pylist()
+    for step in full:
+        assert step["g_cost"] is not None
+        assert (step["safe"] is not None) == (step["gate"] in (1, 2))
+        assert (step["case2_share"] is not None) == (step["gate"] in (1, 2))
+        if step["gate"] == 0:
+            assert step["deviation"] == 0
+    thresholds = read_episodes([cells(results)["wasp", "full"]])
+    assert set(thresholds["tau_c"].to_pylist()) == {0.05}
+
+
+def test_a_second_run_computes_nothing(results: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (results / "store").rglob("*") if path.is_file()}
+    again = wasp("run", str(results.parent / "chain.yaml"), "--results", str(results))
+    assert again.returncode == 0
+    assert "0 computed" in again.stderr
+    assert {path: path.stat().st_mtime_ns for path in (results / "store").rglob("*") if path.is_file()} == before
+
+
+def test_report_needs_the_results_folder_alone(results: Path) -> None:
+    shown = wasp("report", str(results))
+    assert shown.returncode == 0, shown.stderr
+    for info in METHODS.values():
+        assert info.title in shown.stdout
+
+
+def test_one_worker_gives_the_same_rows_as_two(results: Path, tmp_path: Path) -> None:
+    from wasp_cli.store.tables import same_rows
+
+    done = wasp("run", str(results.parent / "chain.yaml"), "--results", str(tmp_path), "-j", "1")
+    assert done.returncode == 0, done.stderr
+    mine, theirs = cells(results), cells(tmp_path)
+    assert set(mine) == set(theirs)
+    for name in mine:
+        assert mine[name].parent.name == theirs[name].parent.name, "the same content has the same key"
+        assert same_rows(mine[name], theirs[name]), name
