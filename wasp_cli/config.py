@@ -1,4 +1,4 @@
-"""The base of every configuration model, and the mark of values that the paper leaves open."""
+"""The base of every configuration model, and the marks of values that the paper leaves open or that differ from it."""
 
 from __future__ import annotations
 
@@ -23,14 +23,20 @@ def from_paper(default: Any, where: str, **constraints: Any) -> Any:
     return Field(default=default, description=where, json_schema_extra={"in_paper": True}, **constraints)
 
 
+def deviates(default: Any, why: str, **constraints: Any) -> Any:
+    """A field whose default is not what the paper says. `why` says what the paper has and why not; reports list it first."""
+    return Field(default=default, description=why, json_schema_extra={"in_paper": "differs"}, **constraints)
+
+
 def assumptions(model: Config, prefix: str = "") -> list[tuple[str, Any, str]]:
-    """Every assumed field of a resolved model as (dotted name, value in force, why), in field order."""
+    """Every field that is not as in the paper as (dotted name, value in force, why), in field order."""
     found: list[tuple[str, Any, str]] = []
     for name, info in type(model).model_fields.items():
         value = getattr(model, name)
         extra = info.json_schema_extra
         if isinstance(value, Config):
             found += assumptions(value, f"{prefix}{name}.")
-        elif isinstance(extra, dict) and extra.get("in_paper") is False:
-            found.append((f"{prefix}{name}", value, info.description or ""))
+        elif isinstance(extra, dict) and extra.get("in_paper") in (False, "differs"):
+            mark = "differs from the paper: " if extra["in_paper"] == "differs" else ""
+            found.append((f"{prefix}{name}", value, mark + (info.description or "")))
     return found

@@ -110,7 +110,7 @@ def test_calibration_gives_finite_thresholds(parts: Parts, name: str) -> None:
     heldout = Heldout(latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long())
     who = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * rows), rows)
     with torch.inference_mode():
-        thresholds = assistant(parts, name, "full").calibrate(heldout, who, 3)  # type: ignore[attr-defined]
+        thresholds = assistant(parts, name, "full").calibrate(heldout, zeros, who, 3)  # type: ignore[attr-defined]
     wanted = {"ida": "tau_q", "wasp": "tau_r"}.get(name)
     assert wanted is None or torch.isfinite(torch.tensor(thresholds[wanted]))
 

@@ -73,10 +73,9 @@ def test_memory_is_cleared_at_the_start_of_an_episode(name: str) -> None:
 def test_a_snapshot_brings_the_same_commands_back(name: str) -> None:
     operator, seen = make(name, [1, 2, 3, 4]), features()
     commands(operator, seen[:6])
-    memory, steps = operator.snapshot(), list(operator.noise.step)  # type: ignore[attr-defined]
+    snapshot = operator.snapshot()
     wanted = commands(operator, seen[6:])
-    operator.restore(memory)
-    operator.noise.step = steps  # type: ignore[attr-defined]
+    operator.restore(snapshot)
     assert torch.equal(commands(operator, seen[6:]), wanted)
 
 
@@ -84,7 +83,7 @@ def test_a_snapshot_brings_the_same_commands_back(name: str) -> None:
 def test_a_fork_continues_from_the_real_memory_and_leaves_it_alone(name: str) -> None:
     operator, seen = make(name, [1, 2, 3, 4]), features()
     commands(operator, seen[:6])
-    before = operator.snapshot()
+    before = dict(operator.memory)
     rows = torch.tensor([2, 0])
     uniforms = torch.rand(3, 6, operator.draws)
     fork = operator.fork(rows, 3, DrawnNoise(uniforms))

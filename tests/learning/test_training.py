@@ -31,7 +31,8 @@ def replay(lengths: tuple[int, ...] = (12, 9, 15), seed: int = 0) -> Replay:
     first[np.cumsum([0, *lengths[:-1]])] = 1
     return Replay(
         pixels=random.integers(0, 256, (rows, 6, 64, 64), dtype=np.uint8), action=random.uniform(-1, 1, (rows, 2)).astype(np.float32),
-        reward=random.normal(size=rows).astype(np.float32), cost=(random.random(rows) < 0.2).astype(np.float32),
+        cost_env=np.zeros(rows, np.float32), reward=random.normal(size=rows).astype(np.float32),
+        cost=(random.random(rows) < 0.2).astype(np.float32),
         terminal=np.zeros(rows, np.float32), first=first, privileged=random.normal(size=(rows, 5)).astype(np.float32),
         episode=np.repeat(np.arange(len(lengths), dtype=np.int32), lengths),
         behaviour=np.repeat([("expert", "noisy")[i % 2] for i in range(len(lengths))], lengths),
@@ -163,10 +164,11 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
 
 
 def test_behaviours_follow_their_shares() -> None:
-    chosen = behaviours(MixtureConfig().model_dump(), 50, np.random.default_rng(0))
+    chosen = behaviours(MixtureConfig().model_dump(), 50, 4, np.random.default_rng(0))
     assert len(chosen) == 50
     counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
-    assert counts == {"expert": 10, "noisy": 14, "laggy": 11, "early": 5, "bursts": 6, "random": 4}
+    assert counts == {"expert": 10, "noisy": 11, "laggy": 9, "delayed": 6, "early": 5, "bursts": 5, "random": 4}
+    assert {b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))} == {-1, 0}
 
 
 def commander(*rows: Behaviour) -> Commander:
@@ -176,16 +178,21 @@ def commander(*rows: Behaviour) -> Commander:
 
 
 def test_commands_do_what_their_behaviour_says() -> None:
-    rows = (Behaviour("plain"), Behaviour("early", skill=0), Behaviour("frozen", repeat=1.0), Behaviour("random", replace=1.0))
+    rows = (
+        Behaviour("plain"), Behaviour("early", skill=0), Behaviour("frozen", repeat=1.0), Behaviour("random", replace=1.0),
+        Behaviour("delayed", delay=2),
+    )  # fmt: skip
     driver = commander(*rows)
     random = np.random.default_rng(1)
-    seen = [random.normal(size=(4, 5)).astype(np.float32) for _ in range(6)]
+    seen = [random.normal(size=(5, 5)).astype(np.float32) for _ in range(6)]
     issued = np.stack([driver.command(s) for s in seen])
     expert, early = (driver._skills[i](torch.from_numpy(np.stack(seen))).detach().numpy() for i in (-1, 0))
     np.testing.assert_allclose(issued[:, 0], expert[:, 0], rtol=1e-5)
     np.testing.assert_allclose(issued[:, 1], early[:, 1], rtol=1e-5)
     assert (issued[:, 2] == issued[0, 2]).all()  # a lag repeats from the second command on
     assert len({tuple(a) for a in issued[:, 3]}) == 6
+    assert (issued[:2, 4] == 0).all()
+    np.testing.assert_allclose(issued[2:, 4], expert[:-2, 4], rtol=1e-5)
     assert np.abs(issued).max() <= 1
 
 
@@ -199,12 +206,11 @@ def test_bursts_are_held() -> None:
 
 
 def test_demonstrations_are_the_careful_near_expert_episodes() -> None:
-    data = replay()
-    data.cost[data.episode == 2] = 1
-    data.cost[data.episode != 2] = 0
-    assert set(data.episode[demonstrations(data)]) == {0, 2}  # 15 costly steps are within the limit of 25
-    many = replay((12, 9, 40))
-    many.cost[many.episode == 2] = 1
-    assert set(many.episode[demonstrations(many)]) == {0}
+    data = replay()  # near-expert: episodes 0 and 2
+    data.cost_env[data.episode == 2] = 2  # 30 env steps
+    assert set(data.episode[demonstrations(data, 30.0)]) == {0, 2}
+    assert set(data.episode[demonstrations(data, 29.0)]) == {0}
+    data.cost_env[data.episode == 0] = 4
+    assert set(data.episode[demonstrations(data, 25.0)]) == {2}  # none is careful: the least costly one
     with pytest.raises(TrainingError, match="no near-expert episode"):
-        demonstrations(many.rows(many.episode == 1))
+        demonstrations(data.rows(data.episode == 1), 25.0)

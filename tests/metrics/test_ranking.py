@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.metrics.ranking import average_precision
-from wasp_cli.metrics.windows import window_sums
+from wasp_cli.metrics.windows import sums_ahead
 
 
 def brute_force(event: list[bool], score: list[int]) -> float:
@@ -33,6 +33,6 @@ def test_a_constant_score_has_the_base_rate_and_no_event_has_none() -> None:
 
 def test_windows_do_not_cross_episodes() -> None:
     values, episode = np.arange(6.0), np.array([0, 0, 0, 1, 1, 1])
-    assert window_sums(values, episode, 2).tolist() == [1, 3, 7, 9]
-    assert window_sums(values, episode, 4).tolist() == []
-    assert window_sums(values[:1], episode[:1], 4).tolist() == []
+    np.testing.assert_array_equal(sums_ahead(values, episode, 2), [1, 3, np.nan, 7, 9, np.nan])
+    assert np.isnan(sums_ahead(values, episode, 4)).all()
+    assert np.isnan(sums_ahead(values[:1], episode[:1], 4)).all()

@@ -5,8 +5,6 @@ Defaults are the `cpu` preset; the other presets override them (`spec.presets`).
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import Field, model_validator
 
 from wasp_cli.config import Config, assumed, from_paper
@@ -35,7 +33,7 @@ class ExpertConfig(Config):
     entropy: float = assumed(0.003, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
-    cost_limit: float = from_paper(25.0, "per 1000 env steps; the benchmark's convention", ge=0.0)
+    cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
     multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
     multiplier_lr: float = assumed(0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
@@ -54,10 +52,11 @@ class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
     expert: float = assumed(0.20, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.28, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
-    laggy: float = assumed(0.22, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    noisy: float = assumed(0.22, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.18, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    delayed: float = assumed(0.12, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
     early: float = assumed(0.10, "the first two checkpoints", ge=0.0, le=1.0)
-    bursts: float = assumed(0.12, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    bursts: float = assumed(0.10, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
     random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
@@ -151,7 +150,7 @@ class EnsembleConfig(Config):
     updates: int = assumed(4000, "gradient steps", ge=1)
     batch: int = assumed(256, "transitions per update", ge=1)
     learning_rate: float = assumed(3e-4, "Adam", gt=0.0)
-    target_rate: float = assumed(0.005, "share of the online network that enters the target per update", gt=0.0, le=1.0)
+    target_rate: float = assumed(0.01, "share of the online network that enters the target per update", gt=0.0, le=1.0)
 
 
 class DenoiserConfig(Config):
@@ -165,6 +164,7 @@ class DenoiserConfig(Config):
     batch: int = assumed(1024, "transitions per update (the original has 4096)", ge=1)
     learning_rate: float = assumed(1e-3, "Adam", gt=0.0)
     ema: float = assumed(0.999, "decay of the averaged weights that are used", ge=0.0, lt=1.0)
+    cost_limit: float = assumed(25.0, "demonstrations are near-expert episodes of at most this cost (kappa)", ge=0.0)
 
 
 LADDER: dict[str, tuple[float, ...]] = {
@@ -189,7 +189,7 @@ class ResidualConfig(Config):
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-1.6, "initial exploration of the residual")
     alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
-    cost_limit: float = from_paper(25.0, "kappa per 1000 env steps", ge=0.0)
+    cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
     value_warmup: float = assumed(0.02, "share of the interactions that train only the value function", ge=0.0, lt=1.0)
     multiplier_delay: float = assumed(0.05, "share of the interactions before the multiplier moves", ge=0.0, lt=1.0)
     multiplier_init: float = assumed(0.3, "penalty per costly decision step", ge=0.0)
@@ -202,9 +202,5 @@ class EvaluateConfig(Config):
     """One cell of the grid."""
 
     episodes: int = assumed(30, "episodes per cell", ge=1)
-    success_goals: int | None = Field(default=None, description="goals that count as success; the task's own number when null", ge=1)
-    safe_cost: float = from_paper(25.0, "kappa: episode cost up to which a success is a safe success", ge=0.0)
-
-
-SeedPlan = Literal["per-seed", "shared"]
-"""Whether every evaluation seed trains its own models, or all share those of the first seed."""
+    success_goals: int | None = assumed(None, "goals that count as success; null: 7 in Goal1, 1 in Race1 and FormulaOne1", ge=1)
+    safe_cost: float = assumed(25.0, "kappa: episode cost up to which a success is a safe success", ge=0.0)

@@ -104,5 +104,13 @@ def rank_agreement(critics: LatentCritics, replay: Replay, latents: Latents, ret
 
 
 def _spearman(a: np.ndarray, b: np.ndarray) -> float:
-    first, second = (np.argsort(np.argsort(x)).astype(np.float64) for x in (a, b))
+    first, second = (_ranks(x) for x in (a, b))
     return float(np.corrcoef(first, second)[0, 1])
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """Average ranks: discounted costs have many exact ties at zero."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts).astype(np.float64)
+    average: np.ndarray = (last - (counts - 1) / 2)[inverse]
+    return average

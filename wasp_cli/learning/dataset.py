@@ -28,17 +28,20 @@ class Behaviour:
     """Probability of a uniform command instead."""
     repeat: float = 0.0
     """Probability of the last command again."""
+    delay: int = 0
+    """Decision steps between what is seen and the command for it."""
     burst: float = 0.0
     """Probability that a random command begins and is held for 2-11 steps."""
 
 
-def behaviours(mixture: dict[str, float], episodes: int, random: np.random.Generator) -> list[Behaviour]:
-    """A behaviour for each episode, in the shares of the mixture and in random order."""
+def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
+    """A behaviour for each episode, in the shares of the mixture and in random order; `skills` is the number of checkpoints."""
     variants: dict[str, list[Behaviour]] = {
         "expert": [Behaviour("expert", gaussian=0.25)],
         "noisy": [Behaviour("noisy", replace=e) for e in (0.2, 0.4, 0.6)],
         "laggy": [Behaviour("laggy", repeat=p) for p in (0.5, 0.7, 0.85)],
-        "early": [Behaviour("early", skill=0, gaussian=0.1), Behaviour("early", skill=1, gaussian=0.1)],
+        "delayed": [Behaviour("delayed", delay=d) for d in (2, 3, 5)],
+        "early": [Behaviour("early", skill=k, gaussian=0.1) for k in range(min(2, skills))],
         "bursts": [Behaviour("bursts", burst=0.08)],
         "random": [Behaviour("random", replace=1.0)],
     }
@@ -58,7 +61,8 @@ class Commander:
         self._skills, self._rows, self._random = skills, rows, random
         self._last = np.zeros((len(rows), action), np.float32)
         self._held = np.zeros(len(rows), int)
-        self._started = False
+        self._seen: list[NDArray[np.float32]] = []
+        """Intended commands [B, A] of the episode so far."""
 
     def command(self, privileged: NDArray[np.float32]) -> NDArray[np.float32]:
         """[B, P] to [B, A] in [-1, 1]."""
@@ -66,18 +70,21 @@ class Commander:
         with torch.inference_mode():
             seen = torch.from_numpy(privileged)
             intended = np.stack([skill(seen).numpy() for skill in self._skills])  # [K, B, A]
-        action = intended[[b.skill for b in rows], np.arange(len(rows))]
+        self._seen.append(intended[[b.skill for b in rows], np.arange(len(rows))])
+        now = len(self._seen) - 1
+        neutral = np.zeros_like(self._last[0])
+        action = np.stack([self._seen[now - b.delay][i] if now >= b.delay else neutral for i, b in enumerate(rows)])
         action = action + np.array([b.gaussian for b in rows], np.float32)[:, None] * random.standard_normal(action.shape, np.float32)
         uniform = random.uniform(-1, 1, action.shape).astype(np.float32)
         replaced = random.random(len(rows)) < [b.replace for b in rows]
         begins = (random.random(len(rows)) < [b.burst for b in rows]) & (self._held == 0)
         length = random.integers(2, 12, len(rows))
-        repeats = (random.random(len(rows)) < [b.repeat for b in rows]) & self._started
+        repeats = (random.random(len(rows)) < [b.repeat for b in rows]) & (now > 0)
         self._held = np.where(begins, length, np.maximum(self._held - 1, 0))
         action = np.where((replaced | begins)[:, None], uniform, action)
         # While a burst is held, and where a lag repeats, the last command stands.
         action = np.where((repeats | ((self._held > 0) & ~begins))[:, None], self._last, action).clip(-1, 1)
-        self._last, self._started = action.astype(np.float32), True
+        self._last = action.astype(np.float32)
         return self._last
 
 
@@ -100,7 +107,8 @@ def record(
     zeros = np.zeros(batch, np.float32)
     steps: list[dict[str, NDArray[Any]]] = [
         {
-            "pixels": seen.pixels, "action": np.zeros((batch, task.action_size), np.float32), "reward": zeros, "cost": zeros,
+            "pixels": seen.pixels, "action": np.zeros((batch, task.action_size), np.float32), "reward": zeros,
+            "cost": zeros, "cost_env": zeros,
             "terminal": zeros, "first": zeros + 1, "privileged": seen.privileged, "alive": np.ones(batch, bool),
         }
     ]  # fmt: skip
@@ -114,7 +122,7 @@ def record(
         assert seen.privileged is not None
         steps.append(
             {
-                "pixels": seen.pixels, "action": action, "reward": step.reward.astype(np.float32), "cost": step.cost.astype(np.float32),
+                "pixels": seen.pixels, "action": action, "reward": step.reward.astype(np.float32), "cost": step.cost.astype(np.float32), "cost_env": step.cost_env.astype(np.float32),
                 "terminal": (step.terminated & ~ended).astype(np.float32), "first": zeros, "privileged": seen.privileged, "alive": ~ended,
             }
         )  # fmt: skip

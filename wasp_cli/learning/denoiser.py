@@ -16,20 +16,19 @@ from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.world_model import Latents
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 
-COST_LIMIT = 25.0
-"""Demonstrations come from episodes of at most this cost; it is kappa of the paper's experiments."""
 
+def demonstrations(replay: Replay, limit: float) -> NDArray[np.int64]:
+    """Rows of the near-expert episodes whose cost in env steps is within the limit.
 
-def demonstrations(replay: Replay) -> NDArray[np.int64]:
-    """Rows of the near-expert episodes whose costly decision steps stay within the limit (all of them when none does)."""
+    When no episode is, the one of least cost has to do.
+    """
     near = replay.behaviour == "expert"
     rows = [np.flatnonzero(near & (replay.episode == e)) for e in np.unique(replay.episode[near])]
-    # A costly decision step costs at most four env steps; the recorded cost counts steps, which is the stricter reading.
-    careful = [r for r in rows if replay.cost[r].sum() <= COST_LIMIT]
-    chosen = careful or rows
-    if not chosen:
+    if not rows:
         raise TrainingError("the dataset has no near-expert episode", "raise dataset.mixture.expert or dataset.steps")
-    return np.concatenate(chosen)
+    rows.sort(key=lambda r: float(replay.cost_env[r].sum()))
+    careful = [r for r in rows if replay.cost_env[r].sum() <= limit]
+    return np.sort(np.concatenate(careful or rows[:1]))
 
 
 def train_denoiser(
@@ -56,7 +55,7 @@ def train_denoiser(
     average = copy.deepcopy(denoiser).requires_grad_(False)
     optimizer = torch.optim.Adam(denoiser.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    rows = torch.from_numpy(demonstrations(replay))
+    rows = torch.from_numpy(demonstrations(replay, config.cost_limit))
     smoothed = 1.0
     for update in range(config.updates):
         index = rows[torch.randint(len(rows), (config.batch,), generator=source)]

@@ -29,6 +29,7 @@ def _schema(action: int, privileged: int) -> pa.Schema:
             ("action", pa.list_(pa.float32(), action)),
             ("reward", pa.float32()),
             ("cost", pa.float32()),
+            ("cost_env", pa.float32()),
             ("terminal", pa.float32()),
             ("first", pa.float32()),
             ("privileged", pa.list_(pa.float32(), privileged)),
@@ -47,6 +48,9 @@ class Replay(NamedTuple):
     """[N, A]"""
     reward: NDArray[np.float32]
     cost: NDArray[np.float32]
+    """[N] in {0, 1}: the decision step cost"""
+    cost_env: NDArray[np.float32]
+    """[N] env steps of it that cost"""
     terminal: NDArray[np.float32]
     first: NDArray[np.float32]
     privileged: NDArray[np.float32]
@@ -77,7 +81,7 @@ def write_shard(path: Path, replay: Replay) -> None:
     images = np.ascontiguousarray(replay.pixels)
     arrays = [
         pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(replay.first), [None, pa.py_buffer(images)]),
-        _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.terminal), pa.array(replay.first),
+        _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.cost_env), pa.array(replay.terminal), pa.array(replay.first),
         _lists(replay.privileged), pa.array(replay.episode), pa.array(replay.behaviour.tolist(), pa.string()),
     ]  # fmt: skip
     schema = _schema(replay.action.shape[1], replay.privileged.shape[1])

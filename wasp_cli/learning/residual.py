@@ -63,7 +63,7 @@ class AssistedTask(TaskVecEnv):
     def _restarted(self, seen: Observation, first: torch.Tensor) -> Array:
         """New episodes in some rows only: the others have been observed already and must not move on twice."""
         old, command = self._filter.latent, self._command
-        states = [(operator, operator.snapshot()) for operator in self._operator.operators]
+        states = [(operator, dict(operator.memory)) for operator in self._operator.operators]
         steps = list(self._noise.step)
         latent = self._filter.see(seen, first.float())
         mask = first.unsqueeze(-1)

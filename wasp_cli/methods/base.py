@@ -14,13 +14,11 @@ import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
+from wasp_cli.metrics.episode import GATE_NONE
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
-
-GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD = 0, 1, 2, 3
-"""Why an action was corrected: not at all, WASP's gates, or a method's own rule."""
 
 
 class Record(NamedTuple):
@@ -106,6 +104,13 @@ class AssistantClass(Protocol):
 class CalibratedAssistant(Assistant, Protocol):
     """An assistant whose thresholds come from held-out decisions."""
 
-    def calibrate(self, heldout: Heldout, operator: Operator, seed: int) -> dict[str, float]:
-        """Thresholds by name. `operator` is unimpaired, with one row per held-out decision."""
+    def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
+        """Thresholds by name.
+
+        Args:
+            heldout: K decisions.
+            cost_ahead: [K] costly decisions among the W that begin with each; NaN where fewer are left in the episode.
+            operator: unimpaired, one row per held-out decision.
+            seed: names the draws.
+        """
         ...

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import model_validator
 
-from wasp_cli.config import Config, assumed, from_paper
+from wasp_cli.config import Config, assumed, deviates, from_paper
 
 
 class HumanConfig(Config):
@@ -17,7 +17,8 @@ class IDAConfig(Config):
     """IDA: override by the expert when a Q ensemble votes for it."""
 
     vote: float = assumed(0.99, "class default of the authors' code", gt=-1.0, le=1.0)
-    quantile: float = assumed(0.95, "tau_Q: quantile of the advantage under the unimpaired expert with exploration noise", gt=0.0, lt=1.0)
+    quantile: float = assumed(0.95, "tau_Q: quantile of the least advantage over the members under the expert with noise", gt=0.0, lt=1.0)
+    exploration: float = assumed(0.25, "standard deviation of that noise, as in the dataset's near-expert episodes", gt=0.0)
 
 
 class DiffusionConfig(Config):
@@ -44,14 +45,17 @@ class WASPConfig(Config):
     elites: int = from_paper(100, "N_e, section 5.1", ge=1)
     iterations: int = from_paper(6, "I, section 5.1", ge=1)
     rollouts: int = assumed(1, "M: rollouts per candidate, with common random numbers over candidates", ge=1)
-    gate_rollouts: int = assumed(4, "rollouts of the nominal gate and of the winner's re-scoring", ge=1)
+    gate_rollouts: int = assumed(4, "rollouts of the nominal gate and of every second scoring", ge=1)
+    finalists: int = deviates(
+        4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
+    )
     feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
     alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
     tau_c: float = assumed(0.3, "expected costly decision steps within H above which the safety gate fires", gt=0.0)
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the re-scored gain under the unimpaired expert")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
     tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
-    bootstrap_cost: bool = assumed(False, "V_c after H in Eq. 7-8 for the cost; the plain sum ranks better")
+    bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the plain sum over H ranks better")
     initial_std: float = assumed(0.5, "standard deviation of the first residual distribution", gt=0.0)
     std_floor: float = assumed(0.05, "keeps the distribution from collapsing", gt=0.0)
     momentum: float = assumed(0.1, "weight of the old mean in a CEM update", ge=0.0, lt=1.0)
@@ -61,7 +65,12 @@ class WASPConfig(Config):
     def _sizes_fit(self) -> WASPConfig:
         if self.residual_steps > self.horizon:
             raise ValueError(f"residual_steps ({self.residual_steps}) is longer than horizon ({self.horizon})")
-        for name in ("elites", "feasible"):
-            if getattr(self, name) > self.candidates:
-                raise ValueError(f"{name} ({getattr(self, name)}) is more than candidates ({self.candidates})")
+        for name in ("elites", "feasible", "finalists"):
+            for batch in ("candidates", "probe"):  # a probe becomes the first iteration
+                if getattr(self, name) > getattr(self, batch):
+                    raise ValueError(f"{name} ({getattr(self, name)}) is more than {batch} ({getattr(self, batch)})")
+        if self.rollouts > self.gate_rollouts:
+            raise ValueError(
+                f"rollouts ({self.rollouts}) is more than gate_rollouts ({self.gate_rollouts}), with which it shares its draws"
+            )
         return self

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.methods.base import GATE_METHOD, Decision, Heldout, Parts, blank_record
+from wasp_cli.methods.base import Decision, Heldout, Parts, blank_record
 from wasp_cli.methods.configs import IDAConfig
+from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.weights import load_weights, read_arguments
@@ -31,7 +32,6 @@ class IDA:
         self.ensemble = QEnsemble(**read_arguments(path))
         load_weights(self.ensemble, path)
         self.expert = parts.skills.expert
-        self.exploration = parts.skills.exploration
         self.tau_q = parts.thresholds.get("tau_q", 0.0)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
@@ -50,11 +50,11 @@ class IDA:
         record = blank_record(len(a_h))._replace(signal=vote, gate=(GATE_METHOD * intervene).to(torch.int8))
         return Decision(torch.where(intervene.unsqueeze(-1), a_c, a_h), record)
 
-    def calibrate(self, heldout: Heldout, operator: Operator, seed: int) -> dict[str, float]:
-        """tau_Q: a quantile of the mean advantage over the expert's own explored actions."""
+    def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
+        """tau_Q: a quantile of the least advantage over the members, which is what a full vote needs, under a noisy expert."""
         features = heldout.latent.features
         a_c = self.expert(features)
         noise = torch.from_numpy(np.random.default_rng(seed).standard_normal(tuple(a_c.shape), np.float32))
-        a_h = (a_c + self.exploration * noise).clamp(-1, 1)
-        margin = self.advantage(features, a_c, a_h).mean(0)
+        a_h = (a_c + self.config.exploration * noise).clamp(-1, 1)
+        margin = self.advantage(features, a_c, a_h).amin(0)
         return {"tau_q": float(torch.quantile(margin, self.config.quantile))}

@@ -26,6 +26,8 @@ class MethodInfo:
     """False for the reference row: it runs the unimpaired operator, once for all variants."""
     variants: tuple[str, ...] = ("full",)
     """Ablations that are configurations of the same class."""
+    own_thresholds: tuple[str, ...] = ()
+    """Variants whose thresholds have another unit, so that they are calibrated by themselves."""
 
 
 METHODS: Registry[MethodInfo] = Registry(
@@ -46,6 +48,7 @@ METHODS: Registry[MethodInfo] = Registry(
             ("critics",),
             calibrated=True,
             variants=("full", "safety-only", "task-only", "no-case2", "no-rollout"),
+            own_thresholds=("no-rollout",),
         ),
         MethodInfo("expert", "Expert", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", impaired=False),
     ),

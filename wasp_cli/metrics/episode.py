@@ -32,8 +32,8 @@ Bools = NDArray[np.bool_]
 INTERVENED = 1e-6
 """The paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0 everywhere."""
 
-GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_ALWAYS = 0, 1, 2, 3
-"""Values of `Trajectory.gate`: the command stands; safety gate; task gate; the method acts without a gate."""
+GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD = 0, 1, 2, 3
+"""Values of `Trajectory.gate`: the command stands; WASP's safety gate; its task gate; a rule of another method."""
 
 
 @dataclass(frozen=True, eq=False)

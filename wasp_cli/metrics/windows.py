@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def window_sums(values: NDArray[Any], episode: NDArray[Any], width: int) -> NDArray[np.float64]:
-    """Sums of `width` consecutive values [K] that lie in one episode; `episode` [K] is sorted."""
-    if len(values) < width:
-        return np.zeros(0)
-    sums = np.convolve(values.astype(np.float64), np.ones(width), "valid")
-    whole: NDArray[np.float64] = sums[episode[width - 1 :] == episode[: len(sums)]]
-    return whole
+def sums_ahead(values: NDArray[Any], episode: NDArray[Any], width: int) -> NDArray[np.float64]:
+    """[K] sums of the `width` values that begin with each; NaN where the episode has fewer left. `episode` [K] is sorted."""
+    ahead = np.full(len(values), np.nan)
+    if len(values) >= width:
+        sums = np.convolve(values.astype(np.float64), np.ones(width), "valid")
+        whole = episode[width - 1 :] == episode[: len(sums)]
+        ahead[: len(sums)][whole] = sums[whole]
+    return ahead

@@ -83,9 +83,10 @@ class Operator:
         return forked
 
     def snapshot(self) -> Memory:
-        """The memory, to be restored bit for bit (the noise is a function of the step counter)."""
-        return {name: value.clone() for name, value in self.memory.items()}
+        """Memory and position of the noise: after `restore` of it the same commands follow, bit for bit."""
+        return {"noise": self.noise.position(), **{name: value.clone() for name, value in self.memory.items()}}
 
-    def restore(self, memory: Memory) -> None:
+    def restore(self, snapshot: Memory) -> None:
         """Return to a snapshot."""
-        self.memory = {name: value.clone() for name, value in memory.items()}
+        self.memory = {name: value.clone() for name, value in snapshot.items() if name != "noise"}
+        self.noise.seek(snapshot["noise"])

@@ -17,6 +17,12 @@ class NoiseSource(Protocol):
         """Uniforms in [0, 1), [B, size]; every call moves on by one decision."""
         ...
 
+    def position(self) -> Tensor:
+        """Where the streams are, as a tensor; `seek` of it brings the same draws back."""
+        ...
+
+    def seek(self, position: Tensor) -> None: ...
+
 
 class EpisodeNoise:
     """A counter-based stream per episode: what decision t of an episode draws depends on (its seed, t) and nothing else."""
@@ -39,6 +45,14 @@ class EpisodeNoise:
             self.step[row] = step + 1
         return torch.from_numpy(draws)
 
+    def position(self) -> Tensor:
+        """[B] decisions of each episode so far."""
+        return torch.tensor(self.step)
+
+    def seek(self, position: Tensor) -> None:
+        """Return to a position."""
+        self.step = position.tolist()
+
 
 class DrawnNoise:
     """Draws made before a loop: [H, B, K]. Rows may share draws by having been expanded (common random numbers)."""
@@ -52,3 +66,11 @@ class DrawnNoise:
         drawn = self.draws[self.step, :, :size]
         self.step += 1
         return drawn
+
+    def position(self) -> Tensor:
+        """The step of the loop."""
+        return torch.tensor(self.step)
+
+    def seek(self, position: Tensor) -> None:
+        """Return to a position."""
+        self.step = int(position)

@@ -22,7 +22,7 @@ from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 
 CALIBRATED_VARIANT = "full"
-"""Ablations share the thresholds of the method that they ablate."""
+"""Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,8 @@ class _Builder:
         info, chain = METHODS[cell.method], self.spec.chain_seed(cell.seed)
         needs = self._inputs("evaluate", cell.task, chain, info.needs)
         if info.calibrated:
-            needs["calibration"] = self.calibration(cell.task, chain, cell.method)
+            variant = cell.assistant if cell.assistant in info.own_thresholds else CALIBRATED_VARIANT
+            needs["calibration"] = self.calibration(cell.task, chain, cell.method, variant)
         axes = {
             "method": cell.method,
             "method_config": self.method_config(cell.method, cell.assistant),
@@ -85,11 +86,12 @@ class _Builder:
         operator = "unimpaired" if cell.value is None else f"{cell.operator}={cell.value:g}"
         return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, f"{cell.method}{assistant} {operator}")
 
-    def _calibration(self, task: str, seed: int, method: str) -> Node:
+    def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
-        axes = {"method": method, "method_config": self.method_config(method, CALIBRATED_VARIANT)}
+        axes = {"method": method, "method_config": self.method_config(method, variant)}
         needs = self._inputs("calibration", task, seed, info.needs)
-        return self._node("calibration", task, seed, axes, needs, [module_of(info.target)], f"calibration {method}")
+        name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
+        return self._node("calibration", task, seed, axes, needs, [module_of(info.target)], f"calibration {name}")
 
     def _training(self, kind: str, task: str, seed: int) -> Node:
         # A stage that mixes operators finds them by the names in its section.

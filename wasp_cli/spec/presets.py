@@ -29,7 +29,7 @@ _SMOKE: Document = {
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
     "calibration": {"decisions": 20},
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
-    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1},
+    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2},
 }  # fmt: skip
 
 # Some eight minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
@@ -47,7 +47,7 @@ _QUICK: Document = {
     "policies": {"updates": 1500, "batch": 256},
     "critics": {"updates": 300, "starts": 128},
     "heldout": {"episodes": 16},
-    "ida_q": {"updates": 2000, "batch": 128, "hidden": [128, 128]},
+    "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128], "target_rate": 0.02},
     "denoiser": {"updates": 3000, "batch": 256},
     "residual": {"interactions": 24_000, "rollout": 64},
     "calibration": {"decisions": 300},

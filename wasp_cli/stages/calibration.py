@@ -23,13 +23,14 @@ class CalibrationStage:
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Ask the method for its thresholds on a spread of held-out decisions of the unimpaired expert."""
+        import numpy as np
         import torch
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.closed_loop import human
         from wasp_cli.learning.heldout import load_heldout
-        from wasp_cli.methods.base import Heldout
-        from wasp_cli.metrics.windows import window_sums
+        from wasp_cli.methods.base import CalibratedAssistant, Heldout
+        from wasp_cli.metrics.windows import sums_ahead
         from wasp_cli.models.base import Latent
         from wasp_cli.operators.base import Operator
         from wasp_cli.operators.noise import EpisodeNoise
@@ -38,6 +39,7 @@ class CalibrationStage:
         config = cast(CalibrationConfig, job.config)
         heldout = load_heldout(job.inputs["heldout"])
         total = len(heldout.a_h)
+        cost_ahead = torch.from_numpy(sums_ahead(heldout.cost.numpy(), heldout.episode.numpy(), config.window))
         index = torch.linspace(0, total - 1, min(config.decisions, total)).round().long()
         chosen = Heldout(Latent(heldout.latent.h[index], heldout.latent.z[index]), *(field[index] for field in heldout[1:]))
         parts = load_parts(job.inputs, job.settings["returns"])
@@ -46,8 +48,9 @@ class CalibrationStage:
         owner = human(parts.skills, 0.0, heldout.a_h.shape[1])
         operator = Operator.build(1.0, owner, EpisodeNoise([0] * len(index)), len(index))
         with torch.inference_mode():
-            thresholds: dict[str, float] = assistant.calibrate(chosen, operator, derive("calibration", job.task, job.seed))  # type: ignore[attr-defined]
-        window = window_sums(heldout.reward.numpy(), heldout.episode.numpy(), config.window)
-        thresholds["tau_R"] = config.tau_R_fraction * float(window.mean())
+            seed = derive("calibration", job.task, job.seed)
+            thresholds: dict[str, float] = cast(CalibratedAssistant, assistant).calibrate(chosen, cost_ahead[index], operator, seed)
+        gained = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), config.window)
+        thresholds["tau_R"] = config.tau_R_fraction * float(np.nanmean(gained))
         (job.out_dir / "calibration.json").write_text(json.dumps(thresholds, indent=1, sort_keys=True))
         return {name: round(value, 4) for name, value in thresholds.items()}

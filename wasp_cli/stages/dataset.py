@@ -42,7 +42,10 @@ class DatasetStage:
         steps = shard = 0
         planned = max(1, round(config.steps / (config.envs * task.max_decisions)))
         schedule = behaviours(
-            config.mixture.model_dump(), planned * config.envs, np.random.default_rng(derive("dataset-mixture", job.task, job.seed))
+            config.mixture.model_dump(),
+            planned * config.envs,
+            len(skills),
+            np.random.default_rng(derive("dataset-mixture", job.task, job.seed)),
         )
         while steps < config.steps:
             path = job.work_dir / f"shard-{shard:04d}.parquet"

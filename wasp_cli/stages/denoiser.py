@@ -32,7 +32,7 @@ class DenoiserStage:
         from wasp_cli.seeds import derive
 
         config = cast(DenoiserConfig, job.config)
-        replay = read_replay(job.inputs["dataset"], ["privileged", "cost", "first", "episode", "behaviour"])
+        replay = read_replay(job.inputs["dataset"], ["privileged", "cost_env", "first", "episode", "behaviour"])
         with torch.inference_mode():
             labels = load_skill(job.inputs["expert"], 1.0)(torch.from_numpy(replay.privileged))
         latents = load_latents(job.inputs["world_model"])

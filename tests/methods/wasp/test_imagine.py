@@ -107,7 +107,7 @@ def test_nominal_equals_the_candidate_without_residual() -> None:
 
 def test_imagining_leaves_the_real_operator_alone() -> None:
     operator = laggy(0.3)
-    before = operator.snapshot()
+    before = {name: value.clone() for name, value in operator.memory.items()}
     model = imagination(small())
     start = Situation(model.model.at(0.0, 0.1, 0.2), operator.memory["last"].clone(), operator, torch.arange(B))  # type: ignore[attr-defined]
     model.nominal(start, Draws(torch.zeros(B, H, M, 2, dtype=torch.float64), torch.zeros(B, H, M, 1, dtype=torch.float64)))

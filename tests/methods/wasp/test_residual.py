@@ -161,3 +161,26 @@ def test_the_task_gate_scores_its_winner_again_and_finds_nothing_without_a_feasi
     assert gain.delta_g.item() == pytest.approx(0.1)  # two steps of 0.1 x 0.5; the effort is not part of Eq. 12
     trapped = Imagination(Corridor(-9.0, 9.0), NoCritics(), settings, 1.0, 1.0, 1.0)
     assert probe(trapped, start, candidates, draws, draws, TAU).delta_g.item() == -float("inf")
+
+
+def test_finalists_are_scored_again_so_that_luck_does_not_win() -> None:
+    """In the search every brake looks safe; on other draws only a hard one is. The lucky soft brake must not be executed."""
+
+    class Lucky(Scripted):
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+            bound = -1.0 if draws.latent.mean() > 0.5 else -0.4
+            first = residuals[:, :, 0, 0]
+            return Returns(2.0 * first, (first >= bound).to(first.dtype), residuals.square().sum((-2, -1)))
+
+    settings = config(iterations=3, finalists=10, initial_std=1.0)
+    model = Lucky(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+    start, draws = nowhere(1)
+    normals = torch.randn(1, 3, 40, 2, 1, generator=torch.Generator().manual_seed(0))
+    normals[:, 0, 2] = -1.2  # one hard brake among the first candidates
+    arguments = (model, start, torch.zeros(1, 2, 1), normals, draws, TAU)
+    naive = plan_residuals(*arguments)
+    assert -1.0 < float(naive.residuals[0, 0, 0]) < -0.4
+    careful = plan_residuals(*arguments, fresh=Draws(torch.ones(1, 4, 2, 2), torch.zeros(1, 4, 2, 0)))
+    assert bool(naive.found_safe)
+    chosen = float(careful.residuals[0, 0, 0])
+    assert chosen < -1.0 if bool(careful.found_safe) else chosen == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import cast
 
@@ -10,12 +11,13 @@ import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.methods.base import GATE_SAFETY, GATE_TASK, Decision, Heldout, Parts, blank_record
+from wasp_cli.methods.base import Decision, Heldout, Parts, blank_record
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, normal, uniform
 from wasp_cli.methods.wasp.gates import Gain, probe, safety_gate
-from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
+from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
 from wasp_cli.methods.wasp.residual import Plan, plan_residuals, propose
+from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.weights import load_weights, read_arguments
@@ -36,12 +38,15 @@ class WASP:
     """The assistant. Decisions of a batch are independent; each draws from its own episode's stream."""
 
     def __init__(self, config: Config, parts: Parts) -> None:
-        self.config = effective(cast(WASPConfig, config))
+        self.whole = cast(WASPConfig, config)
+        self.config = effective(self.whole)
         path = parts.inputs["critics"] / "critics.safetensors"
         critics = LatentCritics(**read_arguments(path))
         load_weights(critics, path)
         self.imagination = Imagination(parts.world_model, critics, self.config, parts.gamma_r, parts.gamma_c, parts.lam)
-        self.tau_c = self.config.tau_c
+        # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
+        own = self.config.variant == "no-rollout"
+        self.tau_c = parts.thresholds.get("tau_c", self.config.tau_c) if own else self.config.tau_c
         calibrated = parts.thresholds.get("tau_r", TAU_R_FALLBACK)
         self.tau_r = calibrated if self.config.tau_r == "calibrated" else float(self.config.tau_r)
         self.noise = DecisionNoise()
@@ -71,7 +76,8 @@ class WASP:
         fired = safety_gate(g_cost, self.tau_c)
         if self.config.variant == "task-only":
             fired = torch.zeros_like(fired)
-        search_draws = self._draws(generators, operator, self.config.rollouts)
+        # The candidates meet the gate's own draws: where it fired, doing nothing is not suddenly safe.
+        search_draws = gate_draws.first(self.config.rollouts)
         delta_g, safe, case2 = record.delta_g, record.safe, record.case2_share
 
         def carry_out(rows: Tensor, made: Plan, kind: int) -> None:
@@ -88,11 +94,11 @@ class WASP:
         if len(rows) and self.config.variant != "safety-only":
             quiet = start.select(rows)
             candidates = self._candidates(rows, generators)
-            gain = self._probe(quiet, candidates, search_draws.rows(rows), gate_draws.rows(rows), generators)
+            gain = self._probe(quiet, candidates, search_draws.rows(rows), generators)
             delta_g[rows] = gain.delta_g
             worth = (gain.delta_g > self.tau_r).nonzero().flatten()  # Eq. 12
             if len(worth):
-                first = (candidates[worth], type(gain.returns)(*(field[worth] for field in gain.returns)))
+                first = (candidates[worth], Returns(*(field[worth] for field in gain.returns)))
                 chosen = rows[worth]
                 carry_out(chosen, self._plan(start.select(chosen), search_draws.rows(chosen), generators, first), GATE_TASK)
 
@@ -100,45 +106,57 @@ class WASP:
         record = record._replace(gate=gate, g_cost=g_cost, delta_g=delta_g, safe=safe, case2_share=case2)
         return Decision(action, record)
 
-    def calibrate(self, heldout: Heldout, operator: Operator, seed: int) -> dict[str, float]:
+    def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
         """The distribution of both gates' signals under the unimpaired expert: tau_r and quantiles for tau_c."""
-        gains, costs = [], []
+        gains, costs, whole_costs = [], [], []
+        whole = dataclasses.replace(self.imagination, config=self.whole.model_copy(update={"variant": "full"}))
         everyone = torch.ones(len(heldout.a_h), dtype=torch.bool)
         self.reset(everyone, [seed + i for i in range(len(heldout.a_h))])
         generators = self.noise.next()
         for chunk in torch.arange(len(heldout.a_h)).split(64):
             own = [generators[i] for i in chunk.tolist()]
             start = Situation(heldout.latent.rows(chunk), heldout.a_h[chunk], operator, chunk)
-            draws = self._draws(own, operator, self.config.gate_rollouts)
+            draws = self._draws(own, operator, self.config.gate_rollouts, self.whole.horizon)
+            whole_costs.append(whole.nominal(start, draws).cost)
+            draws = draws.steps(self.config.horizon)
             costs.append(self.imagination.nominal(start, draws).cost)
             fresh = self._draws(own, operator, self.config.gate_rollouts)
             candidates = propose(*self._start_distribution(chunk), normal(own, self.config.probe, *self.plan.shape[1:]))
-            search = self._draws(own, operator, self.config.rollouts)
-            gains.append(probe(self.imagination, start, candidates, search, fresh, self.tau_c).delta_g)
-        gain, cost = torch.cat(gains), torch.cat(costs)
-        quiet = gain[(cost <= self.tau_c) & gain.isfinite()]  # the task gate is asked only where safety is silent
+            gains.append((start, candidates, draws.first(self.config.rollouts), fresh))
+        cost = torch.cat(costs)
+        # The same share of the expert's decisions for every variant: for the whole method that is its tau_c itself.
+        rate = float((torch.cat(whole_costs) > self.whole.tau_c).float().mean())
+        tau_c = self.tau_c if self.config.variant != "no-rollout" else _quantile(cost, 1.0 - rate)
+        gain = torch.cat([probe(self.imagination, *case, tau_c).delta_g for case in gains])
+        quiet = gain[(cost <= tau_c) & gain.isfinite()]  # the task gate is asked only where safety is silent
+        free = cost_ahead == 0
         return {
+            "tau_c": tau_c,
             "tau_r": max(_quantile(quiet, self.config.tau_r_quantile), self.config.tau_r_floor) if len(quiet) else TAU_R_FALLBACK,
             "gain_median": _quantile(quiet, 0.5), "gain_p90": _quantile(quiet, 0.90), "gain_p95": _quantile(quiet, 0.95),
             "g_cost_median": _quantile(cost, 0.5), "g_cost_p90": _quantile(cost, 0.90), "g_cost_p95": _quantile(cost, 0.95),
-            "safety_rate": float((cost > self.tau_c).float().mean()),
+            "g_cost_free_p90": _quantile(cost[free], 0.90), "g_cost_free_p95": _quantile(cost[free], 0.95),
+            "safety_rate": float((cost > tau_c).float().mean()),
         }  # fmt: skip
 
-    def _probe(self, start: Situation, candidates: Tensor, search: Draws, gate: Draws, generators: Sequence[np.random.Generator]) -> Gain:
+    def _probe(self, start: Situation, candidates: Tensor, search: Draws, generators: Sequence[np.random.Generator]) -> Gain:
         own = [generators[i] for i in start.rows.tolist()]
-        fresh = self._draws(own, start.operator, gate.latent.shape[2])
+        fresh = self._draws(own, start.operator, self.config.gate_rollouts)
         return probe(self.imagination, start, candidates, search, fresh, self.tau_c)
 
     def _candidates(self, rows: Tensor, generators: Sequence[np.random.Generator]) -> Tensor:
         own = [generators[i] for i in rows.tolist()]
         return propose(*self._start_distribution(rows), normal(own, self.config.probe, *self.plan.shape[1:]))
 
-    def _plan(self, start: Situation, draws: Draws, generators: Sequence[np.random.Generator], first: tuple[Tensor, object] | None) -> Plan:
+    def _plan(
+        self, start: Situation, draws: Draws, generators: Sequence[np.random.Generator], first: tuple[Tensor, Returns] | None
+    ) -> Plan:
         own = [generators[i] for i in start.rows.tolist()]
         config = self.config
         normals = normal(own, config.iterations, config.candidates, *self.plan.shape[1:])
         mean, _ = self._start_distribution(start.rows)
-        return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first)  # type: ignore[arg-type]
+        fresh = self._draws(own, start.operator, config.gate_rollouts) if config.finalists else None
+        return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first, fresh)
 
     def _start_distribution(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""
@@ -146,8 +164,8 @@ class WASP:
         mean = torch.where(self.warm[rows].view(-1, 1, 1), shifted, torch.zeros_like(shifted))
         return mean, torch.full_like(mean, self.config.initial_std)
 
-    def _draws(self, generators: Sequence[np.random.Generator], operator: Operator, rollouts: int) -> Draws:
-        horizon = self.config.horizon
+    def _draws(self, generators: Sequence[np.random.Generator], operator: Operator, rollouts: int, horizon: int | None = None) -> Draws:
+        horizon = horizon or self.config.horizon
         return Draws(
             gumbel(generators, horizon, rollouts, self.imagination.model.noise_size), uniform(generators, horizon, rollouts, operator.draws)
         )

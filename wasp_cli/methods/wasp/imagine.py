@@ -31,6 +31,14 @@ class Draws(NamedTuple):
         """The draws of some of the decisions."""
         return Draws(self.latent[index], self.operator[index])
 
+    def first(self, rollouts: int) -> Draws:
+        """The draws of the first rollouts."""
+        return Draws(self.latent[:, :, :rollouts], self.operator[:, :, :rollouts])
+
+    def steps(self, horizon: int) -> Draws:
+        """The draws of the first imagined steps."""
+        return Draws(self.latent[:, :horizon], self.operator[:, :horizon])
+
 
 class Situation(NamedTuple):
     """Where an imagination starts: the filtered latents, the commands just issued, and who issued them."""

@@ -19,11 +19,27 @@ class Plan(NamedTuple):
     residuals: Tensor
     """[B, L, A]"""
     found_safe: Tensor
-    """[B] whether any candidate of any iteration was feasible"""
+    """[B] whether the selected sequence is feasible"""
     safe: Tensor
     """[B] |F_s| of the last iteration"""
     case2_share: Tensor
-    """[B] share of the iterations in Case II"""
+    """[B] share of the iterations with fewer than N_f safe candidates"""
+
+
+class Pool(NamedTuple):
+    """The best K sequences over all iterations by one score, best first."""
+
+    score: Tensor
+    """[B, K]"""
+    plans: Tensor
+    """[B, K, L, A]"""
+
+    def add(self, score: Tensor, candidates: Tensor) -> Pool:
+        """Take the best of a batch in: scores [B, N], candidates [B, N, L, A]."""
+        size = self.score.shape[1]
+        best = torch.cat([self.score, score], 1).topk(size, 1)
+        everything = torch.cat([self.plans, candidates], 1)
+        return Pool(best.values, everything.gather(1, _over_plans(best.indices, everything)))
 
 
 @dataclass
@@ -33,13 +49,10 @@ class _Search:
     mean: Tensor
     """[B, L, A]"""
     std: Tensor
-    best_task: Tensor
-    """[B] highest S_task among feasible candidates so far"""
-    best_safe: Tensor
-    """[B] lowest S_safe so far"""
-    plan_task: Tensor
-    """[B, L, A]"""
-    plan_safe: Tensor
+    task: Pool
+    """by S_task among feasible candidates"""
+    recovery: Pool
+    """by -S_safe among all"""
     safe: Tensor
     case2: Tensor
 
@@ -66,6 +79,7 @@ def plan_residuals(
     draws: Draws,
     tau_c: float,
     first: tuple[Tensor, Returns] | None = None,
+    fresh: Draws | None = None,
 ) -> Plan:
     """Optimise residual sequences for B decisions.
 
@@ -77,12 +91,14 @@ def plan_residuals(
         draws: of M rollouts, common to all candidates and iterations.
         tau_c: bound of the cost return (Eq. 14).
         first: candidates [B, N', L, A] and returns of a batch that already has been evaluated; it is the first iteration.
+        fresh: rollouts for scoring the finalists again. The best of some thousand estimates is biased: most plans that looked
+            safe in the search are not on other draws. Without them the best as scored is selected, as the paper says.
     """
     config = imagination.config
+    size = max(1, config.finalists)
+    nothing = Pool(mean.new_full((len(mean), size), -torch.inf), torch.zeros_like(mean).unsqueeze(1).repeat(1, size, 1, 1))
     search = _Search(
-        mean=mean, std=torch.full_like(mean, config.initial_std),
-        best_task=mean.new_full((len(mean),), -torch.inf), best_safe=mean.new_full((len(mean),), torch.inf),
-        plan_task=torch.zeros_like(mean), plan_safe=torch.zeros_like(mean),
+        mean=mean, std=torch.full_like(mean, config.initial_std), task=nothing, recovery=nothing,
         safe=mean.new_zeros(len(mean)), case2=mean.new_zeros(len(mean)),
     )  # fmt: skip
     for i in range(normals.shape[1]):
@@ -92,11 +108,18 @@ def plan_residuals(
             candidates = propose(search.mean, search.std, normals[:, i])
             returns = imagination.returns(start, candidates, draws)
         _update(search, candidates, returns, config, tau_c)
-    found = search.best_task > -torch.inf
-    chosen = torch.where(found.view(-1, 1, 1), search.plan_task, search.plan_safe)
-    if config.variant == "no-case2":
-        # Case I only: without a feasible candidate there is nothing to choose, and the command stays.
-        chosen = torch.where(found.view(-1, 1, 1), search.plan_task, torch.zeros_like(chosen))
+    task, recovery = search.task, search.recovery
+    if fresh is not None:
+        finalists = torch.cat([torch.zeros_like(mean).unsqueeze(1), task.plans, recovery.plans], 1)
+        again = imagination.returns(start, finalists, fresh)
+        feasible = again.cost <= tau_c
+        empty = Pool(task.score[:, :1].new_full((len(mean), 1), -torch.inf), torch.zeros_like(finalists[:, :1]))
+        task = empty.add(torch.where(feasible, task_score(again, config.alpha), -torch.inf), finalists)
+        recovery = empty.add(-safe_score(again, config.alpha, tau_c), finalists)
+    found = task.score[:, 0] > -torch.inf
+    # Case I only: without a feasible candidate there is nothing to choose, and the command stays.
+    otherwise = torch.zeros_like(mean) if config.variant == "no-case2" else recovery.plans[:, 0]
+    chosen = torch.where(found.view(-1, 1, 1), task.plans[:, 0], otherwise)
     return Plan(chosen, found, search.safe, search.case2 / normals.shape[1])
 
 
@@ -110,7 +133,8 @@ def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPC
     search.case2 = search.case2 + (~enough).to(s_task.dtype)
 
     ranked_task = torch.where(feasible, s_task, -torch.inf)
-    _remember(search, candidates, ranked_task, s_safe)
+    search.task = search.task.add(ranked_task, candidates)
+    search.recovery = search.recovery.add(-s_safe, candidates)
 
     if config.variant == "no-case2":
         score, wanted = ranked_task, search.safe.clamp(max=config.elites)
@@ -123,8 +147,7 @@ def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPC
     rank = torch.arange(size, device=score.device)
     weight = ((rank < wanted.unsqueeze(-1)) & top.values.isfinite()).to(s_task.dtype)  # [B, size]
     total = weight.sum(-1, keepdim=True).clamp(min=1).unsqueeze(-1)  # [B, 1, 1]
-    index = top.indices.view(*top.indices.shape, 1, 1).expand(-1, -1, *candidates.shape[2:])
-    elites = candidates.gather(1, index)  # [B, size, L, A]
+    elites = candidates.gather(1, _over_plans(top.indices, candidates))  # [B, size, L, A]
     share = weight.view(*weight.shape, 1, 1)
     mean = (share * elites).sum(1) / total
     std = ((share * (elites - mean.unsqueeze(1)).square()).sum(1) / total).sqrt().clamp(min=config.std_floor)
@@ -133,14 +156,6 @@ def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPC
     search.std = torch.where(some, std, search.std)
 
 
-def _remember(search: _Search, candidates: Tensor, ranked_task: Tensor, s_safe: Tensor) -> None:
-    """Keep the best candidate over all iterations, by either score."""
-    rows = torch.arange(len(candidates), device=candidates.device)
-    task, task_index = ranked_task.max(-1)
-    better = task > search.best_task
-    search.best_task = torch.where(better, task, search.best_task)
-    search.plan_task = torch.where(better.view(-1, 1, 1), candidates[rows, task_index], search.plan_task)
-    safe, safe_index = s_safe.min(-1)
-    lower = safe < search.best_safe
-    search.best_safe = torch.where(lower, safe, search.best_safe)
-    search.plan_safe = torch.where(lower.view(-1, 1, 1), candidates[rows, safe_index], search.plan_safe)
+def _over_plans(index: Tensor, plans: Tensor) -> Tensor:
+    """Indices [B, K] into the second dimension of [B, N, L, A], shaped for `gather`."""
+    return index.view(*index.shape, 1, 1).expand(-1, -1, *plans.shape[2:])
