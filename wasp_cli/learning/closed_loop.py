@@ -24,7 +24,7 @@ Array = NDArray[Any]
 
 
 class Loop(NamedTuple):
-    """What B episodes left behind, by decision step: [T, B] unless said. Rows after an episode's end are zero."""
+    """What B episodes left behind, by decision step: [T, B] unless said. After an episode's end only rows of `alive` count."""
 
     reward: Array
     cost: Array

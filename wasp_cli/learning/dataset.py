@@ -122,7 +122,8 @@ def record(
         assert seen.privileged is not None
         steps.append(
             {
-                "pixels": seen.pixels, "action": action, "reward": step.reward.astype(np.float32), "cost": step.cost.astype(np.float32), "cost_env": step.cost_env.astype(np.float32),
+                "pixels": seen.pixels, "action": action, "reward": step.reward.astype(np.float32), "cost": step.cost.astype(np.float32),
+                "cost_env": step.cost_env.astype(np.float32),
                 "terminal": (step.terminated & ~ended).astype(np.float32), "first": zeros, "privileged": seen.privileged, "alive": ~ended,
             }
         )  # fmt: skip

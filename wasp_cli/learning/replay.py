@@ -81,7 +81,8 @@ def write_shard(path: Path, replay: Replay) -> None:
     images = np.ascontiguousarray(replay.pixels)
     arrays = [
         pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(replay.first), [None, pa.py_buffer(images)]),
-        _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.cost_env), pa.array(replay.terminal), pa.array(replay.first),
+        _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.cost_env), pa.array(replay.terminal),
+        pa.array(replay.first),
         _lists(replay.privileged), pa.array(replay.episode), pa.array(replay.behaviour.tolist(), pa.string()),
     ]  # fmt: skip
     schema = _schema(replay.action.shape[1], replay.privileged.shape[1])

@@ -31,7 +31,8 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
     if not numbers:
         return UNDEFINED
     sd = float(np.std(numbers, ddof=1)) if len(numbers) > 1 else None
-    return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked)
+    # One seed shows no spread, so it cannot show a best either.
+    return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked and len(numbers) > 1)
 
 
 def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
@@ -69,7 +70,7 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
     if not seeds:
         return "No cell has been computed yet."
     if seeds == 1:
-        return "One seed: no ±. Differences between methods may be chance; add seeds to the spec."
+        return "One seed: no ±, and nothing is marked as best. Differences between methods may be chance; add seeds to the spec."
     return (
         f"± is the standard deviation over the means of {seeds} seeds, not over episodes. "
         f"{seeds} seeds have {distinct_resamples(seeds):,} distinct bootstrap resamples"

@@ -150,7 +150,7 @@ def write_cell(
         metrics: their rows, from `metrics.episode.episode_metrics`.
         thresholds: in force for all rows.
         decision_ms: per episode [T], wall time of each decision in milliseconds.
-        episode_seeds: the seed of each episode's layout and operator noise.
+        episode_seeds: the seed of each episode's world; operator and method have streams of their own.
 
     Raises:
         StoreError: the file cannot be written.
