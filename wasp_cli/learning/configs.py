@@ -5,9 +5,14 @@ Defaults are the `cpu` preset; the other presets override them (`spec.presets`).
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field, model_validator
 
 from wasp_cli.config import Config, assumed, from_paper
+
+Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
+"""Widths of hidden layers."""
 
 
 class ReturnsConfig(Config):
@@ -29,7 +34,7 @@ class ExpertConfig(Config):
     learning_rate: float = assumed(4e-4, "decays linearly to a tenth", gt=0.0)
     gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
     gae_lambda: float = assumed(0.95, "GAE", gt=0.0, le=1.0)
-    hidden: tuple[int, ...] = assumed((128, 128), "layers of actor and value network")
+    hidden: Layers = assumed((128, 128), "layers of actor and value network")
     entropy: float = assumed(0.003, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
@@ -110,7 +115,7 @@ class WorldModelConfig(Config):
 class PoliciesConfig(Config):
     """Latent actors distilled from the expert checkpoints."""
 
-    hidden: tuple[int, ...] = assumed((128, 128), "layers of a latent actor")
+    hidden: Layers = assumed((128, 128), "layers of a latent actor")
     updates: int = assumed(1500, "gradient steps per skill", ge=1)
     batch: int = assumed(512, "latents per update", ge=1)
     learning_rate: float = assumed(1e-3, "Adam, linear decay", gt=0.0)
@@ -120,7 +125,7 @@ class PoliciesConfig(Config):
 class CriticsConfig(Config):
     """V_r and V_c on imagined rollouts of the nominal expert."""
 
-    hidden: tuple[int, ...] = assumed((128, 128), "layers of a critic")
+    hidden: Layers = assumed((128, 128), "layers of a critic")
     updates: int = assumed(1000, "gradient steps", ge=1)
     starts: int = assumed(256, "imagined rollouts per update", ge=1)
     horizon: int = from_paper(15, "H", ge=1)
@@ -146,7 +151,7 @@ class EnsembleConfig(Config):
     """IDA's Q ensemble for the expert, TD on real and noisy transitions."""
 
     members: int = assumed(5, "ensemble size, as in TS2C", ge=1)
-    hidden: tuple[int, ...] = assumed((256, 256), "layers of a member")
+    hidden: Layers = assumed((256, 256), "layers of a member")
     updates: int = assumed(4000, "gradient steps", ge=1)
     batch: int = assumed(256, "transitions per update", ge=1)
     learning_rate: float = assumed(3e-4, "Adam", gt=0.0)
@@ -159,7 +164,7 @@ class DenoiserConfig(Config):
     steps: int = assumed(50, "T: diffusion steps of the original", ge=2)
     beta_min: float = assumed(1e-4, "first beta of the sigmoid schedule", gt=0.0, lt=1.0)
     beta_max: float = assumed(0.26, "last beta of the sigmoid schedule", gt=0.0, lt=1.0)
-    hidden: tuple[int, ...] = assumed((128, 128, 128), "layers")
+    hidden: Layers = assumed((128, 128, 128), "layers")
     updates: int = assumed(10_000, "gradient steps (the original has 30,000)", ge=1)
     batch: int = assumed(1024, "transitions per update (the original has 4096)", ge=1)
     learning_rate: float = assumed(1e-3, "Adam", gt=0.0)
@@ -185,7 +190,7 @@ class ResidualConfig(Config):
     batch: int = assumed(256, "minibatch", ge=2)
     learning_rate: float = assumed(3e-4, "Adam", gt=0.0)
     gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
-    hidden: tuple[int, ...] = assumed((128, 128), "layers of actor and value network")
+    hidden: Layers = assumed((128, 128), "layers of actor and value network")
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-1.6, "initial exploration of the residual")
     alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
@@ -195,7 +200,7 @@ class ResidualConfig(Config):
     multiplier_init: float = assumed(0.3, "penalty per costly decision step", ge=0.0)
     multiplier_lr: float = assumed(0.05, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
-    operators: dict[str, tuple[float, ...]] = Field(default=LADDER, description="operators mixed per episode")
+    operators: dict[str, tuple[float, ...]] = assumed(LADDER, "operators mixed per episode", min_length=1)
 
 
 class EvaluateConfig(Config):

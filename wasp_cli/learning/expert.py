@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
@@ -68,6 +69,7 @@ def train_expert(
     rule = MultiplierRule(config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit)
     early = {int(f * config.interactions): functools.partial(store, f) for f in config.checkpoints if f < 1.0}
     callback = LagrangianCallback(env, rule, config.interactions, progress, log_std_floor=config.log_std_floor, checkpoints=early)
+    model.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
     model.learn(config.interactions, callback=callback)
     store(1.0)
     return callback.curve

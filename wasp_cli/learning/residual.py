@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from wasp_cli.learning.closed_loop import Filter, human
@@ -149,6 +150,7 @@ def train_residual(
         delay=int(config.multiplier_delay * config.interactions),
     )  # fmt: skip
     lagrangian = LagrangianCallback(env, rule, config.interactions, report)
+    ppo.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
     ppo.learn(config.interactions, callback=CallbackList([ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]))
     policy = ResidualPolicy(model.feature_size, task.action_size, config.hidden)
     with torch.no_grad():

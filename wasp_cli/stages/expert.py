@@ -41,4 +41,5 @@ class ExpertStage:
             }  # fmt: skip
         (job.out_dir / "evaluation.json").write_text(json.dumps(evaluation, indent=1))
         final = evaluation[f"{config.checkpoints[-1]:g}"]
-        return {**final, "return_at_10%": evaluation[f"{config.checkpoints[0]:g}"]["return"], "multiplier": curve[-1]["multiplier"]}
+        first = f"{config.checkpoints[0]:g}"
+        return {**final, f"return_at_{first}": evaluation[first]["return"], "multiplier": curve[-1]["multiplier"]}

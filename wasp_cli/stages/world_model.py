@@ -13,6 +13,11 @@ from typing import Any, cast
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.stages.base import Job
 
+TERMS = {
+    "alpha_q": "kl_representation", "alpha_p": "kl_prediction", "beta_o": "image_loss", "beta_r": "reward_loss", "beta_c": "cost_loss",
+    "beta_n": "continuation_loss",
+}  # fmt: skip
+"""The terms of Eq. 6 by the weight that multiplies them, named for people."""
 HELD_OUT = 0.1
 """Share of the episodes that no gradient sees."""
 
@@ -64,4 +69,4 @@ class WorldModelStage:
         reconstruction_sheet(model, replay.rows(held), test, job.out_dir / "reconstruction.png")
         shown = ("auprc", "persistence", "predicted_over_base", "reward_r2")
         summary = {f"{name}@{row['k']}": round(row[name], 3) for row in quality if row["k"] in (5, 1, 15) for name in shown}
-        return summary | {name: round(values[-1], 4) for name, values in curves.items() if values}
+        return summary | {f"final_{TERMS[name]}": round(values[-1], 4) for name, values in curves.items() if values}
