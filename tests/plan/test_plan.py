@@ -9,6 +9,7 @@ from rich.console import Console
 from tests.plan.test_grid import grid
 from wasp_cli.plan.plan import Plan, make_plan, plan_against, sort_of
 from wasp_cli.plan.show import show
+from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.layout import Layout
 
 
@@ -71,3 +72,21 @@ def test_a_results_folder_that_is_not_there_has_nothing(tmp_path: Path) -> None:
     plan = plan_against(grid(), Layout(tmp_path / "absent"))
     assert plan.count("missing") == len(plan.steps)
     assert not (tmp_path / "absent").exists()
+
+
+def test_a_damaged_artifact_is_computed_again(tmp_path: Path) -> None:
+    layout, laid_out = Layout(tmp_path), grid()
+    layout.prepare()
+    node, whole = laid_out.nodes[:2]
+    for each in (node, whole):
+        folder = staging_folder(layout, each.key)
+        (folder / "data.bin").write_bytes(b"12345")
+        publish(layout, each.kind, each.key, folder, {})
+    assert plan_against(laid_out, layout).count("cached") == 2
+    (layout.artifact(node.kind, node.key) / "data.bin").write_bytes(b"123")
+    plan = plan_against(laid_out, layout)
+    (step,) = [step for step in plan.steps if step.node == node]
+    assert (step.state, step.runs) == ("damaged", True)
+    assert "data.bin' has 3 bytes, not 5" in step.reason
+    assert "data.bin' has 3 bytes, not 5" in text_of(plan)
+    assert plan.count("cached") == 1

@@ -138,3 +138,10 @@ def test_durations_and_numbers() -> None:
     summary = {"a": 1, "b": {"c": 0.123456, "d": [1, 2]}, "e": None, "f": True}
     assert numbers_text(summary) == "a 1, b.c 0.1235, f True"
     assert numbers_text({str(i): i for i in range(26)}).endswith("23 23, and 2 more")
+
+
+def test_an_empty_manifest_is_a_fact_not_a_crash(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    Layout(tmp_path).manifest("expert", key("expert", 0)).write_text("{}", encoding="utf-8")
+    report = report_run(tmp_path, spec, cells)
+    assert "is damaged: no 'upstream'" in report.facts[-1]
+    assert [artifact.stage for artifact in report.trained].count("expert") == 1

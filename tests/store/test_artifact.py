@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import pytest
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store.artifact import (
+    damage,
     is_published,
     publish,
     published,
@@ -42,7 +44,8 @@ def test_an_artifact_appears_whole(layout: Layout) -> None:
     assert published(layout, "expert") == set()
     place = publish(layout, "expert", KEY, staged(layout, "one"), {"key": KEY})
     assert (place / "deep" / "data").read_text() == "one"
-    assert read_manifest(layout, "expert", KEY) == {"key": KEY}
+    digest = hashlib.sha256(b"one").hexdigest()
+    assert read_manifest(layout, "expert", KEY) == {"key": KEY, "files": {"deep/data": {"size": 3, "sha256": digest}}}
     assert published(layout, "expert") == {KEY}
     assert not list(layout.tmp.iterdir())
 
@@ -62,6 +65,24 @@ def test_rubbish_in_the_place_gives_way(layout: Layout) -> None:
     assert published(layout, "expert") == set()
     publish(layout, "expert", KEY, staged(layout, "one"), {})
     assert sorted(path.name for path in place.iterdir()) == ["deep", "manifest.json"]
+    assert not list(layout.tmp.iterdir())
+
+
+@pytest.mark.parametrize("harm", ["remove", "cut", "manifest", "empty manifest"])
+def test_a_damaged_artifact_is_none_and_gives_way(harm: str, layout: Layout) -> None:
+    place = publish(layout, "expert", KEY, staged(layout, "one"), {})
+    assert is_published(layout, "expert", KEY)
+    if harm == "remove":
+        (place / "deep" / "data").unlink()
+    elif harm == "cut":
+        (place / "deep" / "data").write_text("o")
+    else:
+        (place / "manifest.json").write_text("{" if harm == "manifest" else "{}")
+    assert not is_published(layout, "expert", KEY)
+    assert str(place) in (damage(layout, "expert", KEY) or "")
+    publish(layout, "expert", KEY, staged(layout, "one"), {})
+    assert damage(layout, "expert", KEY) is None
+    assert (place / "deep" / "data").read_text() == "one"
     assert not list(layout.tmp.iterdir())
 
 

@@ -15,11 +15,11 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.keys import canonical
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.waves import waves
-from wasp_cli.store.artifact import published, read_manifest, read_record
+from wasp_cli.store.artifact import damage, published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
-State = Literal["cached", "missing", "failed", "blocked"]
+State = Literal["cached", "missing", "damaged", "failed", "blocked"]
 _MEASURED = 300
 """Manifests read per kind for the estimate of times."""
 
@@ -35,7 +35,7 @@ class Step:
     @property
     def runs(self) -> bool:
         """Whether a run would compute it."""
-        return self.state in ("missing", "failed")
+        return self.state in ("missing", "damaged", "failed")
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,13 @@ def _node_json(step: Step) -> dict[str, Any]:
     return {"key": node.key, "kind": node.kind, "label": node.label, "state": step.state, "reason": step.reason, "needs": needs}
 
 
-def make_plan(grid: Grid, stored: Mapping[str, set[str]], failures: Mapping[str, str], seconds: Mapping[str, float] | None = None) -> Plan:
+def make_plan(
+    grid: Grid,
+    stored: Mapping[str, set[str]],
+    failures: Mapping[str, str],
+    seconds: Mapping[str, float] | None = None,
+    damages: Mapping[str, str] | None = None,
+) -> Plan:
     """Give each node its state.
 
     Args:
@@ -96,12 +102,15 @@ def make_plan(grid: Grid, stored: Mapping[str, set[str]], failures: Mapping[str,
         stored: keys in the store, by kind.
         failures: cause of the last failure, by key.
         seconds: measured times by `sort_of` node.
+        damages: what is wrong with a stored artifact, by key.
     """
-    return Plan(grid, tuple(_step(node, stored, failures) for node in grid.nodes), seconds or {})
+    return Plan(grid, tuple(_step(node, stored, failures, damages or {}) for node in grid.nodes), seconds or {})
 
 
-def _step(node: Node, stored: Mapping[str, set[str]], failures: Mapping[str, str]) -> Step:
-    if node.key in stored.get(node.kind, ()):
+def _step(node: Node, stored: Mapping[str, set[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
+    if node.key in damages and TASKS[node.task].implemented:
+        return Step(node, "damaged", f"damaged, to be computed again: {damages[node.key]}")
+    if node.key not in damages and node.key in stored.get(node.kind, ()):
         return Step(node, "cached", "computed before")
     if not TASKS[node.task].implemented:
         return Step(node, "blocked", f"task '{node.task}' is not implemented in this version")
@@ -114,12 +123,13 @@ def plan_against(grid: Grid, layout: Layout, *, estimate: bool = True) -> Plan:
     """The plan of a grid over the store of a results folder."""
     kinds = dict.fromkeys(node.kind for node in grid.nodes)
     stored = {kind: published(layout, kind) for kind in kinds}
+    damages = {node.key: wrong for node in grid.nodes if node.key in stored[node.kind] and (wrong := damage(layout, node.kind, node.key))}
     failures: dict[str, str] = {}
     wanted = {node.key for node in grid.nodes}
     for path in layout.failures.glob("*.json"):
         if path.stem in wanted:
             failures[path.stem] = _cause(path)
-    plan = make_plan(grid, stored, failures)
+    plan = make_plan(grid, stored, failures, damages=damages)
     if not estimate or not plan.to_run():
         return plan
     return Plan(grid, plan.steps, measured(layout, stored))

@@ -20,11 +20,16 @@ def show(plan: Plan, console: Console, workers: int) -> None:
     for column in ("nodes", "cached", "to run", "failed before", "blocked"):
         table.add_column(column, justify="right")
     for kind in plan.kinds():
-        counts = [sum(step.node.kind == kind for step in plan.steps), plan.count("cached", kind), plan.count("missing", kind)]
+        counts = [
+            sum(step.node.kind == kind for step in plan.steps),
+            plan.count("cached", kind),
+            plan.count("missing", kind) + plan.count("damaged", kind),
+        ]
         counts += [plan.count("failed", kind), plan.count("blocked", kind)]
         table.add_row(kind, *(str(count) if count else "-" for count in counts))
     table.add_section()
-    totals = [len(plan.steps), plan.count("cached"), plan.count("missing"), plan.count("failed"), plan.count("blocked")]
+    fresh = plan.count("missing") + plan.count("damaged")
+    totals = [len(plan.steps), plan.count("cached"), fresh, plan.count("failed"), plan.count("blocked")]
     table.add_row("total", *map(str, totals), style="bold")
     console.print(table)
     cells = len({node.key for _, node in plan.grid.cells})
@@ -33,8 +38,8 @@ def show(plan: Plan, console: Console, workers: int) -> None:
         text += " (the unimpaired reference is one cell for all operators)"
     console.print(text)
     for step in plan.steps:
-        if step.state == "failed":
-            console.print(f"{step.node.label}: {step.reason}", markup=False)
+        if step.state in ("failed", "damaged"):
+            console.print(f"{step.node.label}: {step.reason}", markup=False, soft_wrap=True)
     for task in plan.missing_tasks():
         nodes = sum(step.state == "blocked" and step.node.task == task for step in plan.steps)
         console.print(f"task '{task}' is not implemented in this version: its {nodes} nodes cannot run", style="yellow")

@@ -118,7 +118,7 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
             _require_identity(table, cell)
         except StoreError as error:
             # A report names a damaged cell and goes on; it never averages without it in silence.
-            missing.append(Missing(cell.identity, cell.label, error.message))
+            missing.append(Missing(cell.identity, cell.label, error.message + (f" ({error.hint})" if error.hint else "")))
         else:
             found.append((cell, table))
     return Frame(tuple(pool_cells(found)), tuple(missing), tuple(cell.identity for cell in wanted))

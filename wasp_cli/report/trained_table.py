@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.titles import task_title
-from wasp_cli.store.artifact import is_published, read_manifest
+from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
+from wasp_cli.tasks.registry import TASKS
 
 SHOWN = 24
 """Numbers of a stage that fit on a line; the manifests have all."""
@@ -40,7 +41,7 @@ def trained_artifacts(layout: Layout, keys: Sequence[str]) -> tuple[tuple[Traine
     damaged: list[str] = []
 
     def visit(kind: str, key: str) -> None:
-        if key in found or not is_published(layout, kind, key):
+        if key in found or not layout.manifest(kind, key).is_file():
             return
         found[key] = None
         try:
@@ -48,17 +49,26 @@ def trained_artifacts(layout: Layout, keys: Sequence[str]) -> tuple[tuple[Traine
         except ArtifactError as error:
             damaged.append(error.message)
             return
-        for needed, needed_key in manifest["upstream"].items():
-            visit(needed, needed_key)
+        try:
+            for needed, needed_key in manifest["upstream"].items():
+                visit(needed, needed_key)
+            method = manifest["axes"].get("method")
+            stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
+            task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
+            trained = Trained(stage, task, seed, key, manifest["provenance"].get("seconds"), summary)
+        except (KeyError, TypeError, ValueError, AttributeError, WaspError) as error:
+            damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
+            return
         del found[key]  # so that it stands behind what it needs
-        method = manifest["axes"].get("method")
-        stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
-        trained = Trained(stage, manifest["task"], manifest["seed"], key, manifest["provenance"]["seconds"], manifest["summary"])
         found[key] = trained if kind != "evaluate" else None
 
     for key in keys:
         visit("evaluate", key)
     return tuple(artifact for artifact in found.values() if artifact is not None), tuple(damaged)
+
+
+def _missing_part(error: Exception) -> str:
+    return f"no '{error.args[0]}'" if isinstance(error, KeyError) else " ".join(str(error).split())
 
 
 def trained_markdown(artifacts: Iterable[Trained]) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
+import stat
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
@@ -27,9 +29,9 @@ def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mappin
     """Complete an artifact with its manifest and move it to its place.
 
     Everything is on disk before the move, and the move is one rename, so that a reader sees the whole artifact or none.
-    When the place is taken, someone else has computed the same key: theirs stays.
+    When the place is taken, someone else has computed the same key: theirs stays, unless it is damaged.
     """
-    (staging / MANIFEST).write_text(dumps(manifest), encoding="utf-8")
+    (staging / MANIFEST).write_text(dumps({**manifest, "files": _files(staging)}), encoding="utf-8")
     for path in sorted(staging.rglob("*"), reverse=True):
         _sync(path)
     _sync(staging)
@@ -38,10 +40,10 @@ def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mappin
     try:
         os.replace(staging, place)
     except OSError:
-        if (place / MANIFEST).is_file():
+        if damage(layout, kind, key) is None:
             shutil.rmtree(staging)
             return place
-        # No artifact, whatever it is: someone has removed files by hand.
+        # No artifact, whatever it is: someone has removed or changed files by hand.
         rubbish = staging.with_name(f"{staging.name}-rubbish")
         os.replace(place, rubbish)
         os.replace(staging, place)
@@ -51,7 +53,7 @@ def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mappin
 
 
 def published(layout: Layout, kind: str) -> set[str]:
-    """The keys of all artifacts of a kind."""
+    """The keys of all artifacts of a kind, damaged ones too."""
     try:
         with os.scandir(layout.kind(kind)) as entries:
             return {entry.name for entry in entries if os.path.isfile(f"{entry.path}/{MANIFEST}")}
@@ -62,8 +64,31 @@ def published(layout: Layout, kind: str) -> set[str]:
 
 
 def is_published(layout: Layout, kind: str, key: str) -> bool:
-    """Whether an artifact is there (whole, since it came by one rename)."""
-    return layout.manifest(kind, key).is_file()
+    """Whether an artifact is there, with every file that it was published with."""
+    return damage(layout, kind, key) is None
+
+
+def damage(layout: Layout, kind: str, key: str) -> str | None:
+    """What is wrong with an artifact: it is not there, its manifest does not read, a file is gone or has another size. None when whole.
+
+    Sizes only: the manifest has each file's SHA-256 too, but planning must not read gigabytes.
+    """
+    try:
+        files = read_manifest(layout, kind, key).get("files")
+    except ArtifactError as error:
+        return error.message
+    if not isinstance(files, dict):
+        return f"'{layout.manifest(kind, key)}' is damaged: it does not list the files"
+    place = layout.artifact(kind, key)
+    for name, known in files.items():
+        try:
+            state = os.stat(place / name)
+        except (OSError, ValueError):
+            return f"'{place / name}' is gone"
+        size = known.get("size") if isinstance(known, dict) else None
+        if not stat.S_ISREG(state.st_mode) or state.st_size != size:
+            return f"'{place / name}' has {state.st_size} bytes, not {size}"
+    return None
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
@@ -123,6 +148,19 @@ def discard(folder: Path) -> None:
     """Remove a folder that nobody needs any more; one that is already gone is fine."""
     with suppress(FileNotFoundError):
         shutil.rmtree(folder)
+
+
+def _files(folder: Path) -> dict[str, dict[str, Any]]:
+    """Size and SHA-256 of every file below a folder, by relative name; its manifest left out."""
+    found: dict[str, dict[str, Any]] = {}
+    for path in sorted(folder.rglob("*")):
+        if path.is_symlink():
+            raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name != MANIFEST:
+            with path.open("rb") as file:
+                found[name] = {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
+    return found
 
 
 def _sync(path: Path) -> None:
