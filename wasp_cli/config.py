@@ -12,10 +12,24 @@ class Config(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
+    def identity(self) -> dict[str, Any]:
+        """The values as JSON values, without those that can move no result."""
+        values = self.model_dump(mode="json")
+        for name, info in type(self).model_fields.items():
+            value, extra = getattr(self, name), info.json_schema_extra
+            if isinstance(extra, dict) and extra.get("in_key") is False:
+                del values[name]
+            elif isinstance(value, Config):
+                values[name] = value.identity()
+        return values
 
-def assumed(default: Any, why: str, **constraints: Any) -> Any:
-    """A field whose value is not in the paper. `why` says where the value comes from; reports list it."""
-    return Field(default=default, description=why, json_schema_extra={"in_paper": False}, **constraints)
+
+def assumed(default: Any, why: str, *, in_key: bool = True, **constraints: Any) -> Any:
+    """A field whose value is not in the paper. `why` says where the value comes from; reports list it.
+
+    One that can move no result (`in_key` false) enters no key: changing it runs nothing again.
+    """
+    return Field(default=default, description=why, json_schema_extra={"in_paper": False, "in_key": in_key}, **constraints)
 
 
 def from_paper(default: Any, where: str, **constraints: Any) -> Any:
@@ -29,7 +43,7 @@ def deviates(default: Any, why: str, **constraints: Any) -> Any:
 
 
 def assumptions(model: Config, prefix: str = "") -> list[tuple[str, Any, str]]:
-    """Every field that is not as in the paper as (dotted name, value in force, why), in field order."""
+    """Every value that is not the paper's as (dotted name, value in force, why), in field order."""
     found: list[tuple[str, Any, str]] = []
     for name, info in type(model).model_fields.items():
         value = getattr(model, name)
@@ -39,4 +53,7 @@ def assumptions(model: Config, prefix: str = "") -> list[tuple[str, Any, str]]:
         elif isinstance(extra, dict) and extra.get("in_paper") in (False, "differs"):
             mark = "differs from the paper: " if extra["in_paper"] == "differs" else ""
             found.append((f"{prefix}{name}", value, mark + (info.description or "")))
+        elif isinstance(extra, dict) and extra.get("in_paper") is True and value != info.default:
+            # The default is what the paper states.
+            found.append((f"{prefix}{name}", value, f"differs from the paper, which has {info.default}: {info.description}"))
     return found

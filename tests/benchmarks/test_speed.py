@@ -20,7 +20,7 @@ from wasp_cli.learning.world_model import build
 from wasp_cli.models.world_model import Batch
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.tasks.registry import make_task
+from wasp_cli.tasks.make import make_task
 
 torch.set_num_threads(1)
 

@@ -7,7 +7,8 @@ import pytest
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import Observation, Step, VectorTask
-from wasp_cli.tasks.registry import TASKS, make_task
+from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.registry import TASKS
 
 NAMES = [name for name in TASKS if TASKS[name].implemented]
 ALL = ("pixels", "state", "privileged")

@@ -142,3 +142,8 @@ def test_every_node_of_the_syntax_is_told_apart() -> None:
         "x = lambda a: 0",
     ]
     assert len({text(source) for source in sources}) == len(sources)
+
+
+def test_building_a_task_belongs_to_every_stage_that_drives_one() -> None:
+    for stage in ("dataset", "heldout", "expert", "policies", "evaluate", "residual"):
+        assert "wasp_cli.tasks.make" in closure([f"wasp_cli.stages.{stage}"])

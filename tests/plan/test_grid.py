@@ -146,3 +146,9 @@ def test_waves_put_what_is_needed_first() -> None:
 def test_waves_of_a_part_start_where_the_rest_is_done() -> None:
     evaluations = [node for node in grid().nodes if node.kind == "evaluate"]
     assert waves(evaluations) == [evaluations]
+
+
+def test_what_moves_no_result_moves_no_key() -> None:
+    assert not changed(world_model={"checkpoint_every": 7})
+    other = by_label(grid(world_model={"checkpoint_every": 7}))
+    assert {node.config["checkpoint_every"] for node in other.values() if node.kind == "world_model"} == {7}

@@ -49,3 +49,8 @@ def test_what_is_no_number_has_no_key() -> None:
 
 def test_library_versions_are_major_and_minor() -> None:
     assert all(version.count(".") == 1 for version in libraries().values())
+
+
+def test_every_library_that_computes_is_in_the_key() -> None:
+    assert set(libraries()) == {"mujoco", "numpy", "stable-baselines3", "torch"}
+    assert "absent" not in libraries().values()

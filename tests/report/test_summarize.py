@@ -10,6 +10,7 @@ from rich.console import Console
 from tests.report.invented import SKILL, invent, write
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import cells_of
+from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.summarize import Report, report_run
 from wasp_cli.report.trained_table import duration, numbers_text
 from wasp_cli.spec.model import Spec, validate
@@ -145,3 +146,10 @@ def test_an_empty_manifest_is_a_fact_not_a_crash(spec: Spec, cells: Cells, tmp_p
     report = report_run(tmp_path, spec, cells)
     assert "is damaged: no 'upstream'" in report.facts[-1]
     assert [artifact.stage for artifact in report.trained].count("expert") == 1
+
+
+def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leaves_open(spec: Spec) -> None:
+    found = {name: (value, why) for name, value, why in assumptions_in_force(spec)}
+    assert found["wasp.candidates"] == (8, "differs from the paper, which has 300: N, section 5.1")
+    assert "wasp.horizon" not in found  # 15, as in the paper
+    assert "wasp.tau_c" in found

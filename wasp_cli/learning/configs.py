@@ -109,7 +109,7 @@ class WorldModelConfig(Config):
     decode_share: float = assumed(0.25, "share of the steps whose image is decoded", gt=0.0, le=1.0)
     refit_updates: int = assumed(600, "last step: reward and cost heads on prior latents, model frozen", ge=0)
     refit_horizon: int = assumed(15, "imagined steps of the refit", ge=1)
-    checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", ge=1)
+    checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
 
 
 class PoliciesConfig(Config):

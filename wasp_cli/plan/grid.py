@@ -61,6 +61,7 @@ class _Builder:
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
         self.config = cache(lambda kind: spec.stage(kind).model_dump(mode="json"))
+        self.identity = cache(lambda kind: spec.stage(kind).identity())
         self.settings = cache(self._settings)
         self.method_config = cache(lambda method, variant: spec.method(method, variant).model_dump(mode="json"))
         self.training = cache(self._training)
@@ -117,7 +118,7 @@ class _Builder:
                 "task": _task_facts(task),
                 "seed": seed,
                 "axes": axes,
-                "config": config,
+                "config": self.identity(kind),
                 "settings": settings,
                 "upstream": {name: node.key for name, node in needs.items()},
                 "code": closure_hash(modules),

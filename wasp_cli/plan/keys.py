@@ -15,7 +15,7 @@ from typing import Any
 
 SCHEMA = 1
 """Raised when the meaning of artifacts changes in a way that no other part of the key shows."""
-LIBRARIES = ("mujoco", "numpy", "torch")
+LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
 LENGTH = 20
 
 

@@ -1,4 +1,4 @@
-"""Every value in force that the paper does not state."""
+"""Every value in force that the paper does not state, or states otherwise."""
 
 from __future__ import annotations
 
@@ -37,8 +37,13 @@ def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
 
 
 def assumptions_markdown(found: Sequence[Assumption]) -> str:
-    """A Markdown section: every value in force that the paper does not state."""
-    lines = ["## Assumptions in force", "", "Values that the paper leaves open. A spec can change each of them.", ""]
+    """A Markdown section: every value in force that is not the paper's."""
+    lines = [
+        "## Assumptions in force",
+        "",
+        "Values that the paper leaves open or that differ from it. A spec can change each.",
+        "",
+    ]
     lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
     for name, value, why in found:
         shown = json.dumps(value, default=str, ensure_ascii=False)

@@ -31,7 +31,7 @@ class DatasetStage:
         from wasp_cli.learning.expert import load_skill
         from wasp_cli.learning.replay import read_replay, write_shard
         from wasp_cli.seeds import derive
-        from wasp_cli.tasks.registry import make_task
+        from wasp_cli.tasks.make import make_task
 
         config = cast(DatasetConfig, job.config)
         observe = ("pixels", "privileged")

@@ -32,7 +32,8 @@ class EvaluateStage:
         from wasp_cli.operators.build import build_operator
         from wasp_cli.operators.noise import EpisodeNoise
         from wasp_cli.store.tables import CellIdentity, write_cell
-        from wasp_cli.tasks.registry import TASKS, make_task
+        from wasp_cli.tasks.make import make_task
+        from wasp_cli.tasks.registry import TASKS
 
         config = cast(EvaluateConfig, job.config)
         method, variant, value = job.axes["method"], job.axes["variant"], job.axes["value"]

@@ -25,7 +25,7 @@ class ExpertStage:
         """Train, then evaluate every checkpoint on seeds of its own."""
         from wasp_cli.learning.expert import evaluate_privileged, load_skill, train_expert
         from wasp_cli.seeds import derive
-        from wasp_cli.tasks.registry import make_task
+        from wasp_cli.tasks.make import make_task
 
         config = cast(ExpertConfig, job.config)
         options: dict[str, Any] = {"action_repeat": job.settings["action_repeat"], "observe": ("privileged",), "threads": job.threads}

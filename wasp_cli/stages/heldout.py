@@ -27,7 +27,7 @@ class HeldoutStage:
         from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.world_model import load_world_model
         from wasp_cli.seeds import derive
-        from wasp_cli.tasks.registry import make_task
+        from wasp_cli.tasks.make import make_task
 
         config = cast(HeldoutConfig, job.config)
         task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)

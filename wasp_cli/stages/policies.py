@@ -31,7 +31,7 @@ class PoliciesStage:
         from wasp_cli.learning.replay import read_replay
         from wasp_cli.learning.world_model import load_latents, load_world_model
         from wasp_cli.seeds import derive
-        from wasp_cli.tasks.registry import make_task
+        from wasp_cli.tasks.make import make_task
 
         config = cast(PoliciesConfig, job.config)
         privileged = json.loads((job.inputs["expert"] / "evaluation.json").read_text())

@@ -27,7 +27,7 @@ class ResidualStage:
         from wasp_cli.learning.residual import train_residual
         from wasp_cli.learning.world_model import load_world_model
         from wasp_cli.models.weights import save_weights
-        from wasp_cli.tasks.registry import make_task
+        from wasp_cli.tasks.make import make_task
 
         config = cast(ResidualConfig, job.config)
         model = load_world_model(job.inputs["world_model"])

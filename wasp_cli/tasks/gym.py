@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from wasp_cli.errors import UsageError
 from wasp_cli.tasks.base import CAMERA_SIZE, HasMap, Observation, Pixels
 from wasp_cli.tasks.layout import SEED_LIMIT
-from wasp_cli.tasks.registry import TASKS, make_task
+from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.registry import TASKS
 
 MAP_SIZE = 256
 

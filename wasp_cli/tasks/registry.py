@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from wasp_cli.errors import UsageError
 from wasp_cli.registry import Registry
-
-if TYPE_CHECKING:
-    from wasp_cli.tasks.base import VectorTask
 
 
 @dataclass(frozen=True)
@@ -44,33 +39,6 @@ TASKS: Registry[TaskInfo] = Registry(
         TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", "wasp_cli.tasks.goal1:Goal1", 0.02, 1000, 7),
     ),
 )
-
-
-def make_task(
-    name: str,
-    batch: int,
-    *,
-    action_repeat: int = 4,
-    observe: Sequence[str] = ("pixels", "state", "privileged"),
-    threads: int = 1,
-) -> VectorTask:
-    """Build B = `batch` episodes of a task.
-
-    Args:
-        name: a name of `TASKS`.
-        batch: episodes side by side.
-        action_repeat: env steps per decision step.
-        observe: which fields of `Observation` to fill; pixels cost a hundred times a state.
-        threads: threads for physics and cameras; results do not depend on it.
-
-    Raises:
-        UnknownName: no such task.
-        UsageError: the task is known but not implemented in this version.
-    """
-    info = TASKS[name]
-    require_implemented(info)
-    task: VectorTask = TASKS.load(name)(batch, action_repeat=action_repeat, observe=tuple(observe), threads=threads)
-    return task
 
 
 def require_implemented(info: TaskInfo) -> None:
