@@ -3,10 +3,13 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Callable, Iterator
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_file_location
 from pathlib import Path
 
 import pytest
 
+from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan import closure as module
 from wasp_cli.plan.closure import closure, closure_hash, source_hash
@@ -96,9 +99,36 @@ def test_fields_of_config_models_do_not_count_since_their_values_do(write: Write
     assert source_hash("house.configs") != before
 
 
-def test_a_module_that_is_not_there_does_not_stop_planning(write: Write) -> None:
-    assert closure(["house.absent"]) == {"house.absent"}
-    assert closure_hash(("house.absent",))
+def test_a_root_without_source_is_refused(write: Write) -> None:
+    for root in ("house.absent", "nowhere", "nowhere.at_all"):
+        with pytest.raises(WaspError, match=f"the source of '{root}' cannot be found"):
+            closure([root])
+
+
+def test_a_package_without_init_is_covered(write: Write) -> None:
+    write("tent/a.py", "from tent import b\nfrom tent.deep.c import x\n")
+    write("tent/b.py", "y = 1\n")
+    write("tent/deep/c.py", "x = 1\n")
+    assert {"tent.a", "tent.b", "tent.deep.c"} <= closure(["tent.a"])
+    before = closure_hash(("tent.a",))
+    write("tent/deep/c.py", "x = 2\n")
+    assert closure_hash(("tent.a",)) != before
+
+
+def test_a_package_of_an_editable_installation_is_covered(write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write("elsewhere/cabin/__init__.py", "")
+    write("elsewhere/cabin/a.py", "x = 1\n")
+
+    class Finder:
+        @staticmethod
+        def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+            place = tmp_path / "elsewhere" / "cabin" / "__init__.py"
+            return spec_from_file_location(name, place) if name == "cabin" else None
+
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path, Finder])
+    before = closure_hash(("cabin.a",))
+    write("elsewhere/cabin/a.py", "x = 2\n")
+    assert closure_hash(("cabin.a",)) != before
 
 
 def test_orchestration_is_in_no_closure() -> None:

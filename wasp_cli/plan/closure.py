@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from importlib.machinery import PathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from pathlib import Path
+
+from wasp_cli.errors import WaspError
 
 PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset({"app", "console", "errors", "plan", "report", "run", "spec", "__main__"})
@@ -22,9 +24,17 @@ CONFIGURATION = frozenset({"config", "configs"})
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
-    """The project modules that `roots` import, transitively, and the roots themselves."""
+    """The project modules that `roots` import, transitively, and the roots themselves.
+
+    Raises:
+        WaspError: a root has no source.
+    """
     found: set[str] = set()
     for root in roots:
+        if _file(root) is None:
+            raise WaspError(
+                f"the source of '{root}' cannot be found, so no key can cover it", "install the plugin that names it, as source"
+            )
         found |= _reach(root)
     return frozenset(found)
 
@@ -186,24 +196,30 @@ def _is_text(item: object) -> bool:
 @cache
 def _tree(module: str) -> ast.Module:
     file = _file(module)
-    # A module that is not there makes its node fail when it runs, with Python's own message; planning goes on.
+    # A namespace package has no source of its own.
     return ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
 
 
 @cache
 def _file(module: str) -> Path | None:
-    """The source of a module, found without importing anything."""
+    """The source of a module, found without importing anything; None for a namespace package, or when there is none."""
     top, _, rest = module.partition(".")
-    spec = PathFinder.find_spec(top, sys.path)
-    if spec is None or spec.origin is None:
+    spec = _top(top)
+    if spec is None:
         return None
-    base = Path(spec.origin)
     if not rest:
-        return base
-    if spec.submodule_search_locations is None:
-        return None
-    path = base.parent.joinpath(*rest.split("."))
-    for candidate in (path / "__init__.py", path.with_name(path.name + ".py")):
-        if candidate.is_file():
-            return candidate
+        return Path(spec.origin) if spec.origin is not None and spec.has_location else None
+    for folder in spec.submodule_search_locations or ():
+        path = Path(folder).joinpath(*rest.split("."))
+        for candidate in (path / "__init__.py", path.with_name(path.name + ".py")):
+            if candidate.is_file():
+                return candidate
     return None
+
+
+def _top(name: str) -> ModuleSpec | None:
+    """Where a top-level package lies, as every finder knows it: an editable installation brings its own, and a namespace has no origin."""
+    try:
+        return find_spec(name)
+    except (ImportError, ValueError):
+        return None
