@@ -11,8 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, fakes, small_spec
+from tests.run.harness import Fakes, fakes, prepared, small_spec
 from wasp_cli import __version__
+from wasp_cli.errors import CellsFailed
+from wasp_cli.plan.plan import cells_with_keys
+from wasp_cli.run.record import new_run
+from wasp_cli.spec.load import load
 
 __all__ = ["fakes", "small_spec"]
 
@@ -55,10 +59,18 @@ def test_version() -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--help"], ["plan", "specs/table1.yaml"], ["check", "specs/table1.yaml"], ["run", "specs/table1.yaml"], ["report", "/nowhere"]],
+    [
+        ["--help"],
+        ["plan", "specs/table1.yaml", "--results", "/nowhere"],
+        ["check", "specs/table1.yaml"],
+        ["run", "INVALID", "--results", "RESULTS"],
+        ["report", "/nowhere"],
+    ],
     ids=lambda arguments: arguments[0],
 )
-def test_light_commands_import_nothing_heavy(arguments: list[str]) -> None:
+def test_light_commands_import_nothing_heavy(arguments: list[str], tmp_path: Path) -> None:
+    places = {"INVALID": str(spec_with(tmp_path, "episodes: 2", "episode: 2")), "RESULTS": str(tmp_path / "results")}
+    arguments = [places.get(argument, argument) for argument in arguments]
     heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium"]
     if "--help" in arguments:
         heavy += ["pydantic", "ruamel.yaml", "numpy"]
@@ -82,7 +94,7 @@ def test_help_and_plan_are_quick() -> None:
 
     # Twice the promise (0.3 s and 1 s), since tests share the machine; the limits themselves are benchmarks.
     assert best("--help") < 0.6
-    assert best("plan", "specs/table1.yaml") < 2.0
+    assert best("plan", "specs/table1.yaml", "--results", "/nowhere") < 2.0
 
 
 def test_plan_lays_table_1_out_in_full() -> None:
@@ -119,7 +131,7 @@ def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
 def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp_path: Path) -> None:
     path = spec_with(tmp_path, old, new)
     for command in ("run", "plan", "check"):
-        done = wasp(command, path)
+        done = wasp(command, path, *([] if command == "check" else ["--results", tmp_path / "results"]))
         assert done.returncode == 3
         assert expected in done.stderr
         assert f"error: {path}:" in done.stderr
@@ -140,8 +152,8 @@ def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp
         (["ablate", "--variant", "no-case2", "--preset", "smok"], "did you mean 'smoke'?"),
     ],
 )
-def test_wrong_usage_ends_with_2(arguments: list[str], expected: str) -> None:
-    done = wasp(*arguments)
+def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: Path) -> None:
+    done = wasp(*arguments, *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]))
     assert done.returncode == 2
     assert expected in done.stderr
     assert "Traceback" not in done.stderr
@@ -174,6 +186,55 @@ def test_report_without_results_says_so(tmp_path: Path) -> None:
     done = wasp("report", tmp_path)
     assert done.returncode == 1
     assert f"error: no results in '{tmp_path}': it holds no runs" in done.stderr
+
+
+def test_report_without_any_run_says_so(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    done = wasp("report", tmp_path)
+    assert done.returncode == 1
+    assert f"error: no results in '{tmp_path}': it holds no runs" in done.stderr
+
+
+@pytest.mark.parametrize("record", ["plan.json", "spec.json"])
+def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    other = tmp_path / "other.yaml"
+    other.write_text(small_spec.read_text(encoding="utf-8").replace("name: small", "name: other"), encoding="utf-8")
+    for path in (small_spec, other):
+        loaded, layout, plan = prepared(path, results)
+        new_run(layout, loaded, plan)
+    (damaged,) = layout.runs.glob(f"*-small-*/{record}")
+    damaged.write_text("{", encoding="utf-8")
+    done = wasp("report", results)
+    assert done.returncode == 1
+    assert damaged.parent.name in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Human-only" in done.stdout
+    assert (results / "reports" / "other" / "report.md").is_file()
+
+
+def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from wasp_cli.app import _show_report
+    from wasp_cli.report.summarize import Report
+
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+
+    def gone(self: Report, console: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(Report, "terminal", gone)
+    with pytest.raises(BrokenPipeError):
+        _show_report(layout, loaded.spec, cells_with_keys(plan.grid))
+    assert (layout.reports("small") / "report.md").is_file()
+
+
+def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    from wasp_cli.app import _run_and_report
+
+    # The fake stages end well, and write no cell.
+    with pytest.raises(CellsFailed, match="14 cells cannot be read") as caught:
+        _run_and_report(load(small_spec), tmp_path / "results", 0)
+    assert "goal1 human noisy=0.2 seed 0" in caught.value.message
 
 
 def test_debug_shows_the_traceback() -> None:

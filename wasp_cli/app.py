@@ -15,6 +15,7 @@ from wasp_cli import __version__
 
 if TYPE_CHECKING:
     from wasp_cli.plan.cell import Cell
+    from wasp_cli.report.summarize import Report
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
     from wasp_cli.store.layout import Layout
@@ -185,17 +186,26 @@ def report(
     ] = None,
 ) -> None:
     """Print the tables of what has run, from the results folder alone."""
-    from wasp_cli.errors import UnknownName
-    from wasp_cli.run.record import read_run, recorded_specs, results_of
+    from wasp_cli.errors import ArtifactError, StoreError, UnknownName, WaspError
+    from wasp_cli.report.runs import last_runs
+    from wasp_cli.run.record import read_run, results_of
 
     layout = results_of(folder)
-    runs = recorded_specs(layout)
-    if spec is not None and spec not in runs:
+    runs, damaged = last_runs(layout)
+    if not runs and not damaged:
+        raise StoreError(f"no results in '{folder}': it holds no runs", "wasp run SPEC --results DIR writes there")
+    if spec is not None and runs and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
     for name, run_id in runs.items():
         if spec in (None, name):
-            recorded = read_run(layout, run_id)
-            _show_report(layout, recorded.spec, recorded.cells)
+            try:
+                recorded = read_run(layout, run_id)
+                damaged += _show_report(layout, recorded.spec, recorded.cells).damaged
+            except WaspError as error:  # the other specs are still worth seeing
+                damaged.append(error.message)
+    if damaged:
+        found = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
+        raise ArtifactError(f"part of the results cannot be read:\n{found}", "run the spec again: what is whole is kept")
 
 
 @app.command(epilog="[bold]wasp ablate --variant no-case2 --task goal1 --preset smoke[/]")
@@ -234,19 +244,32 @@ def _run_and_report(loaded: Loaded, results: Path, jobs: int | None) -> None:
 
     session = run_spec(loaded, results, cores() if jobs is None else jobs)
     # Also after failures: what is there is worth seeing, and the report names what is not.
-    _show_report(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
+    report = _show_report(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
     session.require_complete()
+    _require_cells(report)
 
 
-def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]]) -> None:
+def _require_cells(report: Report | None) -> None:
+    """Raise CellsFailed when a cell has no readable rows, though its node ended well."""
+    from wasp_cli.errors import CellsFailed
+
+    if report is not None and report.missing:
+        named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in report.missing[:10])
+        more = f"\n  and {len(report.missing) - 10} more" if len(report.missing) > 10 else ""
+        raise CellsFailed(f"{len(report.missing)} cells cannot be read:\n{named}{more}")
+
+
+def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]]) -> Report:
     from wasp_cli.console import out
     from wasp_cli.report.summarize import report_run
 
     report = report_run(layout.root, spec, cells)
-    report.terminal(out())
+    # Written first: a terminal that goes away costs no file.
     page, *_ = report.write(layout.reports(spec.name))
+    report.terminal(out())
     out().print(f"report: {page} (its tables as Markdown and CSV, and the figure, are beside it)", markup=False, soft_wrap=True)
     out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
+    return report
 
 
 def _print_json(value: Any) -> None:

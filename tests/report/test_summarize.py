@@ -9,9 +9,11 @@ from rich.console import Console
 
 from tests.report.invented import SKILL, invent, write
 from wasp_cli.plan.cell import Cell
-from wasp_cli.plan.grid import cells_of
+from wasp_cli.plan.grid import cells_of, lay_out
+from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
-from wasp_cli.report.summarize import Report, report_run
+from wasp_cli.report.frame import Frame
+from wasp_cli.report.summarize import TABLES, Report, report_run
 from wasp_cli.report.trained_table import duration, numbers_text
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.store.artifact import write_record
@@ -153,3 +155,47 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert found["wasp.candidates"] == (8, "differs from the paper, which has 300: N, section 5.1")
     assert "wasp.horizon" not in found  # 15, as in the paper
     assert "wasp.tau_c" in found
+
+
+def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "table2.csv").write_text("of an earlier report")
+    (out / "notes.txt").write_text("of a person")
+    files = report_run(tmp_path, spec, cells).write(out)
+    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
+    empty = report_run(tmp_path / "elsewhere", spec, cells)
+    assert {path.name for path in empty.write(out)} | {"notes.txt"} == {path.name for path in out.iterdir()}
+    assert not (out / "cost_return.png").exists()
+
+
+def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, tmp_path: Path, frame: Frame) -> None:
+    ablations = ablation_table(frame)
+    assert ablations is not None
+    names = {table.name for table in report_run(tmp_path, spec, cells).tables} | {ablations.name}
+    assert names == set(TABLES)
+
+
+def test_a_damaged_failure_is_named_and_the_report_goes_on(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    layout = Layout(tmp_path)
+    (layout.artifact("evaluate", cells[0][1]) / CELL_FILE).unlink()
+    layout.failures.mkdir()
+    layout.failure(cells[0][1]).write_text("{")
+    report = report_run(tmp_path, spec, cells)
+    (missing,) = report.missing
+    assert "is damaged" in missing.reason
+    assert len(report.damaged) == 1
+    assert str(layout.failure(cells[0][1])) in report.damaged[0]
+    assert report.damaged[0] in report.facts
+
+
+def test_a_blocked_cell_names_what_blocks_it(spec: Spec, tmp_path: Path) -> None:
+    layout, grid = Layout(tmp_path), lay_out(spec)
+    expert = next(node for node in grid.nodes if node.kind == "expert" and node.seed == 0)
+    write_record(layout.failure(expert.key), {"message": "the loss is not finite", "log": "x.log"})
+    report = report_run(tmp_path, spec, [(cell, node.key) for cell, node in grid.cells])
+    reasons = {cell.label: cell.reason for cell in report.missing}
+    blocked = "blocked by goal1 s0 expert, which failed: the loss is not finite (log: x.log)"
+    assert reasons["goal1 human noisy=0.2 seed 0"] == blocked
+    assert reasons["goal1 wasp noisy=0.6 seed 0"] == blocked
+    assert reasons["goal1 human noisy=0.2 seed 1"] == "not computed yet"

@@ -32,9 +32,7 @@ def closure(roots: Iterable[str]) -> frozenset[str]:
     found: set[str] = set()
     for root in roots:
         if _file(root) is None:
-            raise WaspError(
-                f"the source of '{root}' cannot be found, so no key can cover it", "install the plugin that names it, as source"
-            )
+            raise WaspError(f"the source of '{root}' cannot be found, so no key can cover it", "install the plugin with its source")
         found |= _reach(root)
     return frozenset(found)
 
@@ -208,7 +206,7 @@ def _file(module: str) -> Path | None:
     if spec is None:
         return None
     if not rest:
-        return Path(spec.origin) if spec.origin is not None and spec.has_location else None
+        return Path(spec.origin) if spec.origin is not None and spec.origin.endswith(".py") else None
     for folder in spec.submodule_search_locations or ():
         path = Path(folder).joinpath(*rest.split("."))
         for candidate in (path / "__init__.py", path.with_name(path.name + ".py")):

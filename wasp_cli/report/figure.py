@@ -19,6 +19,7 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
+FIGURES = ("cost_return.png", "cost_return.svg")
 STYLES = {name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[i % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)}
 """Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
 
@@ -62,7 +63,7 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
         figure.legend(
             handles.values(), handles.keys(), loc="outside right upper", frameon=False, title="large: mean\nsmall: one operator\n"
         )
-        files = [folder / "cost_return.png", folder / "cost_return.svg"]
+        files = [folder / name for name in FIGURES]
         # Without dates and versions, the same numbers give the same bytes.
         figure.savefig(files[0], metadata={"Software": None})
         figure.savefig(files[1], metadata={"Date": None, "Creator": None})

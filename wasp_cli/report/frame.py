@@ -32,6 +32,8 @@ class Wanted:
     """The spec's name of the severity value."""
     failure: str | None = None
     """Why its last computation failed, where that is known."""
+    blocked: str | None = None
+    """Which failed node stands in its way, where that is known."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
     missing: list[Missing] = []
     for cell in wanted:
         if not cell.path.exists():
-            missing.append(Missing(cell.identity, cell.label, f"failed: {cell.failure}" if cell.failure else "not computed yet"))
+            missing.append(Missing(cell.identity, cell.label, _absence(cell)))
             continue
         try:
             table = read_episodes([cell.path])
@@ -122,6 +124,13 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
         else:
             found.append((cell, table))
     return Frame(tuple(pool_cells(found)), tuple(missing), tuple(cell.identity for cell in wanted))
+
+
+def _absence(cell: Wanted) -> str:
+    """Why a cell has no rows."""
+    if cell.failure:
+        return f"failed: {cell.failure}"
+    return f"blocked by {cell.blocked}" if cell.blocked else "not computed yet"
 
 
 def pool_cells(tables: list[tuple[Wanted, pa.Table]]) -> list[CellNumbers]:

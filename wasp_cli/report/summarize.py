@@ -9,10 +9,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.grid import lay_out
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import Assumption, assumptions_in_force, assumptions_markdown
-from wasp_cli.report.figure import cost_return_figure
+from wasp_cli.report.figure import FIGURES, cost_return_figure
 from wasp_cli.report.frame import Frame, Missing, Wanted, read_frame
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
 from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
@@ -25,6 +27,11 @@ from wasp_cli.store.tables import CELL_FILE, CellIdentity
 
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
+
+
+TABLES = ("table1", "table2", "operators", "details", "thresholds")
+KNOWN = frozenset({"report.md", *FIGURES, *(f"{name}.{ending}" for name in TABLES for ending in RENDERERS)})
+"""Every file that a report can write."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,8 @@ class Report:
     frame: Frame
     trained: tuple[Trained, ...]
     assumptions: tuple[Assumption, ...]
+    damaged: tuple[str, ...] = ()
+    """Records that do not read; `facts` has them too."""
 
     @property
     def missing(self) -> tuple[Missing, ...]:
@@ -67,6 +76,9 @@ class Report:
         texts = {"report.md": self.markdown([path.name for path in figures]), **texts}
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
+        # What an earlier report had and this one has not would pass for a part of it.
+        for name in KNOWN - texts.keys() - {path.name for path in figures}:
+            (folder / name).unlink(missing_ok=True)
         return [*(folder / name for name in texts), *figures]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
@@ -93,13 +105,17 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> 
         cells: its cells, each with the key of its evaluation.
     """
     layout = Layout(results)
-    frame = read_frame(_wanted(layout, cell, key) for cell, key in cells)
+    damaged: list[str] = []
+    failures = {key: text for _, key in cells if (text := _failure(layout, key, damaged))}
+    blocked = _blocked(layout, spec, damaged)
+    frame = read_frame(_wanted(layout, cell, key, failures.get(key), blocked.get(key)) for cell, key in cells)
     front = [main_table(frame)]
     ablations = ablation_table(frame)
     if ablations is not None:
         front.append(ablations)
     back = [table for table in (operator_table(frame), detail_table(frame), threshold_table(frame)) if table.rows and table.columns]
-    trained, damaged = trained_artifacts(layout, [key for _, key in cells])
+    trained, unreadable = trained_artifacts(layout, [key for _, key in cells])
+    damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
         name=spec.name,
         facts=(*_facts(spec, frame), *damaged),
@@ -108,17 +124,46 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> 
         frame=frame,
         trained=trained,
         assumptions=tuple(assumptions_in_force(spec)),
+        damaged=tuple(damaged),
     )
 
 
-def _wanted(layout: Layout, cell: Cell, key: str) -> Wanted:
-    failure = read_record(layout.failure(key))
+def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
+    """Why a node failed last; a record that does not read is added to `damaged`."""
+    try:
+        record = read_record(layout.failure(key))
+    except ArtifactError as error:
+        damaged.append(error.message)
+        return error.message
+    return None if record is None else f"{record.get('message')} (log: {record.get('log')})"
+
+
+def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
+    """What stands in the way of evaluations, by their keys: the failed nodes that they need, as far as this version lays out the same."""
+    failed = {path.stem for path in layout.failures.glob("*.json")}
+    if not failed:
+        return {}
+    try:
+        nodes = lay_out(spec).nodes
+    except WaspError:  # of another version, or without its plugin
+        return {}
+    causes: dict[str, str] = {}
+    for node in nodes:  # needed ones first
+        upstream = [needed for needed in node.needs.values() if needed.key in failed or needed.key in causes]
+        if upstream:
+            first = upstream[0]
+            causes[node.key] = causes.get(first.key) or f"{first.label}, which failed: {_failure(layout, first.key, damaged)}"
+    return causes
+
+
+def _wanted(layout: Layout, cell: Cell, key: str, failure: str | None, blocked: str | None) -> Wanted:
     return Wanted(
         identity=CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed),
         label=str(cell),
         path=layout.artifact("evaluate", key) / CELL_FILE,
         severity=cell.severity,
-        failure=None if failure is None else f"{failure.get('message')} (log: {failure.get('log')})",
+        failure=failure,
+        blocked=blocked,
     )
 
 
