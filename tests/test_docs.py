@@ -11,6 +11,8 @@ import pytest
 import typer
 
 from wasp_cli.app import app
+from wasp_cli.run.session import require_tasks
+from wasp_cli.spec.ablation import ablation
 from wasp_cli.spec.load import load
 
 ROOT = Path(__file__).parent.parent
@@ -46,7 +48,10 @@ def parse(line: str) -> dict[str, Any]:
 @pytest.mark.parametrize(("page", "line"), shown(), ids=lambda part: part)
 def test_shown_commands_parse(page: str, line: str) -> None:
     parameters = parse(line)
-    if parameters.get("set_"):
+    if shlex.split(line)[1] == "ablate":
+        arguments = parameters["variant"], parameters["task"], parameters["preset"], parameters["set_"] or ()
+        require_tasks(ablation(ROOT / parameters["spec"], *arguments))
+    elif parameters.get("set_"):
         assert load(ROOT / parameters["spec"], parameters["set_"])
     for value in parameters.values():
         for path in value if isinstance(value, list) else [value]:
