@@ -12,7 +12,9 @@ results/
 
 from __future__ import annotations
 
+import os
 import re
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,6 +87,10 @@ class Layout:
         """The folder of a spec's tables and figures."""
         return self.root / "reports" / _name(spec)
 
+    def needed(self) -> tuple[Path, ...]:
+        """The folders that every run writes to."""
+        return self.store, self.tmp, self.runs, self.failures, self.root / "work", self.root / "locks"
+
     def prepare(self) -> None:
         """Make the folders and see that they can be written.
 
@@ -92,13 +98,13 @@ class Layout:
             StoreError: the results folder is a file, or cannot be written.
         """
         try:
-            for folder in (self.store, self.tmp, self.runs, self.failures, self.root / "work", self.root / "locks"):
+            for folder in self.needed():
                 folder.mkdir(parents=True, exist_ok=True)
-            probe = self.tmp / ".probe"
-            probe.write_bytes(b"")
-            probe.unlink()
+            # A file of its own: another run may be trying the same folder now.
+            with tempfile.TemporaryFile(dir=self.tmp):
+                pass
         except OSError as error:
-            reason = "it is a file" if self.root.is_file() else (error.strerror or str(error)).lower()
+            reason = "it is a file" if os.path.isfile(self.root) else (error.strerror or str(error)).lower()
             raise StoreError(f"cannot write results to '{self.root}': {reason}", "choose another folder with --results DIR") from error
 
 
