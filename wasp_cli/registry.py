@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, Protocol, TypeVar
 
 from wasp_cli.errors import UnknownName, WaspError
@@ -40,7 +40,7 @@ class Registry(Mapping[str, E], Generic[E]):
             found = dict(self._own)
             # A plugin's entry point names an object that is an entry of this registry.
             for point in entry_points(group=self._group) if self._group else ():
-                entry: E = point.load()
+                entry: E = _loaded(point)
                 if entry.name in self._own:
                     raise WaspError(f"plugin '{point.value}' redefines the built-in {self.kind} '{entry.name}'")
                 found[entry.name] = entry
@@ -65,6 +65,19 @@ class Registry(Mapping[str, E], Generic[E]):
     def load(self, name: str) -> Any:
         """Import and return what the entry's `target` names."""
         return load_target(self[name].target)
+
+
+def _loaded(point: EntryPoint) -> Any:
+    """What a plugin's entry point names; its code is another's, and may do anything."""
+    source = f"plugin '{point.dist.name if point.dist else point.module}' (entry point '{point.name}' of group '{point.group}')"
+    hint = "repair the plugin, or uninstall it"
+    try:
+        entry = point.load()
+    except Exception as error:
+        raise WaspError(f"{source} does not load: {type(error).__name__}: {error}", hint) from error
+    if not isinstance(getattr(entry, "name", None), str) or not isinstance(getattr(entry, "target", None), str):
+        raise WaspError(f"{source} names no entry: '{point.value}' is of type {type(entry).__name__}", hint)
+    return entry
 
 
 def load_target(target: str) -> Any:
