@@ -73,7 +73,7 @@ def _computed(order: Order, layout: Layout, log: Path, started: float, running: 
         publish(layout, order.kind, order.key, staging, _manifest(order, summary, seconds, started_at))
     except (Exception, SystemExit) as error:
         discard(staging)
-        return _recorded_failure(order, layout, log, started, error)
+        return _recorded_failure(order, layout, log, started, _cause_in_source(order, error) or error)
     except BaseException:  # Ctrl-C in the process that runs nodes itself
         discard(staging)
         raise
@@ -88,6 +88,18 @@ def _require_planned_source(order: Order) -> None:
         raise SourceChanged(
             f"the source changed while the run was going: {', '.join(changed)}", "run again; what the change does not touch is kept"
         )
+
+
+def _cause_in_source(order: Order, error: BaseException) -> SourceChanged | None:
+    """A module that was saved meanwhile explains any error, and better than the error does; the log keeps both."""
+    if isinstance(error, SourceChanged):
+        return None
+    try:
+        _require_planned_source(order)
+    except SourceChanged as changed:
+        traceback.print_exception(error)
+        return changed
+    return None
 
 
 def _job(order: Order, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
