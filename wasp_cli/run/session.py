@@ -13,6 +13,7 @@ from wasp_cli.console import duration, plain
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.waves import waves
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
 from wasp_cli.run.progress import board
 from wasp_cli.run.record import new_run
@@ -27,6 +28,11 @@ def cores() -> int:
     """Cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def useful_jobs(plan: Plan, jobs: int) -> int:
+    """No more workers than nodes that can run side by side: a worker costs memory also while it is idle."""
+    return min(jobs, max((len(wave) for wave in waves(plan.to_run())), default=jobs))
 
 
 def restricted(loaded: Loaded, task: str | None) -> Loaded:
@@ -78,7 +84,7 @@ def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
     Args:
         loaded: the spec.
         results: the results folder.
-        jobs: worker processes; 0 computes in this process.
+        jobs: worker processes at most; 0 computes in this process.
 
     Raises:
         SpecError: the spec has a task that this version does not have.
@@ -97,6 +103,7 @@ def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
 
 
 def _compute(plan: Plan, layout: Layout, run_id: str, jobs: int) -> Summary:
+    jobs = useful_jobs(plan, jobs)
     workers = max(jobs, 1)
     seconds, unknown = plan.estimate(workers)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
