@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ class Recorded:
 def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
     """Make the folder of a new run and write down what it is asked for."""
     spec = loaded.spec
-    run_id = f"{datetime.now():%Y%m%d-%H%M%S}-{spec.name[:60]}-{secrets.token_hex(2)}"
+    run_id = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{spec.name[:60]}-{secrets.token_hex(2)}"
     folder = layout.run(run_id)
     try:
         for part in ("logs", "running"):
@@ -83,10 +84,14 @@ def results_of(folder: Path) -> Layout:
     """The layout of an existing results folder.
 
     Raises:
-        StoreError: there is none.
+        StoreError: there is none, or it cannot be read.
     """
     layout = Layout(folder)
-    if not layout.runs.is_dir():
-        what = "no such folder" if not folder.exists() else "it holds no runs"
-        raise StoreError(f"no results in '{folder}': {what}", "wasp run SPEC --results DIR writes there")
+    try:
+        os.scandir(layout.runs).close()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        what = "it holds no runs" if os.path.exists(folder) else "no such folder"
+        raise StoreError(f"no results in '{folder}': {what}", "wasp run SPEC --results DIR writes there") from error
+    except OSError as error:
+        raise StoreError(f"cannot read the results in '{folder}': {(error.strerror or str(error)).lower()}") from error
     return layout
