@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from wasp_cli.console import out
-from wasp_cli.errors import StoreError
+from wasp_cli.errors import WaspError
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
 
@@ -26,7 +26,7 @@ class Finding:
     """One thing that was looked for."""
 
     what: str
-    state: Literal["ok", "missing", "optional"]
+    state: Literal["ok", "missing", "low", "optional"]
     found: str
     meaning: str = ""
 
@@ -54,13 +54,13 @@ def _imported(distribution: str, module: str) -> Finding:
 
 def _hardware() -> Iterator[Finding]:
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield Finding("cores", "ok", f"{count} ({processor()})", "`wasp run` starts as many workers; fewer with -j")
+    yield Finding("cores", "ok", f"{count} ({processor()})", "`wasp run` starts at most as many workers; fewer with -j")
     memory = memory_gb()
     if memory is None:
         yield Finding("memory", "optional", "unknown", "about 2 GB per worker are enough for the preset cpu")
     else:
         small = memory < SMALL_MEMORY_GB
-        yield Finding("memory", "missing" if small else "ok", f"{memory:g} GB", "use -j 1 and the preset quick" if small else "")
+        yield Finding("memory", "low" if small else "ok", f"{memory:g} GB", "use -j 1 and the preset quick" if small else "")
     yield _gpu()
 
 
@@ -70,8 +70,8 @@ def _gpu() -> Finding:
     except (ImportError, OSError):
         return Finding("GPU", "optional", "unknown without torch")
     if torch.cuda.is_available():
-        return Finding("GPU", "ok", torch.cuda.get_device_name(0), "the preset gpu can use it")
-    return Finding("GPU", "optional", "none that torch can use", "everything runs on the CPU; presets quick and cpu are made for it")
+        return Finding("GPU", "ok", torch.cuda.get_device_name(0), "not used by this version yet; everything runs on the CPU")
+    return Finding("GPU", "optional", "none that torch can use", "not needed: everything runs on the CPU")
 
 
 def _graphics() -> Finding:
@@ -82,18 +82,26 @@ def _graphics() -> Finding:
 
 
 def _writable(results: Path) -> Finding:
-    # Looking must not create the folder: the nearest existing one tells as much.
-    place = results.absolute()
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    try:
-        if place == results.absolute():
-            Layout(place).prepare()
-        elif not (place.is_dir() and os.access(place, os.W_OK | os.X_OK)):
-            raise StoreError(f"cannot make folders in '{place}'")
-    except StoreError as error:
-        return Finding("results", "missing", error.message, error.hint or "choose another folder with --results DIR")
+    for folder in (results.absolute(), *Layout(results.absolute()).needed()):
+        # Looking must not create anything: the nearest existing folder tells as much.
+        place = folder
+        while not os.path.lexists(place) and place != place.parent:
+            place = place.parent
+        if not os.path.isdir(place):
+            return Finding("results", "missing", f"'{place}' is no folder", "choose another folder with --results DIR")
+        if not os.access(place, os.W_OK | os.X_OK):
+            return Finding("results", "missing", f"cannot write to '{place}'", "choose another folder with --results DIR")
     return Finding("results", "ok", f"'{results}' can be written")
+
+
+def require(findings: list[Finding]) -> None:
+    """Raise when something is missing without which nothing runs.
+
+    Raises:
+        WaspError: naming it.
+    """
+    if missing := [finding.what for finding in findings if finding.state == "missing"]:
+        raise WaspError(f"no run is possible here yet: {', '.join(missing)}", "the table says what each needs")
 
 
 def show(findings: list[Finding]) -> None:
@@ -102,8 +110,8 @@ def show(findings: list[Finding]) -> None:
     from rich.text import Text
 
     table = Table(box=None, padding=(0, 2), show_header=False)
-    colours = {"ok": "green", "missing": "bold red", "optional": "yellow"}
-    words = {"ok": "ok", "missing": "missing", "optional": "none"}
+    colours = {"ok": "green", "missing": "bold red", "low": "yellow", "optional": "yellow"}
+    words = {"ok": "ok", "missing": "missing", "low": "low", "optional": "none"}
     for finding in findings:
         state = Text(words[finding.state], style=colours[finding.state])
         table.add_row(Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim"))

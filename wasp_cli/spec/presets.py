@@ -54,7 +54,8 @@ _QUICK: Document = {
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32},
 }  # fmt: skip
 
-# Sizes that keep a large GPU busy; the critics and the planner imagine thousands of rollouts at once.
+# Sizes for a large GPU: the critics and the planner imagine thousands of rollouts at once. This version still computes on the CPU, where
+# they take very long.
 _GPU: Document = {
     "expert": {"interactions": 3_000_000},
     "dataset": {"steps": 200_000},

@@ -1,0 +1,110 @@
+"""What the surroundings of a run can do to it: folders that cannot be read, readers that go away, plugins that break."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.run.harness import Fakes, prepared, run
+from wasp_cli import doctor
+from wasp_cli.errors import StoreError, WaspError
+from wasp_cli.plan.waves import waves
+from wasp_cli.registry import Registry
+from wasp_cli.run.pool import InlinePool
+from wasp_cli.run.record import new_run, results_of
+from wasp_cli.run.runner import Runner
+from wasp_cli.run.session import useful_jobs
+from wasp_cli.run.worker import execute
+from wasp_cli.store.layout import Layout
+
+
+def test_runs_are_named_by_universal_time(
+    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    import time
+
+    request.addfinalizer(time.tzset)
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "XXX-9")
+        time.tzset()
+        run(small_spec, tmp_path / "results")
+    (folder,) = Layout(tmp_path / "results").runs.iterdir()
+    named = datetime.strptime(folder.name[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
+    assert abs(datetime.now(UTC) - named) < timedelta(hours=1)
+
+
+def test_results_that_cannot_be_read_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(StoreError, match="file name too long"):
+        results_of(tmp_path / ("x" * 300))
+
+    def forbid(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("wasp_cli.run.record.os.scandir", forbid)
+    with pytest.raises(StoreError, match="permission denied"):
+        results_of(tmp_path)
+
+
+def test_doctor_looks_and_creates_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "absent" / "far")
+    (tmp_path / "old").mkdir()
+    for place in ("absent", "old"):
+        assert doctor._writable(tmp_path / place / "results").state == "ok"
+        assert doctor._writable(tmp_path / place).state == "ok"
+    for place in ("file", "file/below", "link"):
+        assert doctor._writable(tmp_path / place).state == "missing"
+    monkeypatch.setattr("wasp_cli.doctor.os.access", lambda path, mode: False)
+    finding = doctor._writable(tmp_path / "absent")
+    assert (finding.state, finding.found) == ("missing", f"cannot write to '{tmp_path}'")
+    with pytest.raises(WaspError, match="no run is possible here yet: results"):
+        doctor.require([finding])
+    assert not list((tmp_path / "old").iterdir())
+    assert not (tmp_path / "absent").exists()
+
+
+def test_no_more_workers_than_nodes_side_by_side(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    _, _, plan = prepared(small_spec, tmp_path / "results")
+    widest = max(len(wave) for wave in waves(plan.to_run()))
+    assert [useful_jobs(plan, jobs) for jobs in (0, 2, 64)] == [0, 2, widest]
+    assert 2 < widest < 64
+
+
+class BrokenPoint:
+    name, group, value, module = "odd", "wasp.odd", "odd.module:ENTRY", "odd.module"
+    dist = SimpleNamespace(name="wasp-odd")
+
+    def __init__(self, found: object) -> None:
+        self.found = found
+
+    def load(self) -> object:
+        if isinstance(self.found, Exception):
+            raise self.found
+        return self.found
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [(ImportError("no module 'x'"), "does not load: ImportError: no module 'x'"), (7, "'odd.module:ENTRY' is of type int")],
+)
+def test_a_broken_plugin_is_named(found: object, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wasp_cli.registry.entry_points", lambda group: [BrokenPoint(found)])
+    odd: Registry[Any] = Registry("oddity", "wasp.odd", ())
+    with pytest.raises(WaspError) as caught:
+        list(odd)
+    assert caught.value.message.startswith("plugin 'wasp-odd' (entry point 'odd' of group 'wasp.odd')")
+    assert caught.value.message.endswith(message)
+
+
+def test_changed_source_explains_a_failure(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"goal1": "raise"})
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+    order = Runner(layout, new_run(layout, loaded, plan), InlinePool())._order(plan.to_run()[0], threads=1)
+    outcome = execute(replace(order, sources={**order.sources, "wasp_cli.config": "0" * 12}), own_process=False)
+    assert outcome.message == "the source changed while the run was going: wasp_cli.config"
+    assert "ZeroDivisionError" in Path(outcome.log).read_text(encoding="utf-8")
