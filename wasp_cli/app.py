@@ -24,6 +24,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 INTERRUPTED = 130
+PIPE_CLOSED = 141
 
 app = typer.Typer(
     name="wasp",
@@ -36,7 +37,15 @@ app = typer.Typer(
 )
 
 SpecArgument = Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML file, for example specs/quickstart.yaml.", show_default=False)]
-ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", help="Where results are kept.")]
+
+
+def _folder(value: str | Path) -> Path:
+    if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
+        raise typer.BadParameter("the name of the folder is empty")
+    return Path(value)
+
+
+ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=_folder, help="Where results are kept.")]
 TaskOption = Annotated[str | None, typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False)]
 JobsOption = Annotated[
     int | None,
@@ -45,7 +54,7 @@ JobsOption = Annotated[
         "-j",
         min=0,
         metavar="N",
-        help="Worker processes; 0 computes in this process. (default: all cores)",
+        help="Worker processes at most; 0 computes in this process. (default: all cores)",
         show_default=False,
     ),
 ]
@@ -61,21 +70,32 @@ SetOption = Annotated[
 
 
 def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback."""
+    """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback.
+
+    Expected are also the refusals of the system: a full disk, a folder without permission, a reader of stdout that went away.
+    """
 
     @functools.wraps(command)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
         from wasp_cli.errors import WaspError
 
         try:
-            return command(*args, **kwargs)
-        except WaspError as error:
+            result = command(*args, **kwargs)
+            sys.stdout.flush()
+            return result
+        except (WaspError, OSError) as error:
+            from wasp_cli.console import report_error, silence
+            from wasp_cli.errors import refusal
+
+            if isinstance(error, OSError):
+                silence(sys.stdout)  # what it still holds would raise again at the end
             if os.environ.get("WASP_DEBUG"):
                 raise
-            from wasp_cli.console import report_error
-
-            report_error(error)
-            raise typer.Exit(error.exit_code) from None
+            if isinstance(error, BrokenPipeError):
+                raise typer.Exit(PIPE_CLOSED) from None
+            expected = error if isinstance(error, WaspError) else refusal(error)
+            report_error(expected)
+            raise typer.Exit(expected.exit_code) from None
         except KeyboardInterrupt:
             if os.environ.get("WASP_DEBUG"):
                 raise
@@ -180,7 +200,7 @@ def check(
 @app.command(epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1[/]")
 @expected_errors
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A results folder.")] = Path("results"),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", parser=_folder, help="A results folder.")] = Path("results"),
     spec: Annotated[
         str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
     ] = None,
@@ -233,9 +253,11 @@ def ablate(
 @expected_errors
 def doctor(results: ResultsOption = Path("results")) -> None:
     """Say what this machine has: Python, libraries, cores, memory, GPU, OpenGL, a writable results folder."""
-    from wasp_cli.doctor import examine, show
+    from wasp_cli.doctor import examine, require, show
 
-    show(examine(results))
+    findings = examine(results)
+    show(findings)
+    require(findings)
 
 
 def _run_and_report(loaded: Loaded, results: Path, jobs: int | None) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TextIO
 
 from wasp_cli.errors import Interrupted, WaspError
 
@@ -15,18 +17,37 @@ if TYPE_CHECKING:
 @cache
 def out() -> Console:
     """For results: tables, JSON, paths."""
-    from rich.console import Console
-
-    return Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+    return _console(sys.stdout, highlight=False, soft_wrap=not sys.stdout.isatty())
 
 
 @cache
 def err() -> Console:
     """For progress, notes and errors."""
+    # The stream of the start: what a stage prints in this process is redirected to its log, progress is not.
+    return _console(sys.stderr, file=sys.stderr, highlight=False, soft_wrap=not sys.stderr.isatty())
+
+
+def _console(stream: TextIO, **options: Any) -> Console:
     from rich.console import Console
 
-    # The stream of the start: what a stage prints in this process is redirected to its log, progress is not.
-    return Console(file=sys.stderr, highlight=False, soft_wrap=not sys.stderr.isatty())
+    class Lasting(Console):
+        """Rich would end the program with 1 when the reader goes away: a run goes on, and its exit code tells how it ended."""
+
+        def on_broken_pipe(self) -> None:
+            self.quiet = True
+            silence(stream)
+
+    return Lasting(**options)
+
+
+def silence(stream: TextIO) -> None:
+    """Send what a stream still holds, and gets from now on, to nowhere."""
+    with suppress(OSError, ValueError):  # no file descriptor: nothing that could be closed behind our back
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(nowhere, stream.fileno())
+        finally:
+            os.close(nowhere)
 
 
 def plain(text: str) -> None:

@@ -90,6 +90,12 @@ class Interrupted(WaspError):
     exit_code = 130
 
 
+def refusal(error: OSError) -> WaspError:
+    """What the system refused, as an expected error."""
+    reason = (error.strerror or str(error) or type(error).__name__).lower()
+    return WaspError(reason if error.filename is None else f"'{error.filename}': {reason}", "wasp --debug COMMAND shows where")
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A hint that names the closest known names, or all of them when none is close."""
     known = list(known)

@@ -10,7 +10,8 @@ if __name__ == "__main__":
 
     import wasp_cli.app
     from tests.run import fake_stages
+    from wasp_cli.console import out
 
     fake_stages.install()
-    wasp_cli.app._show_report = lambda layout, spec, cells: print(f"{len(cells)} cells")  # type: ignore[assignment]
+    wasp_cli.app._show_report = lambda layout, spec, cells: out().print(f"{len(cells)} cells")  # type: ignore[assignment]
     wasp_cli.app.main()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from tests.run.harness import Fakes, prepared, run
+from tests.run.harness import ROOT, Fakes, prepared, run
 from wasp_cli import doctor
-from wasp_cli.errors import StoreError, WaspError
+from wasp_cli.errors import StoreError, WaspError, refusal
 from wasp_cli.plan.waves import waves
 from wasp_cli.registry import Registry
 from wasp_cli.run.pool import InlinePool
@@ -26,8 +30,6 @@ from wasp_cli.store.layout import Layout
 def test_runs_are_named_by_universal_time(
     fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    import time
-
     request.addfinalizer(time.tzset)
     with monkeypatch.context() as patch:
         patch.setenv("TZ", "XXX-9")
@@ -108,3 +110,56 @@ def test_changed_source_explains_a_failure(fakes: Fakes, small_spec: Path, tmp_p
     outcome = execute(replace(order, sources={**order.sources, "wasp_cli.config": "0" * 12}), own_process=False)
     assert outcome.message == "the source changed while the run was going: wasp_cli.config"
     assert "ZeroDivisionError" in Path(outcome.log).read_text(encoding="utf-8")
+
+
+def closed_pipe() -> int:
+    reader, writer = os.pipe()
+    os.close(reader)
+    return writer
+
+
+def wasp(*arguments: str | Path, stdout: int, program: tuple[str, ...] = ("-m", "wasp_cli")) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *program, *map(str, arguments)]
+    try:
+        return subprocess.run(command, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    finally:
+        os.close(stdout)
+
+
+@pytest.mark.parametrize(("behave", "code"), [({}, 0), ({"s1 critics": "refuse"}, 1)], ids=["complete", "one fails"])
+def test_a_reader_that_goes_away_does_not_change_how_a_run_ends(
+    behave: dict[str, str], code: int, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    fakes.set(behave=behave)
+    arguments = ("run", small_spec, "--results", tmp_path / "results", "-j", "0")
+    done = wasp(*arguments, stdout=closed_pipe(), program=("tests/run/fake_wasp.py",))
+    assert done.returncode == code
+    assert ("1 failed:" in done.stderr) == bool(behave)
+    assert "Traceback" not in done.stderr
+    assert "BrokenPipe" not in done.stderr
+
+
+def test_a_reader_that_goes_away_ends_other_output_quietly() -> None:
+    done = wasp("plan", "specs/table1.yaml", "--json", stdout=closed_pipe())
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_output_to_a_full_disk_is_one_message(options: tuple[str, ...]) -> None:
+    done = wasp("plan", "specs/smoke.yaml", *options, stdout=os.open("/dev/full", os.O_WRONLY))
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: no space left on device")
+    assert "Exception" not in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [("plan", "specs/smoke.yaml", "--results", ""), ("report", ""), ("doctor", "--results", " ")])
+def test_an_empty_name_is_no_results_folder(arguments: tuple[str, ...]) -> None:
+    done = wasp(*arguments, stdout=os.open(os.devnull, os.O_WRONLY))
+    assert done.returncode == 2
+    assert "the name of the folder is empty" in done.stderr
+
+
+def test_what_the_system_refuses_names_the_file() -> None:
+    assert refusal(PermissionError(13, "Permission denied", "/x")).message == "'/x': permission denied"
+    assert refusal(OSError()).message == "oserror"
