@@ -31,7 +31,7 @@ def test_interrupted_runs_keep_what_is_finished(
     number: signal.Signals, whole_group: bool, jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
 ) -> None:
     results = tmp_path / "results"
-    fakes.set(seconds=0.15)
+    fakes.set(free=6)
     process = start("run", small_spec, "--results", results, "-j", str(jobs))
     wait_until(lambda: len(finished(results)) >= 5)
     (os.killpg if whole_group else os.kill)(process.pid, number)
@@ -53,7 +53,7 @@ def test_interrupted_runs_keep_what_is_finished(
 @pytest.mark.parametrize("everything", [False, True], ids=["parent killed", "everything killed"])
 def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything: bool, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    fakes.set(seconds=0.2)
+    fakes.set(free=6)
     process = start("run", small_spec, "--results", results, "-j", "2")
     wait_until(lambda: len(finished(results)) >= 4 and any(results.glob("tmp/*")))
     (os.killpg if everything else os.kill)(process.pid, signal.SIGKILL)

@@ -1,6 +1,7 @@
 """Stages of every kind that compute nothing: each hashes what it reads, writes down that it ran, and misbehaves on request.
 
-WASP_FAKE is JSON: {"log": file, "seconds": s, "behave": {part of a node's name: "raise", "refuse", "kill", "kill once" or "exit"}}.
+WASP_FAKE is JSON: {"log": file, "seconds": s, "free": n (what runs after the first n waits to be interrupted),
+"behave": {part of a node's name: "raise", "refuse", "kill", "kill once" or "exit"}}.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ class Fake:
         job.progress(0.5, "halfway")
         (job.out_dir / "half.bin").write_bytes(b"half")
         time.sleep(options.get("seconds", 0.0))
+        if len(Path(options["log"]).read_text(encoding="utf-8").splitlines()) > options.get("free", sys.maxsize):
+            time.sleep(60)  # until someone interrupts; not for ever, should nobody do so
         for text, behaviour in options.get("behave", {}).items():
             if text in name:
                 misbehave(behaviour, Path(options["log"]).with_suffix(".once"))
