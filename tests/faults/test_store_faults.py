@@ -9,7 +9,8 @@ import pytest
 
 from tests.run.harness import Fakes, prepared, run
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.run.record import read_run, recorded_specs, results_of
+from wasp_cli.report.runs import last_runs
+from wasp_cli.run.record import read_run, results_of
 from wasp_cli.store.layout import Layout
 
 
@@ -48,7 +49,7 @@ def test_damaged_records_are_named_not_obeyed(fakes: Fakes, small_spec: Path, tm
     assert [step.reason for step in plan.steps if step.state == "failed"] == ["failed before: its record is damaged"]
     fakes.set()
     assert run(small_spec, results).complete
-    (run_id,) = recorded_specs(layout).values()
+    (run_id,) = last_runs(layout)[0].values()
     (layout.run(run_id) / "spec.json").write_text('{"name": "../../x"}')
     with pytest.raises(ArtifactError, match="cannot read the spec of run"):
         read_run(layout, run_id)

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from tests.run.harness import Fakes, data_of, prepared, run
+from wasp_cli.report.runs import last_runs
 from wasp_cli.run.journal import read_journal
 from wasp_cli.run.pool import LokyPool
-from wasp_cli.run.record import read_run, recorded_specs
+from wasp_cli.run.record import read_run
 from wasp_cli.run.runner import failures_text
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
@@ -102,7 +103,8 @@ def test_the_journal_and_the_record_tell_the_run(fakes: Fakes, small_spec: Path,
     fakes.set(behave={"s0 ida_q": "refuse"})
     summary = run(small_spec, tmp_path / "results")
     layout = Layout(tmp_path / "results")
-    runs = recorded_specs(layout)
+    runs, damaged = last_runs(layout)
+    assert not damaged
     assert list(runs) == ["small"]
     events = read_journal(layout.run(runs["small"]) / "journal.jsonl")
     counts = {name: sum(event["event"] == name for event in events) for name in ("done", "failed", "blocked", "run started", "run ended")}

@@ -46,17 +46,6 @@ def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
     return run_id
 
 
-def recorded_specs(layout: Layout) -> dict[str, str]:
-    """The last run of each spec name, oldest first."""
-    found: dict[str, str] = {}
-    for folder in sorted(layout.runs.glob("*/plan.json")):
-        record = read_record(folder) or {}
-        if isinstance(record.get("spec"), str):
-            found.pop(record["spec"], None)
-            found[record["spec"]] = folder.parent.name
-    return found
-
-
 def read_run(layout: Layout, run_id: str) -> Recorded:
     """What a run was asked for.
 

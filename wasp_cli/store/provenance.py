@@ -60,12 +60,11 @@ def _git(root: Path, *arguments: str) -> str:
 
 def processor() -> str:
     """Name of the processor."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
+    details = Path("/proc/cpuinfo")  # Linux only
+    if details.is_file():
+        for line in details.read_text(encoding="utf-8", errors="replace").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
-    except OSError:  # not Linux
-        pass
     return platform.processor() or platform.machine()
 
 
