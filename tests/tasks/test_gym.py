@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -9,13 +11,14 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import wasp_cli.tasks.gym
-from wasp_cli.errors import TaskError, UsageError
+from wasp_cli.errors import TaskError, UnknownName, UsageError
+from wasp_cli.tasks.make import make_task
 
 ID = "wasp/SafetyPointGoal1-v0"
 
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space (min|max)imum value is.*")
-@pytest.mark.parametrize("observation", ["state", "pixels", "privileged"])
+@pytest.mark.parametrize("observation", ["state", "pixels", "privileged", "all"])
 def test_gymnasium_accepts_it(observation):
     env = gymnasium.make(ID, observation=observation, render_mode="rgb_array")
     check_env(env.unwrapped)
@@ -77,3 +80,228 @@ def test_rendering():
     with pytest.raises(UsageError, match="cannot render"):
         wasp_cli.tasks.gym.TaskEnv("goal1", render_mode="human")
     assert wasp_cli.tasks.gym.TaskEnv("goal1").render() is None
+
+
+# -- many episodes in one call ----------------------------------------------------------------------------------------------------------
+
+
+def same(one: Any, other: Any) -> bool:
+    """Equal in structure, type and every bit."""
+    if isinstance(one, dict):
+        return isinstance(other, dict) and one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(same(mine, theirs) for mine, theirs in zip(one, other, strict=True))
+    one, other = np.asarray(one), np.asarray(other)
+    return (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes())
+
+
+def vectors(**options: Any) -> tuple[gymnasium.vector.VectorEnv, gymnasium.vector.VectorEnv]:
+    modes = ("vector_entry_point", "sync")
+    ours, theirs = (gymnasium.make_vec(ID, num_envs=3, vectorization_mode=mode, **options) for mode in modes)
+    return ours, theirs
+
+
+@pytest.mark.parametrize("observation", ["state", "all"])
+def test_the_vector_is_gymnasiums_own_seed_for_seed_through_every_restart(observation: str) -> None:
+    ours, theirs = vectors(action_repeat=50, observation=observation)
+    assert isinstance(ours, wasp_cli.tasks.gym.TaskVectorEnv)
+    for space in ("observation_space", "single_observation_space", "action_space", "single_action_space"):
+        assert getattr(ours, space) == getattr(theirs, space)
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
+    assert same(ours.reset(seed=5), theirs.reset(seed=5))
+    random, ends = np.random.default_rng(0), []
+    for number in range(50):
+        if number == 7:  # from here on, row 1 ends alone, while the others go on
+            mask = np.array([False, True, False])
+            shown = [env.reset(seed=[None, 9, None], options={"reset_mask": mask.copy()}) for env in (ours, theirs)]
+            assert same(*shown)
+        action = random.uniform(-1, 1, (3, 2))
+        mine = ours.step(action)
+        assert same(mine, theirs.step(action)), number
+        ends.append(tuple(mine[3].tolist()))
+    assert {(True, False, True), (False, True, False)} <= set(ends)
+
+
+def test_all_rows_may_end_in_the_same_step() -> None:
+    ours, theirs = vectors(action_repeat=500)
+    assert same(ours.reset(seed=[3, None, 1]), theirs.reset(seed=[3, None, 1])) is False, "an unseeded row draws its layout"
+    assert same(ours.reset(seed=[3, 2, 1]), theirs.reset(seed=[3, 2, 1]))
+    for number in range(7):
+        action = np.full((3, 2), 0.3)
+        assert same(ours.step(action), theirs.step(action)), number
+
+
+def test_a_vector_is_made_by_default_and_by_module_name() -> None:
+    envs = gymnasium.make_vec(f"wasp_cli.tasks.gym:{ID}", num_envs=2, render_mode="rgb_array")
+    assert isinstance(envs, wasp_cli.tasks.gym.TaskVectorEnv)
+    envs.reset(seed=0)
+    assert [picture.shape for picture in envs.render()] == [(256, 256, 3)] * 2
+    assert gymnasium.make_vec(ID, num_envs=1).render() is None
+
+
+def test_results_of_a_vector_belong_to_the_caller() -> None:
+    envs = gymnasium.make_vec(ID, num_envs=2, action_repeat=50)
+    envs.reset(seed=0)
+    first = envs.step(np.ones((2, 2)))
+    kept = pickle.loads(pickle.dumps(first))
+    envs.step(np.ones((2, 2)))
+    assert same(first, kept)
+
+
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        (lambda envs: envs.step(np.zeros((3, 2))), r"shape \(3, 2\), expected \(2, 2\)"),
+        (lambda envs: envs.step(np.full((2, 2), np.nan)), "not finite"),
+        (lambda envs: envs.reset(seed=[1]), "1 seeds for 2"),
+        (lambda envs: envs.reset(seed=[]), "0 seeds for 2"),
+        (lambda envs: envs.reset(options={"reset_mask": [True, False]}), "array of 2 bools"),
+        (lambda envs: envs.reset(options={"reset_mask": np.zeros(2, bool)}), "at least one"),
+        (lambda envs: envs.reset(options={"level": 2}), "no option 'level'"),
+    ],
+)
+def test_a_vector_refuses_what_it_cannot_do(call: Any, expected: str) -> None:
+    envs = gymnasium.make_vec(ID, num_envs=2)
+    envs.reset(seed=0)
+    with pytest.raises((TaskError, UsageError), match=expected):
+        call(envs)
+
+
+def test_a_vector_steps_after_a_reset_only_and_has_no_six_values() -> None:
+    with pytest.raises(TaskError, match="reset"):
+        gymnasium.make_vec(ID, num_envs=2).step(np.zeros((2, 2)))
+    with pytest.raises(UsageError, match="no six-tuple"):
+        gymnasium.make_vec(ID, num_envs=2, upstream_api=True)
+
+
+# -- the reference package's six values -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: gymnasium.make(ID, upstream_api=True, action_repeat=10),
+        lambda: wasp_cli.tasks.gym.upstream("SafetyPointGoal1-v0", action_repeat=10),
+        lambda: wasp_cli.tasks.gym.upstream("goal1", action_repeat=10),
+    ],
+)
+def test_upstream_api_gives_six_values_and_its_keys(make: Any) -> None:
+    env, usual = make(), gymnasium.make(ID, action_repeat=10)
+    assert same(env.reset(seed=9), usual.reset(seed=9))
+    costs = 0.0
+    for _ in range(100):
+        action = np.array([1.0, 0.1])  # through a hazard
+        observation, reward, cost, terminated, truncated, info = env.step(action)
+        expected = usual.step(action)
+        assert same(observation, expected[0])
+        assert (reward, terminated, truncated) == expected[1:4]
+        assert cost == info["cost_sum"] == expected[4]["cost"]
+        assert info.keys() - {"goal_met"} == {"cost_sum", *(f"cost_{source}" for source in expected[4]["cost_sources"])}
+        costs += cost
+    assert truncated
+    assert costs > 0
+    with pytest.raises(TaskError, match="after the end"):
+        env.step(action)
+
+
+def test_goal_met_is_there_in_steps_that_reach_a_goal_and_in_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = wasp_cli.tasks.gym.upstream("SafetyPointGoal1-v0")
+    env.reset(seed=0)
+    assert "goal_met" not in env.step(np.zeros(2))[5]
+    task = env.unwrapped._task
+    real = task.step
+    monkeypatch.setattr(task, "step", lambda action: real(action)._replace(goals=np.array([1])))
+    assert env.step(np.zeros(2))[5]["goal_met"] is True
+
+
+def test_upstream_names_what_it_does_not_know() -> None:
+    with pytest.raises(UnknownName, match="SafetyPointGaol1-v0") as caught:
+        wasp_cli.tasks.gym.upstream("SafetyPointGaol1-v0")
+    assert "wasp/SafetyPointGoal1-v0" in caught.value.hint
+
+
+# -- snapshots and bad input ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("observation", ["state", "all"])
+def test_an_environment_returns_to_a_pickled_snapshot_to_the_bit(observation: str) -> None:
+    env, other = (gymnasium.make(ID, observation=observation, action_repeat=20).unwrapped for _ in range(2))
+    env.reset(seed=3)
+    other.reset(seed=4)
+    actions = np.random.default_rng(0).uniform(-1, 1, (40, 2))
+    for action in actions[:15]:
+        last = env.step(action)
+    env._goals = 2  # counted in info, and part of what is kept
+    kept = pickle.loads(pickle.dumps(env.snapshot()))
+    assert all(isinstance(array, np.ndarray) for array in kept.values())
+    future = [env.step(action) for action in actions[15:]]
+    for again in (env, other):
+        assert same(again.restore(kept), last[0])
+        for action, expected in zip(actions[15:], future, strict=True):
+            assert same(again.step(action), expected)
+    with pytest.raises(TaskError, match="snapshot"):
+        env.restore({"qpos": np.zeros(3)})
+
+
+def test_actions_beyond_the_bounds_are_clipped() -> None:
+    wild, tame = gymnasium.make(ID), gymnasium.make(ID)
+    wild.reset(seed=0)
+    tame.reset(seed=0)
+    for _ in range(5):
+        assert same(wild.step(np.array([7.0, -9.0]))[0], tame.step(np.array([1.0, -1.0]))[0])
+
+
+@pytest.mark.parametrize(
+    ("action", "expected"),
+    [
+        (np.array([np.nan, 0.0]), "not finite"),
+        (np.array([np.inf, 0.0]), "not finite"),
+        (np.zeros(3), r"shape \(3,\), expected \(2,\)"),
+        (np.zeros((1, 2)), r"shape \(1, 2\), expected \(2,\)"),
+        (0.5, r"shape \(\), expected"),
+        ("forward", "array of numbers, not str"),
+        (None, "expected \\(2,\\)"),
+    ],
+    ids=str,
+)
+def test_wrong_actions_are_refused_and_change_nothing(action: Any, expected: str) -> None:
+    env = gymnasium.make(ID)
+    env.reset(seed=0)
+    before = env.unwrapped.snapshot()
+    with pytest.raises(TaskError, match=expected):
+        env.step(action)
+    assert same(env.unwrapped.snapshot(), before)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected", "hint"),
+    [
+        ({"observation": "pixel"}, "no observation 'pixel'", "'pixels'"),
+        ({"observe": "pixels"}, "no option 'observe'", "'observation'"),
+        ({"action_repeat": 0}, "action_repeat should be an integer of at least 1, not 0", None),
+        ({"action_repeat": 2.5}, "not 2.5", None),
+    ],
+)
+def test_wrong_options_are_refused_with_a_suggestion(options: dict[str, Any], expected: str, hint: str | None) -> None:
+    for make in (gymnasium.make, gymnasium.make_vec):
+        with pytest.raises(UsageError, match=expected) as caught:
+            make(ID, **options)
+        assert hint is None or hint in caught.value.hint
+
+
+def test_wrong_resets_are_refused() -> None:
+    env = gymnasium.make(ID)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(2))
+    with pytest.raises(UsageError, match="no option 'level'"):
+        env.reset(options={"level": 2})
+    with pytest.raises(TaskError, match="out of range"):
+        env.reset(seed=2**32)
+    env.reset(seed=0, options={})
+
+
+@pytest.mark.parametrize("name", ["gaol1", "wasp/SafetyPointGaol1-v0", "SafetyPointGoal1"])
+def test_an_unknown_task_is_named_with_close_ones(name: str) -> None:
+    with pytest.raises(UnknownName, match=f"unknown task '{name}'") as caught:
+        make_task(name, 1)
+    assert "goal1" in caught.value.hint or "SafetyPointGoal1-v0" in caught.value.hint

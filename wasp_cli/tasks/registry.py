@@ -1,11 +1,26 @@
-"""The tasks by name. Adding one is a module with its class and one line here."""
+"""The tasks by name. Adding one is a module with its class and one line here.
+
+Beside the registered names, every gymnasium id is a task: `my_pkg:MyEnv-v0` (see `wasp_cli.tasks.foreign`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+import re
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
-from wasp_cli.errors import UsageError
-from wasp_cli.registry import Registry
+from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.registry import Registry, load_target, module_of
+
+if TYPE_CHECKING:
+    from wasp_cli.tasks.foreign.examine import Facts
+
+NAMESPACE = "wasp/"
+"""Of our own tasks in gymnasium's registry."""
+_GYM_MODULE = "wasp_cli.tasks.gym:"
+_GYM_ID = re.compile(r"(?:[A-Za-z_][\w.]*:)?[\w./-]{1,100}")
+"""`module:namespace/Name-v0`. The alphabet is narrow because names appear in files, tables and terminals."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +44,70 @@ class TaskInfo:
     def implemented(self) -> bool:
         return bool(self.target)
 
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """The modules with which the task's code begins: the keys of its results cover what these import."""
+        return (module_of(self.target),) if self.implemented else ()
 
-TASKS: Registry[TaskInfo] = Registry(
+    def facts(self) -> dict[str, Any]:
+        """What the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
+        return {name: value for name, value in asdict(self).items() if name not in ("title", "target", "gym_id")}
+
+
+class ForeignInfo(TaskInfo):
+    """A gymnasium id of somebody else's. Its numbers are asked of the environment when they are first read, which imports its module.
+
+    A report of results needs the name alone, so that it can be printed where the environment is not installed.
+    """
+
+    def __init__(self, name: str) -> None:
+        gym_id = name.rpartition(":")[2]
+        known = {"name": name, "title": gym_id, "gym_id": gym_id, "target": "wasp_cli.tasks.foreign.task:GymTask"}
+        for field, value in known.items():
+            object.__setattr__(self, field, value)
+
+    def examine(self) -> Facts:
+        """What the environment says of itself.
+
+        Raises:
+            UnknownName: no such id.
+            TaskError: its module does not import, or it lacks something that a task needs.
+        """
+        # By its import string: what plans and reads specs must not import gymnasium for every task.
+        facts: Facts = load_target("wasp_cli.tasks.foreign.examine:examine")(self.name)
+        return facts
+
+    def __getattr__(self, field: str) -> Any:
+        if field not in ("env_seconds", "env_steps", "success_goals"):
+            raise AttributeError(field)
+        return getattr(self.examine(), field)
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        return (*super().modules, *self.examine().modules)
+
+    def facts(self) -> dict[str, Any]:
+        return super().facts() | {"registered": self.examine().registered}
+
+
+class TaskRegistry(Registry[TaskInfo]):
+    """The registered tasks; gymnasium ids resolve too, but are not listed."""
+
+    def __getitem__(self, name: str) -> TaskInfo:
+        if name not in self and is_foreign(name):
+            return ForeignInfo(name)
+        try:
+            return super().__getitem__(name)
+        except UnknownName:
+            raise UnknownName("task", name, _names(name)) from None
+
+    def load(self, name: str) -> Any:
+        """The class of a task, or for a gymnasium id what takes the same arguments."""
+        made = super().load(name)
+        return functools.partial(made, name) if isinstance(self[name], ForeignInfo) else made
+
+
+TASKS: Registry[TaskInfo] = TaskRegistry(
     "task",
     "wasp.tasks",
     (
@@ -46,3 +123,29 @@ def require_implemented(info: TaskInfo) -> None:
     if not info.implemented:
         available = ", ".join(name for name in TASKS if TASKS[name].implemented)
         raise UsageError(f"task '{info.name}' ({info.gym_id}) is not implemented in this version", f"available: {available}")
+
+
+def is_foreign(name: str) -> bool:
+    """Whether a name has the form of a gymnasium id that is not ours: `module:Name`, `space/Name` or `Name-v0`."""
+    own = name.removeprefix(_GYM_MODULE).startswith(NAMESPACE)
+    marked = ":" in name or "/" in name or re.search(r"-v\d+$", name) is not None
+    return marked and not own and _GYM_ID.fullmatch(name) is not None
+
+
+def task_named(text: str) -> str:
+    """The name of a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`.
+
+    Raises:
+        UnknownName: no task is called so.
+    """
+    ids = {TASKS[name].gym_id: name for name in TASKS}
+    plain = text.removeprefix(_GYM_MODULE)
+    for called in (plain, NAMESPACE + plain):
+        if called in ids:
+            return ids[called]
+    return TASKS[plain].name
+
+
+def _names(like: str) -> list[str]:
+    """What a task may be called, for suggestions: gymnasium ids to those who write one."""
+    return [TASKS[name].gym_id for name in TASKS] if "/" in like or "-" in like else list(TASKS)
