@@ -1,7 +1,8 @@
-"""What every task promises, run over every implemented entry of the registry."""
+"""What every task promises, run over every implemented entry of the registry, and over environments of others."""
 
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -10,7 +11,14 @@ from wasp_cli.tasks.base import Observation, Step, VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 
-NAMES = [name for name in TASKS if TASKS[name].implemented]
+gymnasium.register(
+    "GoalThroughGymnasium-v0",
+    entry_point="wasp_cli.tasks.gym:TaskEnv",
+    kwargs={"task": "goal1", "observation": "all"},
+    max_episode_steps=1000,
+)
+FOREIGN = ["puddle:Puddle-v0", "GoalThroughGymnasium-v0"]
+NAMES = [*(name for name in TASKS if TASKS[name].implemented), *FOREIGN]
 ALL = ("pixels", "state", "privileged")
 BATCH = 3
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from typing import Any
@@ -136,10 +136,9 @@ def stage_class(kind: str) -> type[Stage]:
 
 @cache
 def _task_modules(task: str) -> tuple[str, ...]:
-    return (module_of(TASKS[task].target),) if TASKS[task].implemented else ()
+    return TASKS[task].modules
 
 
 @cache
 def _task_facts(task: str) -> dict[str, Any]:
-    """What the registry says of a task moves results (the time limit, what counts as success); its titles do not."""
-    return {name: value for name, value in asdict(TASKS[task]).items() if name not in ("title", "target", "gym_id")}
+    return TASKS[task].facts()

@@ -16,6 +16,7 @@ from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.plan import Plan
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
+from wasp_cli.spec.names import RECORDED
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
@@ -54,7 +55,7 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
     """
     folder = layout.run(run_id)
     try:
-        spec = spec_type().model_validate_json((folder / "spec.json").read_bytes(), strict=True)
+        spec = spec_type().model_validate_json((folder / "spec.json").read_bytes(), strict=True, context={RECORDED: True})
     except (OSError, ValidationError) as error:
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
     record: dict[str, Any] = read_record(folder / "plan.json") or {}

@@ -49,6 +49,8 @@ def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
 def loaded(source: Source, overrides: Sequence[Override] = ()) -> Loaded:
     """Validate the document of a source."""
     document, problems = plain(source)
+    document, problem = _listed(source, document)
+    problems += problem
     document = apply(document, overrides)
     seen = {problem.position for problem in problems}
 
@@ -70,7 +72,21 @@ def loaded(source: Source, overrides: Sequence[Override] = ()) -> Loaded:
     return Loaded(spec, source, tuple(overrides))
 
 
+def _listed(source: Source, document: dict[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
+    """`task: a` is a short way to write `tasks: [a]`."""
+    if "task" not in document:
+        return document, []
+    rest = {name: value for name, value in document.items() if name != "task"}
+    if "tasks" in document:
+        return rest, [source.problem(("task", KEY), "'task' beside 'tasks'", "write one of them", at_key=True)]
+    if isinstance(document["task"], list):
+        return rest | {"tasks": document["task"]}, [source.problem(("task",), "should be one name, not a list", "write tasks: [...]")]
+    return rest | {"tasks": [document["task"]]}, []
+
+
 def _placed(source: Source, overrides: Sequence[Override], loc: Loc, message: str, hint: str | None, *, at_key: bool = False) -> Problem:
+    if loc[:1] == ("tasks",) and "task" in source.document and not any(option.path[0] == "tasks" for option in overrides):
+        loc = ("task",)  # as the file has it
     _, depth = locate(source.document, loc)
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))

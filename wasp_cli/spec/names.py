@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
-from wasp_cli.errors import did_you_mean
+from wasp_cli.errors import UnknownName, WaspError, did_you_mean
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.tasks.registry import TASKS
+from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
+
+RECORDED = "recorded"
+"""Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
@@ -27,6 +30,30 @@ def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
         return name
 
     return AfterValidator(check)
+
+
+def _task(name: str, info: ValidationInfo) -> str:
+    """A registered task, or a gymnasium id with all that a task needs."""
+    if name not in TASKS and (own := _own(name)) is not None:
+        raise PydanticCustomError("task", "'{name}' has a name of its own here", {"name": name, "hint": f"write '{own}'"})
+    try:
+        found = TASKS[name]
+        if isinstance(found, ForeignInfo) and not (info.context or {}).get(RECORDED):
+            found.examine()
+    except UnknownName as error:
+        raise unknown(error.kind, error.name, error.known) from error
+    except WaspError as error:
+        raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
+    return name
+
+
+def _own(gym_id: str) -> str | None:
+    """The registered task that has this gymnasium id: specs have one name for a task, since it names random streams and results."""
+    try:
+        name = task_named(gym_id)
+    except UnknownName:
+        return None
+    return name if name in TASKS else None
 
 
 def assistant_variants() -> list[str]:
@@ -47,7 +74,7 @@ NO_REPEATS = AfterValidator(_no_repeats)
 SpecName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$")]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
-TaskName = Annotated[str, _known("task", lambda: TASKS)]
+TaskName = Annotated[str, AfterValidator(_task)]
 MethodName = Annotated[str, _known("method", lambda: METHODS)]
 VariantName = Annotated[str, _known("assistant variant", assistant_variants)]
 OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]

@@ -39,6 +39,9 @@ def override(number: int, text: str) -> Override:
     if problems or set(document) != {"value"}:
         reason = problems[0].message if problems else "more than one value"
         raise UsageError(f"--set #{number}: '{text}': {reason}")
+    if path == ("task",):  # the short form, as in a file
+        listed = document["value"] if isinstance(document["value"], list) else [document["value"]]
+        return Override(text, ("tasks",), listed)
     return Override(text, path, document["value"])
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 NAMESPACE = "wasp/"
 """Of our own tasks in gymnasium's registry."""
 _GYM_MODULE = "wasp_cli.tasks.gym:"
-_GYM_ID = re.compile(r"(?:[A-Za-z_][\w.]*:)?[\w./-]{1,100}")
+_GYM_ID = re.compile(r"(?:[A-Za-z_][\w.]*:)?[\w./-]{1,100}", re.ASCII)
 """`module:namespace/Name-v0`. The alphabet is narrow because names appear in files, tables and terminals."""
 
 

@@ -1,0 +1,151 @@
+"""Specs that name an environment of one's own: what they may write, where mistakes are shown, and what a changed environment re-runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.run.record import read_run
+from wasp_cli.spec.load import Loaded, load, loaded
+from wasp_cli.spec.overrides import override
+from wasp_cli.spec.problem import InvalidSpec, Problem
+from wasp_cli.spec.read import parse
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "docs" / "examples"
+
+SPEC = """\
+name: own
+preset: smoke
+{line}
+methods: [human, wasp, expert]
+operators:
+  noisy: {{mild: 0.2}}
+seeds: [0]
+"""
+
+
+def read(line: str, *settings: str) -> Loaded:
+    overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
+    return loaded(parse(SPEC.format(line=line), "x.yaml"), overrides)
+
+
+def only(line: str, *settings: str) -> Problem:
+    with pytest.raises(InvalidSpec) as caught:
+        read(line, *settings)
+    (problem,) = caught.value.problems
+    return problem
+
+
+def test_one_task_may_be_written_without_a_list() -> None:
+    for line in ("task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]", "tasks:\n  - puddle:Puddle-v0"):
+        assert read(line).spec.tasks == ("puddle:Puddle-v0",)
+    assert read("task: goal1").spec == read("tasks: [goal1]").spec
+
+
+@pytest.mark.parametrize("setting", ["task=goal1", "tasks=[goal1]", "task=[goal1]"])
+@pytest.mark.parametrize("line", ["task: puddle:Puddle-v0", "tasks: [puddle:Puddle-v0]"])
+def test_an_option_replaces_either_form(line: str, setting: str) -> None:
+    assert read(line, setting).spec.tasks == ("goal1",)
+
+
+@pytest.mark.parametrize(
+    ("line", "column", "message", "hint"),
+    [
+        ("task: gaol1", 7, "unknown task 'gaol1'", "did you mean 'goal1'?"),
+        ("tasks: [goal1, gaol1]", 16, "unknown task 'gaol1'", "did you mean 'goal1'?"),
+        ("task: puddle:Pudle-v0", 7, "unknown gymnasium id of module 'puddle' 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
+        ("tasks: [goal1, puddle:Pudle-v0]", 16, "unknown gymnasium id of module 'puddle' 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
+        ("task: nowhere:MyEnv-v0", 7, "module 'nowhere' does not import", "pip install -e ."),
+        ("task: json:MyEnv-v0", 7, "module 'json' does not register 'MyEnv-v0'", "gymnasium.register('MyEnv-v0'"),
+        ("task: CartPole-v1", 7, "environment 'CartPole-v1': its action space is Discrete(2)", "float Box"),
+        ("task: unlimited:Puddle-v1", 7, "environment 'unlimited:Puddle-v1': it has no time limit", "max_episode_steps=500"),
+        ("task: wasp/SafetyPointGoal1-v0", 7, "'wasp/SafetyPointGoal1-v0' has a name of its own here", "write 'goal1'"),
+        ("task: SafetyPointGoal1-v0", 7, "'SafetyPointGoal1-v0' has a name of its own here", "write 'goal1'"),
+        ("task: wasp/SafetyPointGaol1-v0", 7, "unknown task", "did you mean 'wasp/SafetyPointGoal1-v0'"),
+        ("task: ../../etc/passwd", 7, "no task and no gymnasium id is called", "module:"),
+        ("task: 'my pkg:MyEnv-v0'", 7, "unknown task 'my pkg:MyEnv-v0'", ""),
+        ("task: [goal1]", 7, "should be one name, not a list", "write tasks: [...]"),
+        ("task: goal1\ntasks: [goal1]", 1, "'task' beside 'tasks'", "write one of them"),
+        ("task: 7", 7, "should be a string, not 7", ""),
+    ],
+)
+def test_mistakes_have_a_place_and_a_remedy(
+    line: str, column: int, message: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = "import gymnasium\ngymnasium.register('Puddle-v1', entry_point='puddle:Puddle')\n"
+    (tmp_path / "unlimited.py").write_text(module, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    problem = only(line)
+    assert problem.position is not None
+    assert (problem.position.line, problem.position.column) == (3, column)
+    assert message in problem.message
+    assert hint in (problem.hint or "")
+
+
+def test_mistakes_in_options_are_placed_there() -> None:
+    for line in ("task: goal1", "tasks: [goal1]"):
+        for setting in ("task=gaol1", "tasks=[gaol1]"):
+            problem = only(line, setting)
+            assert (problem.place, problem.position) == (f"--set {setting}", None)
+
+
+# -- what a changed environment re-runs --------------------------------------------------------------------------------------------------
+
+
+def keys(folder: Path) -> dict[str, str]:
+    """The key of every node, planned in a process of its own, as a changed module needs."""
+    command = [sys.executable, "-m", "wasp_cli", "plan", "spec.yaml", "--json"]
+    variables = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=variables)
+    assert done.returncode == 0, done.stderr
+    return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
+
+
+def test_keys_cover_the_source_and_the_registration_of_the_environment(tmp_path: Path) -> None:
+    text = (EXAMPLES / "puddle.py").read_text(encoding="utf-8").replace("puddle:Puddle", "my_env.puddle:Puddle")
+    package = tmp_path / "my_env"
+    package.mkdir()
+    (package / "__init__.py").write_text("from my_env import puddle\n", encoding="utf-8")
+    (package / "tools.py").write_text("X = 1\n", encoding="utf-8")
+    (tmp_path / "spec.yaml").write_text(SPEC.format(line="tasks: [goal1, my_env:Puddle-v0]"), encoding="utf-8")
+
+    def planned(source: str) -> dict[str, str]:
+        (package / "puddle.py").write_text(source, encoding="utf-8")
+        return keys(tmp_path)
+
+    before = planned(text)
+    own = {label for label in before if label.startswith("my_env:Puddle-v0 ")}
+    assert len(own) == len(before) / 2
+    assert planned("# a comment\n" + text) == before
+    changes = (
+        text.replace("WET, REACHED, STEP = 0.3,", "WET, REACHED, STEP = 0.31,"),
+        text.replace("max_episode_steps=200", "max_episode_steps=100"),
+        text.replace("WET, REACHED", "print('noise for those who read JSON')\nWET, REACHED", 1),
+        text.replace("import gymnasium\n", "import gymnasium\nfrom my_env.tools import X\n", 1),
+    )
+    for changed in changes:
+        after = planned(changed)
+        assert {label for label in after if after[label] != before[label]} == own, "its own nodes run again, all of them, and no other"
+    with_tools = planned(changes[-1])
+    (package / "tools.py").write_text("X = 2\n", encoding="utf-8")
+    assert {label for label, key in keys(tmp_path).items() if key != with_tools[label]} == own
+
+
+def test_a_recorded_spec_reads_where_its_environment_is_not(tmp_path: Path) -> None:
+    from wasp_cli.plan.grid import lay_out
+    from wasp_cli.plan.plan import plan_against
+    from wasp_cli.run.record import new_run
+    from wasp_cli.store.layout import Layout
+
+    (tmp_path / "spec.yaml").write_text(SPEC.format(line="task: puddle:Puddle-v0"), encoding="utf-8")
+    found, layout = load(tmp_path / "spec.yaml"), Layout(tmp_path / "results")
+    run_id = new_run(layout, found, plan_against(lay_out(found.spec), layout))
+    record = layout.run(run_id) / "spec.json"
+    record.write_text(record.read_text(encoding="utf-8").replace("puddle:", "gone:"), encoding="utf-8")
+    assert read_run(layout, run_id).spec.tasks == ("gone:Puddle-v0",)

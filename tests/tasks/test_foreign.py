@@ -1,0 +1,399 @@
+"""Gymnasium environments of others as tasks: what the adapter makes of them, and what it says to those that lack something."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from puddle import Puddle
+
+from wasp_cli.errors import TaskError, UnknownName, WaspError
+from wasp_cli.learning.dataset import record
+from wasp_cli.tasks.base import Observation
+from wasp_cli.tasks.foreign.examine import examine
+from wasp_cli.tasks.foreign.task import GymTask
+from wasp_cli.tasks.foreign.views import views_of
+from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.registry import TASKS, is_foreign, task_named
+
+NUMBER = itertools.count()
+SEEDS = [3, 4]
+
+
+def registered(env: Any, **options: Any) -> str:
+    """The id of an environment class that is registered for one test."""
+    name = f"Foreign{next(NUMBER)}-v0"
+    gymnasium.register(name, entry_point=env, **{"max_episode_steps": 20, **options})
+    return name
+
+
+class Lights(gymnasium.Env):
+    """Shows its last action and its clock; every step asks one question of the adapter."""
+
+    metadata = {"render_modes": [], "render_fps": 25}
+    action_space: gymnasium.Space = gymnasium.spaces.Box(np.array([-2.0, 0.0]), np.array([4.0, 10.0]), dtype=np.float64)
+    observation_space: gymnasium.Space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
+    ends_at = 10**9
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.clock, self.got = 0, []
+        return self.seen(), {}
+
+    def step(self, action):
+        self.clock += 1
+        self.got.append(np.array(action))
+        return self.seen(), 1.0, self.clock >= self.ends_at, False, self.info()
+
+    def seen(self):
+        return np.full((64, 64, 3), self.clock, np.uint8)
+
+    def info(self):
+        return {"cost": float(self.clock % 3 == 0)}
+
+
+# -- what it makes of them --------------------------------------------------------------------------------------------------------------
+
+
+def test_our_own_task_through_gymnasium_is_the_task_itself_to_the_bit() -> None:
+    name = registered("wasp_cli.tasks.gym:TaskEnv", kwargs={"task": "goal1", "observation": "all"}, max_episode_steps=1000)
+    native, through = make_task("goal1", 2), make_task(name, 2)
+    assert isinstance(through, GymTask)
+    for facts in ("decision_seconds", "max_decisions", "cost_sources", "state_size", "privileged_size", "action_size"):
+        assert getattr(through, facts) == getattr(native, facts)
+
+    def flat(result: Any) -> list[Any]:
+        return [flat(part) if isinstance(part, tuple) else part for part in result]
+
+    seeds = [9, 14]  # straight on, there are hazards
+    np.testing.assert_equal(flat(through.reset(seeds)), flat(native.reset(seeds)))
+    random, cost = np.random.default_rng(0), 0
+    for _ in range(250):
+        action = np.broadcast_to([1.0, 0.1], (2, 2)) + random.normal(0, 0.02, (2, 2))
+        ours, theirs = through.step(action), native.step(action)
+        # The privileged vector holds the mean turn over a decision step, of which the environment sees the last env step.
+        ours, theirs = (step._replace(observation=step.observation._replace(privileged=None)) for step in (ours, theirs))
+        np.testing.assert_equal(flat(ours), flat(theirs))
+        cost += int(theirs.cost_env.sum())
+    assert theirs.ended.all()
+    assert cost > 0
+
+
+def test_commands_in_unit_bounds_reach_the_environments_own() -> None:
+    task = GymTask(registered(Lights), 3, action_repeat=2)
+    assert (task.action_low.tolist(), task.action_high.tolist()) == ([-1, -1], [1, 1])
+    task.reset([0, 1, 2])
+    task.step(np.array([[-1.0, -1.0], [0.5, 0.5], [1.0, 99.0]]))
+    got = [env.unwrapped.got for env in task._envs]
+    for row, expected in zip(got, ([-2.0, 0.0], [2.5, 7.5], [4.0, 10.0]), strict=True):
+        np.testing.assert_array_equal(row, [expected] * 2)
+
+
+def test_an_action_of_any_shape_and_type_is_given_as_the_space_has_it() -> None:
+    class Shaped(Lights):
+        action_space = gymnasium.spaces.Box(-0.1, 0.1, (2, 3), np.float32)
+
+    task = GymTask(registered(Shaped), 1)
+    assert task.action_size == 6
+    task.reset([0])
+    task.step(np.linspace(-1, 1, 6)[None])
+    action = task._envs[0].unwrapped.got[0]
+    assert (action.shape, action.dtype) == ((2, 3), np.float32)
+    assert Shaped.action_space.contains(action)
+    np.testing.assert_allclose(action.ravel(), np.linspace(-0.1, 0.1, 6), atol=1e-7)
+
+
+def test_rewards_and_costs_add_up_and_the_time_limit_cuts_the_last_decision() -> None:
+    task = GymTask(registered(Lights, max_episode_steps=10), 1, action_repeat=4)
+    assert (task.max_decisions, task.decision_seconds) == (3, 0.16)
+    task.reset([0])
+    steps = [task.step(np.zeros((1, 2))) for _ in range(3)]
+    assert [step.reward[0] for step in steps] == [4, 4, 2]
+    assert [step.env_steps[0] for step in steps] == [4, 4, 2]
+    assert [step.cost_env[0] for step in steps] == [1, 1, 1]
+    assert [step.sources["cost"][0] for step in steps] == [1, 1, 1]
+    assert [(step.ended[0], step.terminated[0]) for step in steps] == [(False, False), (False, False), (True, False)]
+    with pytest.raises(TaskError, match="after the end"):
+        task.step(np.zeros((1, 2)))
+
+
+def test_the_environments_own_end_is_a_termination() -> None:
+    class Short(Lights):
+        ends_at = 3
+
+    task = GymTask(registered(Short), 1)
+    task.reset([0])
+    step = task.step(np.zeros((1, 2)))
+    assert (step.env_steps[0], step.ended[0], step.terminated[0]) == (3, True, True)
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        (lambda clock: {"goals": clock // 3}, [1, 1, 2]),
+        (lambda clock: {"success": clock == 6}, [0, 1, 0]),
+        (lambda clock: {"success": clock >= 2}, [1, 0, 0]),
+        (lambda clock: {}, [0, 0, 0]),
+    ],
+    ids=["goals", "a success that passes", "a success that stays", "nothing"],
+)
+def test_goals_and_success(told: Any, expected: list[int]) -> None:
+    class Scoring(Lights):
+        def info(self):
+            return super().info() | told(self.clock)
+
+    task = GymTask(registered(Scoring), 1)
+    for _ in range(2):  # a new episode counts from nothing
+        task.reset([0])
+        assert [task.step(np.zeros((1, 2))).goals[0] for _ in range(3)] == expected
+
+
+def test_several_cost_sources_are_counted_one_by_one() -> None:
+    class Two(Lights):
+        def info(self):
+            return {"cost": float(self.clock > 1), "cost_sources": {"wet": self.clock > 1, "cold": 0.5 * (self.clock > 2)}}
+
+    task = GymTask(registered(Two), 1)
+    task.reset([0])
+    step = task.step(np.zeros((1, 2)))
+    assert task.cost_sources == ("wet", "cold")
+    assert (step.cost_env[0], step.sources["wet"][0], step.sources["cold"][0]) == (3, 3, 2)
+
+
+# -- observations -----------------------------------------------------------------------------------------------------------------------
+
+BOX = gymnasium.spaces.Box
+RANDOM = np.random.default_rng(0).integers(0, 256, (64, 64, 6), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("space", "observation", "rear"),
+    [
+        (BOX(0, 255, (64, 64, 3), np.uint8), RANDOM[..., :3], False),
+        (BOX(0, 255, (3, 64, 64), np.uint8), np.moveaxis(RANDOM[..., :3], -1, 0), False),
+        (BOX(0, 255, (64, 64, 6), np.uint8), RANDOM, True),
+        (BOX(0, 255, (6, 64, 64), np.uint8), np.moveaxis(RANDOM, -1, 0), True),
+        (gymnasium.spaces.Dict(vision=BOX(0, 255, (64, 64, 3), np.uint8)), {"vision": RANDOM[..., :3]}, False),
+        (
+            gymnasium.spaces.Dict(image=BOX(0, 255, (64, 64, 3), np.uint8), image2=BOX(0, 255, (3, 64, 64), np.uint8)),
+            {"image": RANDOM[..., :3], "image2": np.moveaxis(RANDOM[..., 3:], -1, 0)},
+            True,
+        ),
+    ],
+)
+def test_every_form_of_an_image_becomes_the_same_pixels(space: Any, observation: Any, rear: bool) -> None:
+    views = views_of(space)
+    expected = np.moveaxis(RANDOM, -1, 0).copy()
+    if not rear:
+        expected[3:] = 0
+    np.testing.assert_array_equal(views.pixels(observation), expected)
+    assert views.privileged_size == (768 if rear else 384)
+
+
+@pytest.mark.parametrize("size", [(128, 128), (192, 64), (256, 320)])
+def test_larger_images_are_averaged_over_areas(size: tuple[int, int]) -> None:
+    image = np.random.default_rng(1).integers(0, 256, (*size, 3), np.uint8)
+    seen = views_of(BOX(0, 255, image.shape, np.uint8)).pixels(image)[:3]
+    blocks = image.reshape(64, size[0] // 64, 64, size[1] // 64, 3).mean((1, 3))
+    np.testing.assert_allclose(np.moveaxis(seen, 0, -1), blocks, atol=1.01)  # Pillow rounds after each direction
+
+
+def test_without_vectors_a_coarse_image_and_its_change_stand_in() -> None:
+    task = GymTask(registered(Lights), 2)
+    first = task.reset([0, 1])
+    assert first.privileged is not None
+    assert first.privileged.shape == (2, 384)
+    assert (first.privileged == 0).all()
+    second = task.step(np.zeros((2, 2))).observation
+    assert second.privileged is not None
+    assert second.state is not None
+    np.testing.assert_allclose(second.privileged[0], 4 / 255, rtol=1e-6)
+    third = task.step(np.zeros((2, 2))).observation.privileged
+    assert third is not None
+    np.testing.assert_allclose(third[0, :192], 8 / 255, rtol=1e-6)
+    np.testing.assert_allclose(third[0, 192:], 4 / 255, rtol=1e-5)
+    assert (second.state == second.privileged).all()
+
+
+@pytest.mark.parametrize(("entries", "privileged", "state"), [(("privileged", "state"), 5, 7), (("privileged",), 5, 5), (("state",), 7, 7)])
+def test_vectors_of_a_dictionary_are_taken_by_name(entries: tuple[str, ...], privileged: int, state: int) -> None:
+    sizes = {"privileged": 5, "state": 7}
+    spaces = {"image": BOX(0, 255, (64, 64, 3), np.uint8)} | {name: BOX(-np.inf, np.inf, (sizes[name],), np.float64) for name in entries}
+
+    class Vectors(Lights):
+        observation_space = gymnasium.spaces.Dict(spaces)
+
+        def seen(self):
+            return {"image": super().seen()} | {name: np.full(sizes[name], sizes[name] + self.clock, float) for name in entries}
+
+    task = GymTask(registered(Vectors), 1)
+    assert (task.privileged_size, task.state_size) == (privileged, state)
+    seen: Observation = task.reset([0])
+    np.testing.assert_array_equal(seen.privileged, np.full((1, privileged), privileged))
+    np.testing.assert_array_equal(seen.state, np.full((1, state), state))
+
+
+def test_episodes_can_be_recorded() -> None:
+    task = make_task("puddle:Puddle-v0", 2, observe=("pixels", "privileged"))
+    replay = record(task, SEEDS, lambda privileged: np.sign(privileged[:, :2]) * 0.5, ["straight"] * 2, 0)
+    assert replay.terminal.sum() == 2, "both drive to the flag"
+    assert replay.cost.sum() > 0, "through puddles"
+
+
+# -- snapshots --------------------------------------------------------------------------------------------------------------------------
+
+
+def test_an_environment_without_snapshots_works_and_says_so_when_asked() -> None:
+    task = GymTask(registered(Lights), 1)
+    task.reset([0])
+    task.step(np.zeros((1, 2)))
+    with pytest.raises(TaskError, match="has no method 'snapshot'") as caught:
+        task.snapshot()
+    assert "restore" in str(caught.value.hint)
+    other = make_task("puddle:Puddle-v0", 1)
+    other.reset([0])
+    with pytest.raises(TaskError, match="not one of this task"):
+        other.restore({"goals": np.zeros(5)})
+
+
+# -- names ------------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["my_pkg:MyEnv-v0", "my.pkg:space/My-Env-v12", "MyEnv-v0", "space/MyEnv", "pkg:MyEnv"])
+def test_gymnasium_ids_are_names_of_tasks(name: str) -> None:
+    assert is_foreign(name)
+    info = TASKS[name]
+    assert (info.name, info.title, info.implemented) == (name, name.rpartition(":")[2], True)
+    assert name not in list(TASKS)
+
+
+@pytest.mark.parametrize(
+    "name", ["goal", "my pkg:MyEnv-v0", "pkg:My|Env-v0", "pkg:[red]-v0", "wasp/Other-v0", "pkg:", ":MyEnv-v0", "é-v0", ""]
+)
+def test_other_texts_are_not(name: str) -> None:
+    with pytest.raises(UnknownName):
+        TASKS[name]
+
+
+def test_our_own_ids_have_their_own_names() -> None:
+    for text in ("goal1", "wasp/SafetyPointGoal1-v0", "SafetyPointGoal1-v0", "wasp_cli.tasks.gym:wasp/SafetyPointGoal1-v0"):
+        assert task_named(text) == "goal1"
+
+
+# -- environments that lack something ---------------------------------------------------------------------------------------------------
+
+
+def variant(**attributes: Any) -> type[Lights]:
+    return type("Variant", (Lights,), attributes)
+
+
+def one_of(values: list[dict[str, Any]]) -> Any:
+    """An info method that gives these one after the other, and the last for ever."""
+    left = iter(values)
+    last: list[dict[str, Any]] = []
+
+    def info(self: Any) -> dict[str, Any]:
+        last[:] = [next(left, last[0] if last else {})]
+        return last[0]
+
+    return info
+
+
+@pytest.mark.parametrize(
+    ("env", "options", "expected"),
+    [
+        (variant(info=lambda self: {}), {}, r"its info has no 'cost'.*info\['cost'\]"),
+        (variant(info=lambda self: {"cost": -1.0}), {}, r"info\['cost'\] is -1"),
+        (variant(info=lambda self: {"cost": float("nan")}), {}, r"info\['cost'\] is nan"),
+        (variant(info=lambda self: {"cost": 0.0, "cost_sources": ["wet"]}), {}, r"info\['cost_sources'\] is \['wet'\]"),
+        (variant(), {"max_episode_steps": None}, "no time limit.*max_episode_steps=500"),
+        (variant(metadata={"render_modes": []}), {}, "how long an env step is.*render_fps"),
+        (variant(action_space=gymnasium.spaces.Discrete(3)), {}, r"action space is Discrete\(3\).*float Box"),
+        (variant(action_space=BOX(-np.inf, np.inf, (2,))), {}, "finite lower bound"),
+        (variant(action_space=BOX(0, 4, (2,), np.int64)), {}, "float Box"),
+        (variant(observation_space=BOX(-1, 1, (60,))), {}, r"no camera image: Box of shape \(60,\).*uint8 Box"),
+        (variant(observation_space=gymnasium.spaces.Dict(view=BOX(0, 255, (64, 64, 3), np.uint8))), {}, r"no camera image: Dict\(view"),
+        (variant(seen=lambda self: np.random.default_rng().integers(0, 255, (64, 64, 3), np.uint8)), {}, "two resets with the same seed"),
+        (variant(__init__=lambda self: 1 / 0), {}, "cannot be made: ZeroDivisionError"),
+    ],
+)
+def test_what_an_environment_lacks_is_named_with_a_remedy(env: type, options: dict[str, Any], expected: str) -> None:
+    name = registered(env, **options)
+    with pytest.raises(TaskError) as caught:
+        make_task(name, 1)
+    assert name in caught.value.message
+    assert re.search(expected, f"{caught.value.message} {caught.value.hint}"), caught.value
+
+
+@pytest.mark.parametrize(
+    ("env", "expected"),
+    [
+        (variant(info=one_of([{"cost": 0.0}, {}])), "has no 'cost'"),
+        (variant(info=one_of([{"cost": 0.0}, {"cost": 1.0, "cost_sources": {"wet": 1.0}}])), "new cost source 'wet'"),
+    ],
+)
+def test_what_goes_wrong_later_names_the_environment(env: type, expected: str) -> None:
+    name = registered(env)
+    task = make_task(name, 1)
+    task.reset([0])
+    with pytest.raises(TaskError, match=f"'{name}'.*{expected}"):
+        task.step(np.zeros((1, 2)))
+
+
+def test_a_vector_or_a_reward_that_is_not_finite_is_refused() -> None:
+    class Broken(Puddle):
+        def step(self, action):
+            seen, _, terminated, truncated, info = super().step(action)
+            return seen, float("nan"), terminated, truncated, info
+
+    class Blind(Puddle):
+        def _seen(self):
+            return super()._seen() | {"privileged": np.full(8, np.nan, np.float32)}
+
+    task = make_task(registered(Broken), 1)
+    task.reset([0])
+    with pytest.raises(TaskError, match="reward of nan"):
+        task.step(np.zeros((1, 2)))
+    with pytest.raises(TaskError, match="'privileged' is not finite"):
+        make_task(registered(Blind), 1).reset([0])
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "expected"),
+    [
+        ("nowhere_at_all:MyEnv-v0", TaskError, "module 'nowhere_at_all' does not import.*pip install -e"),
+        ("puddle:Pudle-v0", UnknownName, "unknown gymnasium id of module 'puddle' 'Pudle-v0'.*did you mean 'Puddle-v0'"),
+        ("json:MyEnv-v0", TaskError, r"module 'json' does not register 'MyEnv-v0'.*gymnasium.register\('MyEnv-v0'"),
+        ("NoSuchEnv-v7", TaskError, "no gymnasium id is called 'NoSuchEnv-v7'.*module:NoSuchEnv-v7"),
+    ],
+)
+def test_ids_that_lead_nowhere(name: str, error: type[WaspError], expected: str) -> None:
+    with pytest.raises(error) as caught:
+        make_task(name, 1)
+    assert re.search(expected, f"{caught.value.message} {caught.value.hint}"), caught.value
+
+
+def test_a_module_that_fails_on_import_is_named(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "fails_on_import.py").write_text("import gymnasium\n1 / 0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(TaskError, match="'fails_on_import' does not import: ZeroDivisionError") as caught:
+        examine("fails_on_import:MyEnv-v0")
+    assert caught.value.hint == "repair the module"
+
+
+def test_an_environment_that_keeps_its_own_time_limit_may_say_so() -> None:
+    name = registered(variant(max_episode_steps=13), max_episode_steps=None)
+    assert TASKS[name].env_steps == 13
+    assert GymTask(name, 1, action_repeat=5).max_decisions == 3
+
+
+def test_facts_and_modules_say_what_moves_results() -> None:
+    info = TASKS["puddle:Puddle-v0"]
+    assert info.modules == ("wasp_cli.tasks.foreign.task", "puddle")
+    assert info.facts() == {"name": "puddle:Puddle-v0", "env_seconds": 0.1, "env_steps": 200, "success_goals": 1, "registered": "[] []"}
+    asked = registered(variant(metadata={"render_modes": [], "render_fps": 10, "success_goals": 4}))
+    assert TASKS[asked].success_goals == 4

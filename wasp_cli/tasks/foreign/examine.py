@@ -1,0 +1,225 @@
+"""What a foreign environment says of itself, and whether it has what a task needs.
+
+It is made once and driven for one step, so that what is missing is said when a spec is read, and not in the middle of a run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import importlib
+import importlib.util
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
+
+from wasp_cli.errors import TaskError, UnknownName
+from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.foreign.views import Views, views_of
+
+GymEnv = gymnasium.Env[Any, Any]
+
+COST_HINT = "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+LONE_SOURCE = "cost"
+"""The cost source of an environment that names none."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a task has to know of an environment."""
+
+    modules: tuple[str, ...]
+    """Where its code begins."""
+    registered: str
+    """How it is registered, as text: the options that it is made with decide its results."""
+    env_steps: int
+    """Time limit in env steps."""
+    env_seconds: float
+    """Time of one env step in seconds."""
+    success_goals: int
+    """Goals that count as success."""
+    cost_sources: tuple[str, ...]
+    action_low: Floats
+    """[A]"""
+    action_high: Floats
+    """[A]"""
+    views: Views
+
+
+@cache
+def examine(name: str) -> Facts:
+    """Make the environment `name` and look at it.
+
+    Raises:
+        UnknownName: no such id.
+        TaskError: its module does not import, it cannot be made, or it lacks something; the message names it.
+    """
+    # What modules and environments print as they start must not get between the lines of a plan that is JSON.
+    with contextlib.redirect_stdout(sys.stderr):
+        return _examined(name)
+
+
+def _examined(name: str) -> Facts:
+    spec = find_spec(name)
+    env = make_env(name)
+    try:
+        limit = _env_steps(spec, env)
+        low, high = _bounds(env)
+        views = views_of(env.observation_space)
+        sources = _driven(env)
+        success = env.unwrapped.metadata.get("success_goals", 1)
+        return Facts(
+            _modules(name, spec), _registered(spec), limit, _env_seconds(env), int(success), sources, low.ravel(), high.ravel(), views
+        )
+    except TaskError as error:
+        raise TaskError(f"environment '{name}': {error.message}", error.hint) from error
+    finally:
+        env.close()
+
+
+def find_spec(name: str) -> EnvSpec:
+    """The registration of an id; the module before the colon is imported first, and registers it.
+
+    Raises:
+        UnknownName: no such id.
+        TaskError: the module does not import.
+    """
+    module, _, gym_id = name.rpartition(":")
+    before = set(gymnasium.registry)
+    if module:
+        _import(module)
+    try:
+        return gymnasium.spec(gym_id)
+    except gymnasium.error.Error as error:
+        # The ids of that module are the ones that can be meant.
+        own = [known for known, spec in gymnasium.registry.items() if known not in before or _entry_module(spec.entry_point) == module]
+        if module and own:
+            raise UnknownName(f"gymnasium id of module '{module}'", gym_id, own) from error
+        if module:
+            example = f"gymnasium.register('{gym_id}', entry_point=..., max_episode_steps=...)"
+            raise TaskError(f"module '{module}' does not register '{gym_id}'", f"write {example} in it") from error
+        hint = f"write module:{gym_id} for an id that a module of yours registers"
+        raise TaskError(f"no task and no gymnasium id is called '{gym_id}'", hint) from error
+
+
+def make_env(name: str) -> GymEnv:
+    """One environment without gymnasium's own time limit and checks, which the task replaces.
+
+    Raises:
+        TaskError: it cannot be made.
+    """
+    spec = copy.deepcopy(find_spec(name))
+    spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
+    try:
+        env: GymEnv = gymnasium.make(spec)
+    except Exception as error:  # the code is another's
+        raise TaskError(f"environment '{name}' cannot be made: {type(error).__name__}: {error}") from error
+    return env
+
+
+def cost_of(info: Mapping[str, Any]) -> float:
+    """The cost of an env step.
+
+    Raises:
+        TaskError: there is none, or it is no cost.
+    """
+    if "cost" not in info:
+        raise TaskError("its info has no 'cost'", COST_HINT)
+    cost = float(info["cost"])
+    if not (np.isfinite(cost) and cost >= 0):
+        raise TaskError(f"info['cost'] is {cost:g}", "a cost is a finite number of at least 0")
+    return cost
+
+
+# -- what is looked at -----------------------------------------------------------------------------------------------------------------
+
+
+def _import(module: str) -> None:
+    top = module.partition(".")[0]
+    try:
+        if importlib.util.find_spec(top) is None and os.getcwd() not in sys.path:
+            # The console script does not search the folder that it is started in. At the end, so that nothing installed is hidden.
+            sys.path.append(os.getcwd())
+            importlib.invalidate_caches()
+        importlib.import_module(module)
+    except Exception as error:  # the code is another's
+        absent = isinstance(error, ModuleNotFoundError) and error.name is not None and f"{module}.".startswith(f"{error.name}.")
+        hint = f"run in the folder that holds '{top}', or install it: pip install -e ." if absent else "repair the module"
+        raise TaskError(f"module '{module}' does not import: {type(error).__name__}: {error}", hint) from error
+
+
+def _entry_module(entry_point: Any) -> str:
+    return entry_point.partition(":")[0] if isinstance(entry_point, str) else str(getattr(entry_point, "__module__", ""))
+
+
+def _modules(name: str, spec: EnvSpec) -> tuple[str, ...]:
+    points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
+    named = [name.rpartition(":")[0], *map(_entry_module, points)]
+    return tuple(dict.fromkeys(module for module in named if module))
+
+
+def _registered(spec: EnvSpec) -> str:
+    wrappers = [(wrapper.entry_point, wrapper.kwargs) for wrapper in spec.additional_wrappers]
+    return f"{sorted(spec.kwargs.items())} {wrappers}"
+
+
+def _env_steps(spec: EnvSpec, env: GymEnv) -> int:
+    own = getattr(env.unwrapped, "max_episode_steps", None)
+    limit = spec.max_episode_steps if spec.max_episode_steps is not None else own
+    if not isinstance(limit, int) or limit < 1:
+        raise TaskError("it has no time limit", f"register it with one: gymnasium.register('{spec.id}', ..., max_episode_steps=500)")
+    return limit
+
+
+def _env_seconds(env: GymEnv) -> float:
+    rate = env.unwrapped.metadata.get("render_fps")
+    seconds = 1.0 / rate if isinstance(rate, int | float) and rate > 0 else getattr(env.unwrapped, "dt", None)
+    if not isinstance(seconds, int | float) or not seconds > 0:
+        hint = "metadata = {'render_fps': 10} says that ten env steps are a second, which operators with a reaction time need"
+        raise TaskError("it does not say how long an env step is", hint)
+    return float(seconds)
+
+
+def _bounds(env: GymEnv) -> tuple[Floats, Floats]:
+    space = env.action_space
+    if not isinstance(space, gymnasium.spaces.Box) or not np.issubdtype(space.dtype, np.floating):
+        raise TaskError(f"its action space is {space}", "an operator's commands are continuous: a float Box with finite bounds")
+    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    if not (space.shape and np.prod(space.shape) and np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
+        raise TaskError(f"its action space is {space}", "every action needs a finite lower bound and a finite upper bound above it")
+    return low, high
+
+
+def _driven(env: GymEnv) -> tuple[str, ...]:
+    """One step of two equal episodes.
+
+    Returns:
+        The cost sources.
+    """
+    middle = (env.action_space.low + env.action_space.high) / 2  # type: ignore[attr-defined]  # a Box, as `_bounds` has seen
+    first, _ = env.reset(seed=0)
+    _, _, _, _, info = env.step(middle.astype(env.action_space.dtype))
+    again, _ = env.reset(seed=0)
+    if not _same(first, again):
+        hint = "draw everything from self.np_random, after super().reset(seed=seed): assistants are compared on the same worlds"
+        raise TaskError("two resets with the same seed show different things", hint)
+    cost_of(info)
+    sources = info.get("cost_sources", {LONE_SOURCE: 0.0})
+    if not isinstance(sources, Mapping) or not all(isinstance(source, str) for source in sources) or not sources:
+        raise TaskError(f"info['cost_sources'] is {sources!r}", "a dictionary from names to costs, with every source in every step")
+    return tuple(sources)
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, Mapping):
+        return one.keys() == other.keys() and all(_same(value, other[name]) for name, value in one.items())
+    left: NDArray[Any] = np.asarray(one)
+    return left.tobytes() == np.asarray(other).tobytes()

@@ -1,0 +1,238 @@
+"""A batch of foreign gymnasium environments as a `VectorTask`.
+
+The rest of wasp commands in [-1, 1]; the adapter maps this onto the environment's own bounds. Rewards add up over the env steps of a
+decision step; an env step costs when `info["cost"]` is above zero. `info["goals"]` (reached so far) or `info["success"]` tell of success.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.errors import TaskError
+from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
+from wasp_cli.tasks.foreign.examine import LONE_SOURCE, GymEnv, cost_of, examine, make_env
+from wasp_cli.tasks.layout import checked_seed
+
+Ints = NDArray[np.int64]
+
+
+@dataclass
+class _Totals:
+    """Sums over one decision step, one entry per row."""
+
+    reward: Floats
+    cost: Ints
+    goals: Ints
+    env_steps: Ints
+    sources: dict[str, Ints]
+
+
+class GymTask:
+    """B environments of the gymnasium id `name` as a `VectorTask`; see there for the meaning of every member.
+
+    Args:
+        name: `module:Id-v0`, or an id that is registered already.
+        batch: B.
+        action_repeat: env steps per decision step.
+        observe: fields of `Observation` to fill.
+        threads: has no effect; the environments are stepped one after the other.
+
+    Raises:
+        UnknownName: no such id.
+        TaskError: the environment lacks what a task needs.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        batch: int,
+        *,
+        action_repeat: int = 4,
+        observe: Sequence[str] = ("pixels", "state", "privileged"),
+        threads: int = 1,
+    ) -> None:
+        if batch < 1 or action_repeat < 1 or threads < 1:
+            raise TaskError(f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1")
+        unknown = sorted(set(observe) - set(Observation._fields))
+        if unknown:
+            raise TaskError(f"no such observation: {', '.join(unknown)}", f"known: {', '.join(Observation._fields)}")
+        self._facts = facts = examine(name)
+        self._name = name
+        self.batch, self.action_repeat, self.observe = batch, action_repeat, tuple(observe)
+        self.action_size = facts.action_low.size
+        self.action_low, self.action_high = np.full(self.action_size, -1.0), np.full(self.action_size, 1.0)
+        self.privileged_size, self.state_size = facts.views.privileged_size, facts.views.state_size
+        self.decision_seconds = facts.env_seconds * action_repeat
+        self.max_decisions = -(-facts.env_steps // action_repeat)
+        self.cost_sources = facts.cost_sources
+
+        self._envs: list[GymEnv] = [make_env(name) for _ in range(batch)]
+        self._env_steps = np.zeros(batch, np.int64)
+        self._goals = np.zeros(batch, np.int64)
+        self._ended = np.ones(batch, np.bool_)
+        self._terminated = np.zeros(batch, np.bool_)
+        self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
+        self._state = np.zeros((batch, self.state_size))
+        self._privileged = np.zeros((batch, self.privileged_size), np.float32)
+
+    # -- episodes ---------------------------------------------------------------------------------------------------------------
+
+    def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
+        if rows is not None and np.shape(rows) != (self.batch,):
+            raise TaskError(f"rows has shape {np.shape(rows)}, expected ({self.batch},)")
+        chosen = np.arange(self.batch) if rows is None else np.flatnonzero(rows)
+        if len(seeds) != len(chosen):
+            raise TaskError(f"got {len(seeds)} seeds for {len(chosen)} rows")
+        checked = [checked_seed(seed) for seed in seeds]
+        for row, seed in zip(chosen.tolist(), checked, strict=True):
+            seen, _ = self._envs[row].reset(seed=seed)
+            for zeroed in (self._env_steps, self._goals, self._ended, self._terminated):
+                zeroed[row] = 0
+            self._look(row, seen, first=True)
+        return self._observation()
+
+    def step(self, action: NDArray[Any]) -> Step:
+        control = self._checked(action)
+        if self._ended.all():
+            raise TaskError("step after the end: every episode of the batch has ended; call reset first")
+        cost, goals, env_steps = np.zeros((3, self.batch), np.int64)
+        sources = {name: np.zeros(self.batch, np.int64) for name in self.cost_sources}
+        totals = _Totals(np.zeros(self.batch), cost, goals, env_steps, sources)
+        for row in np.flatnonzero(~self._ended).tolist():
+            self._advance(row, control[row], totals)
+        return Step(
+            observation=self._observation(),
+            reward=totals.reward,
+            cost=totals.cost > 0,
+            cost_env=totals.cost,
+            sources=totals.sources,
+            goals=totals.goals,
+            env_steps=totals.env_steps,
+            ended=self._ended.copy(),
+            terminated=self._terminated.copy(),
+        )
+
+    def _checked(self, action: NDArray[Any]) -> Floats:
+        """[B, A] within the environment's own bounds."""
+        control = np.asarray(action, np.float64)
+        if control.shape != (self.batch, self.action_size):
+            raise TaskError(f"action has shape {control.shape}, expected ({self.batch}, {self.action_size})")
+        finite = np.isfinite(control).all(axis=1)
+        if not finite.all():
+            raise TaskError(f"action of row {int(np.argmin(finite))} is not finite: {control[np.argmin(finite)].tolist()}")
+        low, high = self._facts.action_low, self._facts.action_high
+        # In this order a Box of [-1, 1] gets every command as it is, to the bit.
+        scaled = (low + high) / 2 + (high - low) / 2 * np.clip(control, -1.0, 1.0)
+        return np.clip(scaled, low, high)
+
+    def _advance(self, row: int, control: Floats, totals: _Totals) -> None:
+        env = self._envs[row]
+        space = env.action_space
+        assert space.shape is not None
+        for _ in range(self.action_repeat):
+            seen, reward, terminated, truncated, info = env.step(control.reshape(space.shape).astype(space.dtype))
+            if not np.isfinite(float(reward)):
+                raise TaskError(f"environment '{self._name}' gave a reward of {float(reward)}")
+            self._env_steps[row] += 1
+            totals.env_steps[row] += 1
+            totals.reward[row] += float(reward)
+            self._count(row, info, totals)
+            self._terminated[row] = bool(terminated)
+            self._ended[row] = terminated or truncated or self._env_steps[row] >= self._facts.env_steps
+            if self._ended[row]:
+                break
+        self._look(row, seen, first=False)
+
+    def _count(self, row: int, info: Mapping[str, Any], totals: _Totals) -> None:
+        """Add up cost and goals of an env step."""
+        try:
+            cost = cost_of(info)
+        except TaskError as error:
+            raise TaskError(f"environment '{self._name}': {error.message}", error.hint) from error
+        totals.cost[row] += cost > 0
+        for source, value in info.get("cost_sources", {LONE_SOURCE: cost}).items():
+            if source not in totals.sources:
+                known = ", ".join(self.cost_sources)
+                raise TaskError(f"environment '{self._name}' has a new cost source '{source}'", f"its first step had: {known}")
+            totals.sources[source][row] += float(value) > 0
+        goals = int(info["goals"]) if "goals" in info else max(int(self._goals[row]), int(bool(info.get("success", False))))
+        totals.goals[row] += goals - self._goals[row]
+        self._goals[row] = goals
+
+    # -- observation ------------------------------------------------------------------------------------------------------------
+
+    def _look(self, row: int, seen: Any, *, first: bool) -> None:
+        """Keep what a row's environment shows, as far as it is asked for."""
+        views = self._facts.views
+        blind = views.privileged is None  # then state and privileged are made of images
+        if "pixels" in self.observe or blind:
+            self._pixels[row] = views.pixels(seen)
+        try:
+            if blind:
+                coarse, before = views.coarse(self._pixels[row]), self._privileged[row, : self.privileged_size // 2].copy()
+                self._privileged[row] = np.concatenate([coarse, coarse - (coarse if first else before)])
+                self._state[row] = self._privileged[row]
+            if views.privileged is not None and "privileged" in self.observe:
+                self._privileged[row] = views.vector(seen, views.privileged)
+            if views.state is not None and "state" in self.observe:
+                self._state[row] = views.vector(seen, views.state)
+        except TaskError as error:
+            raise TaskError(f"environment '{self._name}': {error.message}") from error
+
+    def _observation(self) -> Observation:
+        return Observation(
+            self._pixels.copy() if "pixels" in self.observe else None,
+            self._state.copy() if "state" in self.observe else None,
+            self._privileged.copy() if "privileged" in self.observe else None,
+        )
+
+    # -- snapshot ---------------------------------------------------------------------------------------------------------------
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {
+            "env_steps": self._env_steps,
+            "goals": self._goals,
+            "ended": self._ended,
+            "terminated": self._terminated,
+            "pixels": self._pixels,
+            "state": self._state,
+            "privileged": self._privileged,
+        }
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """See `VectorTask`; the environment's own part are the arrays of its `snapshot()`.
+
+        Raises:
+            TaskError: the environment has no `snapshot`.
+        """
+        own = [self._method(env, "snapshot")() for env in self._envs]
+        theirs = {f"env/{name}": np.stack([np.asarray(arrays[name]) for arrays in own]) for name in own[0]}
+        return {name: array.copy() for name, array in self._arrays().items()} | theirs
+
+    def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
+        """See `VectorTask`.
+
+        Raises:
+            TaskError: the environment has no `restore`, or the snapshot is of another task.
+        """
+        for name, array in self._arrays().items():
+            if name not in snapshot or snapshot[name].shape != array.shape:
+                raise TaskError(f"the snapshot is not one of this task with batch {self.batch}: '{name}' is missing or has another shape")
+        theirs = {name.removeprefix("env/"): array for name, array in snapshot.items() if name.startswith("env/")}
+        for row, env in enumerate(self._envs):
+            self._method(env, "restore")({name: array[row].copy() for name, array in theirs.items()})
+        for name, array in self._arrays().items():
+            array[...] = snapshot[name]
+        return self._observation()
+
+    def _method(self, env: GymEnv, name: str) -> Any:
+        try:
+            return env.get_wrapper_attr(name)
+        except AttributeError as error:
+            hint = "snapshot() gives a dict of arrays with all that decides its future, random state included; restore(dict) takes it back"
+            raise TaskError(f"environment '{self._name}' has no method '{name}'", hint) from error

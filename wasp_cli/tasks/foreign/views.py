@@ -1,0 +1,144 @@
+"""From what a foreign environment shows to the observations of a task: two camera images, and vectors for the expert.
+
+H, W = size of the environment's own image. An image is a uint8 Box H x W x 3 or 3 x H x W (one camera), or with 6 channels (front, then
+rear). It is the whole observation, or an entry of a Dict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from wasp_cli.errors import TaskError
+from wasp_cli.tasks.base import CAMERA_SIZE, Floats, Pixels
+
+FRONT, REAR = ("pixels", "image", "vision"), ("pixels2", "image2", "vision_back")
+"""Entries of a Dict that hold an image; the second is looked for where the first has one camera."""
+PRIVILEGED, STATE = "privileged", "state"
+COARSE = 8
+"""Side of the coarse image that stands in for a privileged vector."""
+_WANTED = "a uint8 Box of shape [H, W, 3], [3, H, W], [H, W, 6] or [6, H, W], or a Dict with one named " + ", ".join(FRONT)
+
+
+@dataclass(frozen=True)
+class _Camera:
+    entry: str | None
+    """Of the Dict; None where the image is the whole observation."""
+    channels_last: bool
+    channels: int
+    """3, or 6 for two cameras."""
+
+    def images(self, observation: Any) -> Pixels:
+        """uint8 [channels, 64, 64]: every pixel the mean of the area that it covers."""
+        image = np.asarray(observation if self.entry is None else observation[self.entry])
+        last = image if self.channels_last else np.moveaxis(image, 0, -1)
+        parts = [_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)]
+        return np.concatenate(parts)
+
+
+@dataclass(frozen=True)
+class Views:
+    """How to read the observations of one environment."""
+
+    front: _Camera
+    rear: _Camera | None
+    privileged: str | None
+    """Entry of the privileged vector; None: a coarse image and its change stand in for it."""
+    state: str | None
+    privileged_size: int
+    state_size: int
+
+    @property
+    def cameras(self) -> int:
+        """1 or 2."""
+        return 2 if self.rear is not None or self.front.channels == 6 else 1
+
+    def pixels(self, observation: Any) -> Pixels:
+        """uint8 [6, 64, 64]: front, then rear, which is black where there is one camera."""
+        out = np.zeros((6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
+        out[: self.front.channels] = self.front.images(observation)
+        if self.rear is not None:
+            out[3:] = self.rear.images(observation)
+        return out
+
+    def coarse(self, pixels: Pixels) -> NDArray[np.float32]:
+        """From [6, 64, 64] to [C]: 8 x 8 colours of each camera, in [0, 1]."""
+        side = CAMERA_SIZE // COARSE
+        blocks = pixels[: 3 * self.cameras].reshape(-1, COARSE, side, COARSE, side)
+        means: NDArray[np.float32] = (blocks.sum((2, 4), dtype=np.int64) / (255.0 * side * side)).astype(np.float32).ravel()
+        return means
+
+    def vector(self, observation: Any, entry: str) -> Floats:
+        """float64 of an entry, flat.
+
+        Raises:
+            TaskError: it is not finite.
+        """
+        values = np.asarray(observation[entry], np.float64).ravel()
+        if not np.isfinite(values).all():
+            raise TaskError(f"its observation '{entry}' is not finite: {values.tolist()}")
+        return values
+
+
+def views_of(space: gymnasium.Space[Any]) -> Views:
+    """How to read observations of a space.
+
+    Raises:
+        TaskError: there is no image in it.
+    """
+    front, rear = _camera(space, FRONT), _camera(space, REAR) if isinstance(space, gymnasium.spaces.Dict) else None
+    if front is None:
+        raise TaskError(f"its observation shows no camera image: {_described(space)}", f"an image is {_WANTED}")
+    if front.channels == 6:
+        rear = None
+    elif rear is not None and rear.channels != 3:
+        raise TaskError(f"its second image '{rear.entry}' has {rear.channels} channels, not 3")
+    sizes = {entry: size for entry in (PRIVILEGED, STATE) if (size := _vector_size(space, entry)) is not None}
+    privileged = next((entry for entry in (PRIVILEGED, STATE) if entry in sizes), None)
+    state = next((entry for entry in (STATE, PRIVILEGED) if entry in sizes), None)
+    views = Views(front, rear, privileged, state, 0, 0)
+    coarse = 2 * 3 * views.cameras * COARSE * COARSE
+    return Views(front, rear, privileged, state, sizes.get(privileged or "", coarse), sizes.get(state or "", coarse))
+
+
+def _camera(space: gymnasium.Space[Any], entries: tuple[str, ...]) -> _Camera | None:
+    if isinstance(space, gymnasium.spaces.Dict):
+        found = next((entry for entry in entries if entry in space.spaces), None)
+        return None if found is None else _image(space.spaces[found], found)
+    return _image(space, None)
+
+
+def _image(space: gymnasium.Space[Any], entry: str | None) -> _Camera | None:
+    if not isinstance(space, gymnasium.spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3 or 0 in space.shape:
+        return None
+    for channels_last, channels in ((True, space.shape[-1]), (False, space.shape[0])):
+        if channels in (3, 6):
+            return _Camera(entry, channels_last, channels)
+    return None
+
+
+def _vector_size(space: gymnasium.Space[Any], entry: str) -> int | None:
+    found = space.spaces.get(entry) if isinstance(space, gymnasium.spaces.Dict) else None
+    if not isinstance(found, gymnasium.spaces.Box):
+        return None
+    size = int(np.prod(found.shape))
+    return size or None
+
+
+def _described(space: gymnasium.Space[Any]) -> str:
+    if isinstance(space, gymnasium.spaces.Dict):
+        return "Dict(" + ", ".join(f"{name}: {_described(part)}" for name, part in space.spaces.items()) + ")"
+    return f"{type(space).__name__} of shape {space.shape} and type {space.dtype}"
+
+
+def _resized(image: NDArray[np.uint8]) -> Pixels:
+    """[H, W, 3] to [3, 64, 64]. Pillow's box filter works on integers, so that every machine gives the same bytes."""
+    if image.shape[:2] != (CAMERA_SIZE, CAMERA_SIZE):
+        resized = Image.fromarray(np.ascontiguousarray(image)).resize((CAMERA_SIZE, CAMERA_SIZE), Image.Resampling.BOX)
+        image = np.asarray(resized)
+    return np.moveaxis(image, -1, 0)
