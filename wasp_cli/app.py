@@ -249,6 +249,60 @@ def ablate(
     _run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, jobs)
 
 
+tasks_app = typer.Typer(
+    invoke_without_command=True,
+    help="List the tasks, or show one.",
+    epilog="[bold]wasp tasks[/]   ·   [bold]wasp tasks show goal1 --seed 3[/]   ·   [bold]wasp tasks --json | jq '.[].gym_id'[/]",
+)
+app.add_typer(tasks_app, name="tasks")
+
+
+@tasks_app.callback()
+@expected_errors
+def tasks(
+    context: typer.Context,
+    json: Annotated[bool, typer.Option("--json", help="The list for machines.")] = False,
+) -> None:
+    """List the tasks with their spaces, cost sources and limits; or show one (wasp tasks show)."""
+    if context.invoked_subcommand is not None:
+        return
+    from dataclasses import asdict
+
+    from wasp_cli.console import out
+    from wasp_cli.registry import load_target
+    from wasp_cli.report.task_table import task_table
+
+    # By import string, as workers load stages: tasks need MuJoCo, and the command line does without it.
+    found = load_target("wasp_cli.tasks.describe:describe")()
+    if json:
+        _print_json([asdict(task) for task in found])
+        return
+    out().print(task_table(found))
+    out().print("Any gymnasium id is a task too: docs/own_task.md", markup=False, soft_wrap=True)
+
+
+@tasks_app.command(
+    "show",
+    epilog="[bold]wasp tasks show goal1 --seed 3 --out map.png[/]   ·   [bold]wasp tasks show my_pkg:MyEnv-v0[/]\n\n"
+    "Exit codes: 0 done, 1 the environment or the file does not work, 2 usage.",
+)
+@expected_errors
+def show_task(
+    task: Annotated[str, typer.Argument(metavar="ID", help="A task (goal1), or a gymnasium id (my_pkg:MyEnv-v0).", show_default=False)],
+    seed: Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, metavar="N", help="Names the layout.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="PNG", help="The picture. (default: <task>_seed<N>.png)", show_default=False)
+    ] = None,
+    steps: Annotated[int, typer.Option("--steps", min=0, metavar="N", help="Decision steps of random driving before.")] = 0,
+) -> None:
+    """Draw a layout: the map from above and both camera images."""
+    from wasp_cli import console
+    from wasp_cli.registry import load_target
+
+    path = load_target("wasp_cli.tasks.sheet:draw_sheet")(task, seed, steps, out)
+    console.out().print(str(path), markup=False, soft_wrap=True)
+
+
 @app.command()
 @expected_errors
 def doctor(results: ResultsOption = Path("results")) -> None:

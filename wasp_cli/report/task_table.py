@@ -1,0 +1,50 @@
+"""The table of `wasp tasks`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from wasp_cli.tasks.describe import Description
+
+
+def task_table(tasks: Sequence[Description]) -> Table:
+    """A row per task; what is not known of one that is not implemented is left empty."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for heading in ("Task", "Observations", "Actions", "Costs", "Limit"):
+        # Sources of cost may have long names, and give way where a terminal is narrow.
+        table.add_column(heading, overflow="fold", no_wrap=heading != "Costs", min_width=12 if heading == "Costs" else None)
+    for task in tasks:
+        style = "" if task.implemented else "dim"
+        cells = [Text(cell, style=style) for cell in (_observations(task), _actions(task), _costs(task), _limit(task))]
+        table.add_row(Text(task.name, style=style or "bold").append(f"\n{task.gym_id}", style="dim"), *cells)
+        table.add_section()
+    return table
+
+
+def _observations(task: Description) -> str:
+    if task.pixels_shape is None:
+        return "not implemented"
+    shape = "x".join(map(str, task.pixels_shape))
+    return f"state {task.state_size}\npixels {shape}\nprivileged {task.privileged_size}"
+
+
+def _actions(task: Description) -> str:
+    if task.action_low is None or task.action_high is None:
+        return ""
+    bounds = dict.fromkeys(f"[{low:g}, {high:g}]" for low, high in zip(task.action_low, task.action_high, strict=True))
+    return f"{len(task.action_low)} in\n" + "\n".join(bounds)
+
+
+def _costs(task: Description) -> str:
+    return "\n".join(task.cost_sources or ())
+
+
+def _limit(task: Description) -> str:
+    goals = f"{task.success_goals} goal{'s' if task.success_goals > 1 else ''}"
+    return f"{task.env_steps} steps\n{task.seconds:g} s\n{goals}"
