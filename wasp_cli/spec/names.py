@@ -38,12 +38,13 @@ def _task(name: str, info: ValidationInfo) -> str:
         raise PydanticCustomError("task", "'{name}' has a name of its own here", {"name": name, "hint": f"write '{own}'"})
     try:
         found = TASKS[name]
-        if isinstance(found, ForeignInfo) and not (info.context or {}).get(RECORDED):
-            found.examine()
     except UnknownName as error:
         raise unknown(error.kind, error.name, error.known) from error
-    except WaspError as error:
-        raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
+    if isinstance(found, ForeignInfo) and not (info.context or {}).get(RECORDED):
+        try:
+            found.examine()
+        except WaspError as error:
+            raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
     return name
 
 
