@@ -24,39 +24,44 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def shown() -> list[tuple[str, str]]:
-    """(page, command line) of every `$ wasp ...`."""
-    return [
-        (page.name, line[2:].partition("  #")[0].strip())
-        for page in PAGES
-        for block in blocks(page, "console")
-        for line in block.splitlines()
-        if line.startswith("$ wasp")
-    ]
+def shown() -> list[tuple[str, str, str]]:
+    """(page, folder, command line) of every `$ wasp ...`; a block begins in the root, and `$ cd FOLDER` leaves it."""
+    found = []
+    for page in PAGES:
+        for block in blocks(page, "console"):
+            folder = "."
+            for line in block.splitlines():
+                if line.startswith("$ cd "):
+                    folder = line.removeprefix("$ cd ").strip()
+                elif line.startswith("$ wasp"):
+                    found.append((page.name, folder, line[2:].partition("  #")[0].strip()))
+    return found
 
 
 def parse(line: str) -> dict[str, Any]:
     """Parse a command line as `wasp` would, without running it."""
     name, *arguments = shlex.split(line)[1:]
     group: Any = typer.main.get_command(app)
+    while arguments and name in group.commands and arguments[0] in getattr(group.commands[name], "commands", {}):
+        group, name, arguments = group.commands[name], arguments[0], arguments[1:]
     assert name in group.commands, f"no command '{name}'"
     with group.commands[name].make_context(name, arguments) as context:
         parameters: dict[str, Any] = context.params
         return parameters
 
 
-@pytest.mark.parametrize(("page", "line"), shown(), ids=lambda part: part)
-def test_shown_commands_parse(page: str, line: str) -> None:
+@pytest.mark.parametrize(("page", "folder", "line"), shown(), ids=lambda part: part)
+def test_shown_commands_parse(page: str, folder: str, line: str) -> None:
     parameters = parse(line)
     if shlex.split(line)[1] == "ablate":
         arguments = parameters["variant"], parameters["task"], parameters["preset"], parameters["set_"] or ()
         require_tasks(ablation(ROOT / parameters["spec"], *arguments))
     elif parameters.get("set_"):
-        assert load(ROOT / parameters["spec"], parameters["set_"])
+        assert load(ROOT / folder / parameters["spec"], parameters["set_"])
     for value in parameters.values():
         for path in value if isinstance(value, list) else [value]:
             if isinstance(path, Path) and path.suffix == ".yaml":
-                assert (ROOT / path).is_file(), f"{page} shows {path}, which is not there"
+                assert (ROOT / folder / path).is_file(), f"{page} shows {path}, which is not there"
 
 
 def test_pages_show_commands() -> None:

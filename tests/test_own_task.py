@@ -1,0 +1,87 @@
+"""The example of docs/own_task.md, as a user runs it: a module and a spec in a folder, and `wasp run`."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.store.tables import read_episodes
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = ROOT / "docs" / "examples"
+PAGE = ROOT / "docs" / "own_task.md"
+
+
+def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run `wasp` as its console script does: with `-P`, Python does not search the current folder by itself."""
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "160"}
+    command = [sys.executable, "-P", "-m", "wasp_cli", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, env=variables, check=False)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the module, the spec, and the results of its run on the smallest budgets."""
+    folder = tmp_path_factory.mktemp("own")
+    for name in ("puddle.py", "puddle.yaml"):
+        shutil.copy(EXAMPLES / name, folder)
+    small = ("preset=smoke", "episodes=2", "expert.interactions=1000")
+    done = wasp(folder, "run", "puddle.yaml", "-j", "2", *(part for setting in small for part in ("--set", setting)))
+    assert done.returncode == 0, done.stderr
+    (folder / "printed.txt").write_text(done.stdout, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(("language", "name"), [("python", "puddle.py"), ("yaml", "puddle.yaml")])
+def test_the_page_shows_the_files_as_they_are(language: str, name: str) -> None:
+    blocks = re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert (EXAMPLES / name).read_text(encoding="utf-8") in blocks
+
+
+def test_a_run_prints_the_tables_of_ones_own_task(home: Path) -> None:
+    printed = (home / "printed.txt").read_text(encoding="utf-8")
+    for word in ("Puddle-v0", "Human-only", "WASP", "Expert"):
+        assert word in printed
+    assert (home / "results" / "reports" / "puddle" / "cost_return.png").is_file()
+
+
+def test_its_costs_and_episodes_are_its_own(home: Path) -> None:
+    cells = [read_episodes([path]).to_pylist() for path in (home / "results" / "store" / "evaluate").glob("*/cell.parquet")]
+    assert len(cells) == 5
+    rows = [row for cell in cells for row in cell]
+    assert {row["task"] for row in rows} == {"puddle:Puddle-v0"}
+    assert len(rows) == 10
+    assert any(row["cost"] > 0 for row in rows)
+    assert all(0 < row["env_steps"] <= 200 for row in rows)
+    assert len({row["return"] for row in rows}) > 5
+
+
+def test_no_file_is_named_by_what_a_file_name_cannot_hold(home: Path) -> None:
+    names = [path.name for path in (home / "results").rglob("*")]
+    assert any("puddle-Puddle-v0" in name for name in names), "logs are named after the task"
+    assert not [name for name in names if ":" in name]
+
+
+def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home: Path) -> None:
+    settings = [part for setting in ("preset=smoke", "episodes=2", "expert.interactions=1000") for part in ("--set", setting)]
+    assert "0 computed, 12 computed before" in wasp(home, "run", "puddle.yaml", *settings).stderr
+    module = home / "puddle.py"
+    text = module.read_text(encoding="utf-8")
+    module.write_text(text.replace("WET, REACHED, STEP = 0.3", "WET, REACHED, STEP = 0.35"), encoding="utf-8")
+    try:
+        planned = wasp(home, "plan", "puddle.yaml", *settings)
+    finally:
+        module.write_text(text, encoding="utf-8")
+    assert re.search(r"total +12 +0 +12", planned.stdout), planned.stdout
+
+
+def test_the_report_needs_no_environment(home: Path, tmp_path: Path) -> None:
+    shown = wasp(tmp_path, "report", str(home / "results"))
+    assert shown.returncode == 0, shown.stderr
+    assert "Puddle-v0" in shown.stdout
