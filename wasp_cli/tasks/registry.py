@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 from wasp_cli.errors import UsageError
 from wasp_cli.registry import Registry
@@ -24,19 +26,27 @@ class TaskInfo:
     """Time limit in env steps."""
     success_goals: int
     """Goals (stages) within the time limit that count as success."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """What the class is built with, beside what `make_task` passes."""
 
     @property
     def implemented(self) -> bool:
         return bool(self.target)
 
 
+_GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
+
 TASKS: Registry[TaskInfo] = Registry(
     "task",
     "wasp.tasks",
     (
-        TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", "", 0.04, 500, 1),
-        TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", "", 0.04, 1000, 1),
-        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", "wasp_cli.tasks.goal1:Goal1", 0.02, 1000, 7),
+        TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", _RACE, 0.04, 500, 1, {"level": 1}),
+        TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", _FORMULA, 0.04, 1000, 1, {"level": 1}),
+        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}),
+        TaskInfo("race0", "Race0", "wasp/SafetyCarRace0-v0", _RACE, 0.04, 500, 1, {"level": 0}),
+        TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}),
+        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}),
+        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}),
     ),
 )
 
