@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import mujoco
-import numpy as np
 import pytest
 import torch
 
@@ -20,7 +18,6 @@ from wasp_cli.learning.world_model import build
 from wasp_cli.models.world_model import Batch
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.tasks.make import make_task
 
 torch.set_num_threads(1)
 
@@ -40,24 +37,6 @@ def matrix_rate() -> float:
     """Floating-point operations per second of plain matrix products of the planner's shape."""
     a, b = torch.randn(640, 512), torch.randn(512, 512)
     return 2 * 640 * 512 * 512 / seconds(lambda: a @ b, 20)
-
-
-def test_env_steps_against_raw_physics(benchmark: Any) -> None:
-    task = make_task("goal1", 32, observe=("privileged",))
-    task.reset(range(32))
-    action = np.random.default_rng(0).uniform(-1, 1, (32, 2))
-    benchmark(task.step, action)
-    raw = mujoco.MjModel.from_xml_string("<mujoco><worldbody><body><joint type='slide'/><geom size='.1'/></body></worldbody></mujoco>")
-    data = mujoco.MjData(raw)
-    benchmark.extra_info["env_steps_per_s"] = 32 * 4 / benchmark.stats.stats.min
-    benchmark.extra_info["smallest_model_mj_step_per_s"] = 1000 / seconds(lambda: [mujoco.mj_step(raw, data) for _ in range(1000)])
-
-
-def test_images(benchmark: Any) -> None:
-    task = make_task("goal1", 16, observe=("pixels",))
-    task.reset(range(16))
-    benchmark(task.step, np.ones((16, 2)))
-    benchmark.extra_info["pairs_per_s"] = 16 / benchmark.stats.stats.min
 
 
 @pytest.mark.parametrize("preset", ["quick", "cpu"])

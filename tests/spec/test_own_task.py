@@ -57,8 +57,8 @@ def test_an_option_replaces_either_form(line: str, setting: str) -> None:
 @pytest.mark.parametrize(
     ("line", "column", "message", "hint"),
     [
-        ("task: gaol1", 7, "unknown task 'gaol1'", "did you mean 'goal1'?"),
-        ("tasks: [goal1, gaol1]", 16, "unknown task 'gaol1'", "did you mean 'goal1'?"),
+        ("task: gaol1", 7, "unknown task 'gaol1'", "did you mean 'goal"),
+        ("tasks: [goal1, gaol1]", 16, "unknown task 'gaol1'", "did you mean 'goal"),
         ("task: puddle:Pudle-v0", 7, "unknown gymnasium id of module 'puddle' 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
         ("tasks: [goal1, puddle:Pudle-v0]", 16, "unknown gymnasium id of module 'puddle' 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
         ("task: nowhere:MyEnv-v0", 7, "module 'nowhere' does not import", "pip install -e ."),

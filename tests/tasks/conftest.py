@@ -11,12 +11,17 @@ DATA = Path(__file__).parent / "data"
 """Recordings of the reference package: numbers only, made with safety-gymnasium 1.2.0 on MuJoCo 2.3.3."""
 
 
+def load_recording(name: str) -> dict[str, NDArray[Any]]:
+    """A recording as a dictionary of its own."""
+    with np.load(DATA / name, allow_pickle=False) as archive:
+        return {field: archive[field] for field in archive.files}
+
+
 @pytest.fixture(scope="session")
 def recorded_folder() -> Path:
     return DATA
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def recording() -> dict[str, NDArray[Any]]:
-    with np.load(DATA / "PointGoal1_seed0.npz", allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    return load_recording("PointGoal1_seed0.npz")

@@ -8,6 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.frames import wrapped
+
 Recording = Mapping[str, NDArray[Any]]
 
 
@@ -32,3 +35,15 @@ def compare(quantity: str, ours: Any, theirs: Any, tolerance: float) -> Check:
     if ours.shape != theirs.shape:
         raise ValueError(f"{quantity}: shapes {ours.shape} and {theirs.shape} differ")
     return Check(quantity, float(np.abs(ours - theirs).max()) if ours.size else float("nan"), tolerance, ours.size)
+
+
+def path_means(path: Floats, seconds: float) -> tuple[Floats, Floats]:
+    """Mean speed [A] in m/s and mean turn rate [A] in rad/s along x, y, yaw [A, T, 3], whose rows are `seconds` apart."""
+    moves = np.diff(path, axis=1)
+    speed: Floats = np.hypot(moves[..., 0], moves[..., 1]).mean(axis=1) / seconds
+    return speed, wrapped(moves[..., 2]).mean(axis=1) / seconds
+
+
+def mean_ratio(ours: Floats, theirs: Floats) -> Floats:
+    """Ours / theirs [A]; next to standstill (0.02 of a unit) the absolute difference counts."""
+    return 1.0 + (ours - theirs) / np.maximum(np.abs(theirs), 0.02)

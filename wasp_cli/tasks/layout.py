@@ -6,6 +6,7 @@ The order of the draws is part of the task's definition: a seed names the same l
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +20,38 @@ TRIES_PER_GOAL = 10_000
 SEED_LIMIT = 2**32
 
 
+Rectangle = tuple[float, float, float, float]
+"""Least x, least y, greatest x, greatest y in m."""
+
+
 @dataclass(frozen=True)
 class Thing:
-    """One object to be placed in a square around the origin."""
+    """One object to be placed."""
 
     name: str
     keepout: float
     """Radius that no other thing's keepout circle may enter, in m."""
-    half_side: float = 1.5
-    """Half the side of the square that has to hold the keepout circle, in m."""
+    places: tuple[Rectangle, ...]
+    """Rectangles that have to hold the keepout circle."""
+
+    @cached_property
+    def free(self) -> tuple[Rectangle, ...]:
+        """The rectangles within which the centre may lie."""
+        k = self.keepout
+        return tuple((x0 + k, y0 + k, x1 - k, y1 - k) for x0, y0, x1, y1 in self.places)
+
+    @cached_property
+    def shares(self) -> Floats:
+        """Cumulative probabilities of the rectangles, by area."""
+        areas = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.free]
+        cumulative = (np.array(areas) / np.sum(areas)).cumsum()
+        shares: Floats = cumulative / cumulative[-1]
+        return shares
+
+
+def square(half_side: float) -> tuple[Rectangle]:
+    """The square around the origin."""
+    return ((-half_side, -half_side, half_side, half_side),)
 
 
 @dataclass(frozen=True)
@@ -59,8 +83,8 @@ def random_stream(seed: int) -> np.random.RandomState:
     return np.random.RandomState(checked_seed(seed))
 
 
-def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others: tuple[Thing, ...]) -> Layout:
-    """Draw agent, goal and others apart from each other, then their yaws, then the goal once more.
+def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others: tuple[Thing, ...], *, goal_again: bool = True) -> Layout:
+    """Draw agent, goal and others apart from each other, then their yaws, then the goal once more (unless `goal_again` is false).
 
     Raises:
         TaskError: no free place was found (a layout that is too crowded).
@@ -71,12 +95,14 @@ def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others
         if places is not None:
             break
     else:
-        raise TaskError("no layout found: the things do not fit into their squares")
+        raise TaskError("no layout found: the things do not fit into their places")
     yaws = [float(stream.uniform(0.0, 2.0 * np.pi)) for _ in things]
-    goal_xy = draw_goal(stream, goal, (agent, *others), np.stack([places[0], *places[2:]]))
+    goal_xy: Floats | None = places[1]
+    if goal_again:
+        goal_xy = draw_goal(stream, goal, (agent, *others), np.concatenate([places[:1], places[2:]]))
     if goal_xy is None:
         raise TaskError("no layout found: there is no free place for the goal")
-    return Layout(places[0], yaws[0], goal_xy, np.stack(places[2:]), np.array(yaws[2:]))
+    return Layout(places[0], yaws[0], goal_xy, places[2:], np.array(yaws[2:]))
 
 
 def draw_goal(stream: np.random.RandomState, goal: Thing, others: tuple[Thing, ...], others_xy: Floats) -> Floats | None:
@@ -89,14 +115,14 @@ def draw_goal(stream: np.random.RandomState, goal: Thing, others: tuple[Thing, .
     return None
 
 
-def _try_layout(stream: np.random.RandomState, things: tuple[Thing, ...]) -> list[Floats] | None:
-    places: list[Floats] = []
+def _try_layout(stream: np.random.RandomState, things: tuple[Thing, ...]) -> Floats | None:
+    places, keepouts = np.empty((len(things), 2)), np.array([thing.keepout for thing in things])
     for index, thing in enumerate(things):
-        limits = np.array([other.keepout + thing.keepout for other in things[:index]])
+        limits = keepouts[:index] + thing.keepout
         for _ in range(TRIES_PER_THING):
             place = _draw(stream, thing)
-            if not places or _free(place, np.stack(places), limits):
-                places.append(place)
+            if _free(place, places[:index], limits):
+                places[index] = place
                 break
         else:
             return None
@@ -104,12 +130,18 @@ def _try_layout(stream: np.random.RandomState, things: tuple[Thing, ...]) -> lis
 
 
 def _draw(stream: np.random.RandomState, thing: Thing) -> Floats:
-    low, high = -thing.half_side + thing.keepout, thing.half_side - thing.keepout
-    return np.array([stream.uniform(low, high), stream.uniform(low, high)])
+    rectangle = thing.free[0]
+    if len(thing.free) > 1:
+        # As RandomState.choice does it, which takes one uniform number.
+        rectangle = thing.free[int(thing.shares.searchsorted(stream.random_sample(), side="right"))]
+    x0, y0, x1, y1 = rectangle
+    return np.array([stream.uniform(x0, x1), stream.uniform(y0, y1)])
 
 
 def _free(place: Floats, others_xy: Floats, limits: Floats) -> bool:
-    return bool((np.sqrt(np.sum(np.square(others_xy - place), axis=1)) >= limits).all())
+    offset = others_xy - place
+    offset *= offset
+    return bool((np.sqrt(offset[:, 0] + offset[:, 1]) >= limits).all())
 
 
 class Streams:

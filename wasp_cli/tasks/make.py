@@ -34,5 +34,6 @@ def make_task(
     """
     info = TASKS[name]
     require_implemented(info)
-    task: VectorTask = TASKS.load(name)(batch, action_repeat=action_repeat, observe=tuple(observe), threads=threads)
+    options = {"action_repeat": action_repeat, "observe": tuple(observe), "threads": threads, **info.options}
+    task: VectorTask = TASKS.load(name)(batch, **options)
     return task

@@ -39,7 +39,7 @@ class BatchPhysics:
     def _run(self, qpos: Floats, qvel: Floats, control: Floats, steps: int) -> tuple[Floats, Floats]:
         model, rows = self.model, len(qpos)
         start = np.concatenate([np.zeros((rows, 1)), qpos, qvel], axis=1)
-        held = np.ascontiguousarray(np.broadcast_to(control[:, None, :], (rows, steps, model.nu)))
+        held = np.repeat(control[:, None, :], steps, axis=1)
         state = np.empty((rows, steps, start.shape[1]))
         sensordata = np.empty((rows, steps, model.nsensordata))
         if rows:

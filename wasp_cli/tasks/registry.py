@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import functools
 import re
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import UnknownName, UsageError
@@ -39,6 +40,8 @@ class TaskInfo:
     """Time limit in env steps."""
     success_goals: int
     """Goals (stages) within the time limit that count as success."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """What the class is built with, beside what `make_task` passes."""
 
     @property
     def implemented(self) -> bool:
@@ -62,9 +65,10 @@ class ForeignInfo(TaskInfo):
 
     def __init__(self, name: str) -> None:
         gym_id = name.rpartition(":")[2]
-        known = {"name": name, "title": gym_id, "gym_id": gym_id, "target": "wasp_cli.tasks.foreign.task:GymTask"}
-        for field, value in known.items():
-            object.__setattr__(self, field, value)
+        target = "wasp_cli.tasks.foreign.task:GymTask"
+        known: dict[str, Any] = {"name": name, "title": gym_id, "gym_id": gym_id, "target": target, "options": {}}
+        for attribute, value in known.items():
+            object.__setattr__(self, attribute, value)
 
     def examine(self) -> Facts:
         """What the environment says of itself.
@@ -77,10 +81,10 @@ class ForeignInfo(TaskInfo):
         facts: Facts = load_target("wasp_cli.tasks.foreign.examine:examine")(self.name)
         return facts
 
-    def __getattr__(self, field: str) -> Any:
-        if field not in ("env_seconds", "env_steps", "success_goals"):
-            raise AttributeError(field)
-        return getattr(self.examine(), field)
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("env_seconds", "env_steps", "success_goals"):
+            raise AttributeError(name)
+        return getattr(self.examine(), name)
 
     @property
     def modules(self) -> tuple[str, ...]:
@@ -107,13 +111,19 @@ class TaskRegistry(Registry[TaskInfo]):
         return functools.partial(made, name) if isinstance(self[name], ForeignInfo) else made
 
 
+_GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
+
 TASKS: Registry[TaskInfo] = TaskRegistry(
     "task",
     "wasp.tasks",
     (
-        TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", "", 0.04, 500, 1),
-        TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", "", 0.04, 1000, 1),
-        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", "wasp_cli.tasks.goal1:Goal1", 0.02, 1000, 7),
+        TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", _RACE, 0.04, 500, 1, {"level": 1}),
+        TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", _FORMULA, 0.04, 1000, 1, {"level": 1}),
+        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}),
+        TaskInfo("race0", "Race0", "wasp/SafetyCarRace0-v0", _RACE, 0.04, 500, 1, {"level": 0}),
+        TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}),
+        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}),
+        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}),
     ),
 )
 

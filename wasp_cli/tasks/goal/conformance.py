@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.comparison import Check, Recording, compare
-from wasp_cli.tasks.goal1 import ENV_SECONDS, Goal1
+from wasp_cli.tasks.comparison import Check, Recording, compare, mean_ratio, path_means
+from wasp_cli.tasks.frames import wrapped
+from wasp_cli.tasks.goal.task import Goal
 
 XY, YAW, VASE = 2e-5, 5e-5, 2e-3
 """m, rad, m. The vase weighs 8 mg: what differs is how far it jumps within a step in which it is hit."""
@@ -33,7 +34,7 @@ def check_point_goal(recording: Recording) -> list[Check]:
 
 
 def _layout(r: Recording) -> list[Check]:
-    task = Goal1(1, observe=())
+    task = Goal(1, observe=())
     task.reset([_seed(r)])
     start = task.snapshot()
     pairs = {
@@ -41,7 +42,7 @@ def _layout(r: Recording) -> list[Check]:
         "agent_rot": start["qpos"][0, 2],
         "goal_xy": start["goal"][0],
         "hazards_xy": start["hazards"][0],
-        "vases_xy": start["qpos"][:, 3:5],
+        "vases_xy": start["bodies"][0, :, :2],
     }
     return [compare(f"layout {name}", ours, r[f"layout_{name}"], 0.0) for name, ours in pairs.items()]
 
@@ -51,15 +52,16 @@ def _motion(r: Recording) -> list[Check]:
     task, forced = _forced(r)
     task.restore(forced)
     step = task.step(r["action"][index])
-    qpos = task.snapshot()["qpos"]
+    after = task.snapshot()
+    qpos = after["qpos"]
     # Where the vase is hit, the reward inherits the error of the position.
     hit = r["n_vase_contacts"][index] + r["n_vase_contacts"][np.maximum(index - 1, 0)] > 0
-    hit |= np.abs(forced["qvel"][:, 3:]).max(axis=1) > 1e-3
-    turn = _wrapped(qpos[:, 2] - r["yaw"][index])
+    hit |= np.abs(forced["speeds"][:, 0]).max(axis=1) > 1e-3
+    turn = wrapped(qpos[:, 2] - r["yaw"][index])
     return [
         compare("xy after one step", qpos[:, :2], r["xy"][index], XY),
         compare("yaw after one step", turn, np.zeros_like(turn), YAW),
-        compare("vase xy after one step", qpos[:, 3:5], r["vases_xy"][index, 0], VASE),
+        compare("vase xy after one step", after["bodies"][:, 0, :2], r["vases_xy"][index, 0], VASE),
         compare("reward, vase untouched", step.reward[~hit], r["reward"][index][~hit], REWARD),
         compare("reward, vase hit", step.reward[hit], r["reward"][index][hit], XY),
         compare("cost", step.cost_env, r["cost"][index], 0.0),
@@ -74,7 +76,7 @@ def _observations(r: Recording) -> list[Check]:
     before, at = seen[which], np.searchsorted(index, seen[which] + 1)
     task, forced = _forced(r)
     forced = {name: array.copy() for name, array in forced.items()}
-    for name in ("qpos", "qvel"):
+    for name in ("qpos", "qvel", "bodies", "speeds"):
         forced[name][: len(at)] = forced[name][at]
     forced["goal"][: len(at)] = r["goal_after"][before]
     forced["control"][: len(at)] = np.clip(r["action"][before].astype(np.float64), -1.0, 1.0)
@@ -92,13 +94,14 @@ def _observations(r: Recording) -> list[Check]:
 
 def _goals(r: Recording) -> list[Check]:
     """Step through the whole episode, each step from the recorded position; goals and their moves must agree exactly."""
-    task = Goal1(1, action_repeat=1, observe=())
+    task = Goal(1, action_repeat=1, observe=())
     task.reset([_seed(r)])
     cost, met, goals = [], [], []
     for t, action in enumerate(r["action"]):
         forced = task.snapshot()
         if t > 0:
-            forced["qpos"][0, :2], forced["qpos"][0, 2], forced["qpos"][0, 3:5] = r["xy"][t - 1], r["yaw"][t - 1], r["vases_xy"][t - 1, 0]
+            forced["qpos"][0, :2], forced["qpos"][0, 2] = r["xy"][t - 1], r["yaw"][t - 1]
+            forced["bodies"][0, 0, :2] = r["vases_xy"][t - 1, 0]
             forced["qvel"][0, :2], forced["qvel"][0, 2] = r["vel"][t - 1, :2], r["omega"][t - 1, 2]
         task.restore(forced)
         step = task.step(action[None])
@@ -126,13 +129,13 @@ def check_point_dynamics(recording: Recording) -> list[Check]:
         whole.step(actions)
         trajectory.append(whole.snapshot()["qpos"][:, :3])
     path, theirs = np.stack(trajectory, axis=1), recording["point_traj"][..., [0, 1, 3]]
-    length, turned = _path_means(path)
-    their_length, their_turned = _path_means(theirs)
+    length, turned = path_means(path, Goal.env_seconds)
+    their_length, their_turned = path_means(theirs, Goal.env_seconds)
     return [
         compare("point xy after one step", ours[..., :2], qpos[:, 1:, :2], XY),
         compare("point yaw after one step", ours[..., 2], qpos[:, 1:, 2], YAW),
-        compare("point mean speed / theirs", _ratio(length, their_length), np.ones(count), MEANS),
-        compare("point turn rate / theirs", _ratio(turned, their_turned), np.ones(count), MEANS),
+        compare("point mean speed / theirs", mean_ratio(length, their_length), np.ones(count), MEANS),
+        compare("point turn rate / theirs", mean_ratio(turned, their_turned), np.ones(count), MEANS),
     ]
 
 
@@ -140,10 +143,10 @@ def _seed(r: Recording) -> int:
     return int(json.loads(str(r["meta"]))["seed"])
 
 
-def _forced(r: Recording) -> tuple[Goal1, _Snapshot]:
+def _forced(r: Recording) -> tuple[Goal, _Snapshot]:
     """A task with one row per recorded state, and the snapshot that puts every row into its state."""
     index = r["state_idx"].astype(np.intp)
-    task = Goal1(len(index), action_repeat=1, observe=("state",))
+    task = Goal(len(index), action_repeat=1, observe=("state",))
     task.reset([_seed(r)] * len(index))
     forced = task.snapshot()
     # Their slide joints lie along the start heading, ours along the world axes.
@@ -151,38 +154,19 @@ def _forced(r: Recording) -> tuple[Goal1, _Snapshot]:
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     forced["qpos"][:, :2] = r["layout_agent_xy"] + r["state_qpos"][:, :2] @ rotation.T
     forced["qpos"][:, 2] = turn + r["state_qpos"][:, 2]
-    forced["qpos"][:, 3:] = r["state_vase_qpos"]
     forced["qvel"][:, :2] = r["state_qvel"][:, :2] @ rotation.T
     forced["qvel"][:, 2] = r["state_qvel"][:, 2]
-    forced["qvel"][:, 3:] = r["state_vase_qvel"]
+    forced["bodies"][:, 0], forced["speeds"][:, 0] = r["state_vase_qpos"], r["state_vase_qvel"]
     forced["goal"][:] = r["goal_before"][index]
     return task, forced
 
 
-def _lonely(rows: int, qpos: Floats, qvel: Floats) -> Goal1:
+def _lonely(rows: int, qpos: Floats, qvel: Floats) -> Goal:
     """Agents in the given states [rows, 3], with everything else far away."""
-    task = Goal1(rows, action_repeat=1, observe=())
+    task = Goal(rows, action_repeat=1, observe=())
     task.reset([0] * rows)
     forced = task.snapshot()
-    forced["qpos"][:, :3], forced["qvel"][:, :3] = qpos, qvel
-    forced["qpos"][:, 3:5] = 100.0
+    forced["qpos"][:], forced["qvel"][:] = qpos, qvel
+    forced["bodies"][..., :2] = 100.0
     task.restore(forced)
     return task
-
-
-def _path_means(path: Floats) -> tuple[Floats, Floats]:
-    """Mean speed [A] in m/s and mean turn rate [A] in rad/s along x, y, yaw [A, T, 3]."""
-    moves = np.diff(path, axis=1)
-    speed: Floats = np.hypot(moves[..., 0], moves[..., 1]).mean(axis=1) / ENV_SECONDS
-    return speed, _wrapped(moves[..., 2]).mean(axis=1) / ENV_SECONDS
-
-
-def _ratio(ours: Floats, theirs: Floats) -> Floats:
-    # Next to standstill (0.02 of a unit) the absolute difference counts.
-    scale = np.maximum(np.abs(theirs), 0.02)
-    return 1.0 + (ours - theirs) / scale
-
-
-def _wrapped(angle: Floats) -> Floats:
-    wrapped: Floats = np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
-    return wrapped

@@ -1,0 +1,105 @@
+"""Every cost source of every task can be reached by a scripted driver, from an ordinary start and through actions alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from wasp_cli.tasks.driver import drive
+from wasp_cli.tasks.formula.track import SIDES as BARRIERS
+from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.navigation import Navigation
+from wasp_cli.tasks.race.task import SIDES as SCENERY
+from wasp_cli.tasks.registry import TASKS
+
+BATCH = 6
+
+
+def nearest(points: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Of points [B, K, 2] those nearest to [B, 2]."""
+    apart = np.linalg.norm(points - xy[:, None], axis=2)
+    return points[np.arange(len(points)), apart.argmin(axis=1)]
+
+
+def hazards(task: Navigation) -> np.ndarray:
+    return nearest(task.snapshot()["hazards"], task.pose()[0])
+
+
+def vases(task: Navigation) -> np.ndarray:
+    return nearest(task.snapshot()["bodies"][..., :2], task.pose()[0])
+
+
+def walls(task: Navigation) -> np.ndarray:
+    sides = BARRIERS if task.name == "formula" else SCENERY
+    xy = task.pose()[0]
+    return nearest(np.broadcast_to(sides.mean(axis=1), (len(xy), len(sides), 2)), xy)
+
+
+TARGETS: dict[str, Callable[[Navigation], np.ndarray]] = {
+    "hazards": hazards,
+    "vases_contact": vases,
+    "vases_velocity": vases,
+    "static_geoms_contact": walls,
+}
+
+CASES = [(name, source) for name in TASKS for source in make_task(name, 1, observe=()).cost_sources]
+
+
+def test_the_levels_differ_in_what_costs():
+    assert {name: make_task(name, 1, observe=()).cost_sources for name in TASKS} == {
+        "race1": ("hazards", "static_geoms_contact"),
+        "formula1": ("vases_contact", "static_geoms_contact"),
+        "goal1": ("hazards",),
+        "race0": (),
+        "formula0": (),
+        "goal0": (),
+        "goal2": ("hazards", "vases_contact", "vases_velocity"),
+    }
+
+
+@pytest.mark.parametrize(("name", "source"), CASES)
+def test_a_cost_source_can_be_reached(name, source):
+    task = make_task(name, BATCH, observe=())
+    task.reset(range(BATCH))
+    counts = np.zeros(BATCH, int)
+    for _ in range(60):
+        step = task.step(drive(task, TARGETS[source](task)))
+        counts += step.sources[source]
+        others = [count for other, count in step.sources.items() if other != source]
+        assert (step.cost_env >= step.sources[source]).all()
+        assert (step.cost_env <= sum(others, step.sources[source])).all()
+        if step.ended.all():
+            break
+    assert (counts > 0).mean() >= 0.5
+
+
+@pytest.mark.parametrize("name", list(TASKS))
+def test_the_route_earns_reward(name):
+    task, idle = make_task(name, BATCH, observe=()), make_task(name, BATCH, observe=())
+    earned = np.zeros(BATCH)
+    for each in (task, idle):
+        each.reset(range(BATCH))
+    for _ in range(60):
+        step = task.step(drive(task))
+        earned += step.reward - idle.step(np.zeros((BATCH, 2))).reward
+        if step.ended.all():
+            break
+    # Formula One's track leads away from some stages at first.
+    assert np.median(earned) > 0.5
+
+
+@pytest.mark.parametrize("name", list(TASKS))
+def test_an_idle_episode_is_truncated_at_its_limit(name):
+    task = make_task(name, 2, observe=(), action_repeat=3)
+    task.reset([0, 1])
+    state = task.snapshot()
+    limit = TASKS[name].env_steps
+    state["env_steps"][:] = [limit - 4, limit - 30]
+    task.restore(state)
+    first, second = task.step(np.zeros((2, 2))), task.step(np.zeros((2, 2)))
+    assert first.ended.tolist() == [False, False]
+    assert second.ended.tolist() == [True, False]
+    assert second.env_steps.tolist() == [1, 3]
+    assert not second.terminated.any()

@@ -1,0 +1,116 @@
+"""The tasks against recordings of the reference package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.tasks.conftest import DATA, load_recording
+from wasp_cli.tasks import conformance
+from wasp_cli.tasks.comparison import compare
+from wasp_cli.tasks.goal.task import Goal
+
+RECORDINGS = sorted(path.name for path in DATA.glob("*.npz"))
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_every_quantity_of_a_recording_is_within_tolerance(name):
+    recording = load_recording(name)
+    check = conformance.checks_of(recording)
+    assert check is not None
+    assert [each for each in check(recording) if not each.ok] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "quantities"),
+    [
+        ("PointGoal1_seed0.npz", {"xy after one step", "reward, vase untouched", "cost", "goal, all steps", "hazards_lidar"}),
+        ("CarRace1_seed0.npz", {"layout hazards_xy", "xy after one step, free", "gap to a wall that is touched", "cost_hazards"}),
+        ("CarFormulaOne1_seed1.npz", {"layout vases_xy", "xy after one step, by barrels", "first contact with a barrel", "goal"}),
+        ("dynamics.npz", {"point xy after one step", "car xy after one step", "car_rk4 mean speed / theirs"}),
+    ],
+)
+def test_nothing_that_was_recorded_is_left_out(name, quantities):
+    recording = load_recording(name)
+    assert quantities <= {each.quantity for each in conformance.checks_of(recording)(recording)}
+
+
+def test_the_recordings_have_what_makes_the_checks_mean_something():
+    goal, race, formula = (load_recording(name) for name in ("PointGoal1_seed0.npz", "CarRace1_seed0.npz", "CarFormulaOne1_seed1.npz"))
+    assert goal["cost"].sum() > 10
+    assert goal["goal_met"].sum() == 2
+    assert goal["n_vase_contacts"].sum() > 10
+    assert race["terminated"][-1]
+    assert (race["n_static_contacts"] > 0).sum() > 30
+    assert race["costs"][:, 0].sum() > 30
+    assert formula["goal_met"].sum() == 1
+    assert (formula["n_vase_contacts"] > 0).sum() > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "change"),
+    [
+        ("CarRace1_seed0.npz", "xy", lambda a: a + 2e-2),
+        ("CarRace1_seed0.npz", "layout_hazards_xy", lambda a: a + 1e-9),
+        ("CarRace1_seed0.npz", "n_static_contacts", lambda a: np.ones_like(a)),
+        ("CarRace1_seed0.npz", "obs", lambda a: a + 1e-3),
+        ("CarFormulaOne1_seed1.npz", "goal_met", lambda a: ~a),
+        ("CarFormulaOne1_seed1.npz", "n_vase_contacts", lambda a: np.roll(a, 60)),
+        ("CarFormulaOne1_seed1.npz", "state_qvel", lambda a: a * 1.01),
+        ("dynamics.npz", "car_rk4_traj", lambda a: a * 1.1),
+    ],
+)
+def test_a_wrong_recording_fails(name, field, change):
+    recording = load_recording(name)
+    recording[field] = change(recording[field])
+    assert [each.quantity for each in conformance.checks_of(recording)(recording) if not each.ok]
+
+
+def test_the_layout_of_a_seed_is_bit_exact(recording):
+    task = Goal(2, observe=())
+    task.reset([7, 0])
+    start = task.snapshot()
+
+    assert start["qpos"][1, :2].tolist() == recording["layout_agent_xy"].tolist()
+    assert start["qpos"][1, 2] == recording["layout_agent_rot"]
+    assert start["goal"][1].tolist() == recording["layout_goal_xy"].tolist()
+    assert start["hazards"][1].tolist() == recording["layout_hazards_xy"].tolist()
+    assert start["bodies"][1, 0, :2].tolist() == recording["layout_vases_xy"][0].tolist()
+
+
+def test_the_command_reports_and_passes(recorded_folder: Path, capsys):
+    assert conformance.main([str(recorded_folder)]) == 0
+
+    out = capsys.readouterr().out
+    assert all(name in out for name in RECORDINGS)
+    assert "FAILED" not in out
+    assert "skipped" not in out
+
+
+def test_the_command_fails_on_a_wrong_recording_and_skips_unknown_ones(recording, tmp_path: Path, capsys):
+    np.savez(tmp_path / "wrong.npz", **{**recording, "cost": 1 - recording["cost"]})
+    np.savez(tmp_path / "boat.npz", meta='{"task": "SafetyBoatGoal1-v0"}')
+
+    assert conformance.main([str(tmp_path)]) == 1
+    out = capsys.readouterr().out
+    assert "FAILED" in out
+    assert "boat.npz                     skipped" in out
+
+
+@pytest.mark.parametrize("arguments", [[], ["no-such-folder"]])
+def test_the_command_explains_its_usage(arguments, capsys):
+    assert conformance.main(arguments) == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_nothing_checked_is_not_a_success(tmp_path: Path):
+    assert conformance.main([str(tmp_path)]) == 1
+
+
+def test_nan_is_out_of_tolerance():
+    assert not compare("q", [np.nan], [0.0], 1.0).ok
+    assert not compare("q", [], [], 1.0).ok
+    with pytest.raises(ValueError, match="shapes"):
+        compare("q", [1.0], [1.0, 2.0], 1.0)

@@ -1,0 +1,120 @@
+"""The map from above: things are where they are, and the robot points where it drives."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from wasp_cli.tasks.camera.look import Look, Scene, Things
+from wasp_cli.tasks.camera.topdown import draw_map
+from wasp_cli.tasks.formula import track
+from wasp_cli.tasks.formula.look import look as formula_look
+from wasp_cli.tasks.goal.look import look as goal_look
+from wasp_cli.tasks.race.look import look as race_look
+
+SIZE = 256
+
+
+def turned(yaw: float) -> np.ndarray:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def scene(look: Look, at=(0.0, 0.0), heading=0.0, **things) -> Scene:
+    yaw = heading - np.arctan2(look.forward[1], look.forward[0])
+    placed = {}
+    for kind in look.kinds:
+        where = np.array(things.get(kind.name, np.zeros((0, 2))), float).reshape(1, -1, 2)
+        position = np.concatenate([where, np.zeros((*where.shape[:2], 1))], axis=-1)
+        placed[kind.name] = Things(position, np.broadcast_to(np.eye(3), (*where.shape[:2], 3, 3)), np.ones(where.shape[:2], np.bool_))
+    return Scene(np.array([[*at, 0.1]]), turned(yaw)[None], placed)
+
+
+def at(image: np.ndarray, place, centre, half_side) -> np.ndarray:
+    """The pixel of a place in the world."""
+    column = int((place[0] - centre[0] + half_side) / (2 * half_side) * len(image))
+    row = int((centre[1] + half_side - place[1]) / (2 * half_side) * len(image))
+    return image[row, column].astype(int)
+
+
+def test_things_of_goal_are_where_they_are():
+    image = draw_map(goal_look(1), scene(goal_look(1), goal=[(1.0, 0.5)], hazard=[(-1.0, 0.5)], vase=[(-0.5, -1.2)]), 0, SIZE)
+
+    assert image.shape == (SIZE, SIZE, 3)
+    assert image.dtype == np.uint8
+    red, green, blue = at(image, (1.0, 0.5), (0, 0), 2.0)
+    assert green > red + 20
+    assert green > blue + 20
+    red, green, blue = at(image, (-1.0, 0.5), (0, 0), 2.0)
+    assert blue > red + 20
+    assert blue > green + 20
+    assert at(image, (-0.5, -1.2), (0, 0), 2.0).tolist() == [0, 255, 255]
+    # Nothing where nothing is.
+    assert np.ptp(at(image, (-1.0, -0.5), (0, 0), 2.0)) < 35
+
+
+@pytest.mark.parametrize("look", [goal_look(1), race_look(1), formula_look(1)])
+@pytest.mark.parametrize("heading", [0.0, 0.7, 2.5, -1.5])
+def test_the_heading_is_seen(look, heading):
+    """The white tip lies ahead of the middle of everything that the robot changed."""
+    around = ((0.5, 1.0), 0.5)
+    gone = scene(look, (80.0, 80.0), heading)
+    there = scene(look, (0.5, 1.0), heading)
+    image = draw_map(look, there, 0, SIZE, around)
+    white = (image == 255).all(axis=-1) & (draw_map(look, gone, 0, SIZE, around) != image).any(axis=-1)
+    rows, columns = np.nonzero(white)
+    assert len(rows) > 50
+    ahead = np.array([columns.mean() - SIZE / 2, SIZE / 2 - rows.mean()])
+    ahead /= np.hypot(*ahead)
+    assert ahead @ [np.cos(heading), np.sin(heading)] > 0.97
+
+
+def test_the_map_of_goal_follows_the_robot_out():
+    image = draw_map(goal_look(1), scene(goal_look(1), (5.0, -4.0)), 0, SIZE)
+    red = (image[..., 0] > 150) & (image[..., 1] < 60)
+    assert red.any()
+
+
+def test_the_map_of_race_shows_lane_rock_bushes_and_goal():
+    look = race_look(1)
+    image = draw_map(look, scene(look, (-2.2, 1.0), goal=[(3.15, 1.05)], hazard=[(0.0, 1.2)]), 0, SIZE)
+
+    def pixel(*place: float) -> np.ndarray:
+        return at(image, place, look.map_centre, look.map_half_side)
+
+    red, green, blue = pixel(3.15, 1.05)
+    assert red > green + 100
+    assert blue > green + 50
+    red, green, blue = pixel(0.0, 1.2)
+    assert green > red + 40
+    assert green > blue + 40
+    assert np.ptp(pixel(0.0, 0.0)) < 20
+    red, _, blue = pixel(-1.0, 1.75)
+    assert red > blue + 40
+
+
+def test_the_whole_circuit_fits_and_robot_and_goal_stay_visible_on_it():
+    look = formula_look(1)
+    view = scene(look, tuple(track.STAGES[2]), 1.0, goal=[track.STAGES[3]], vase=[(-8.0, 5.0)])
+    image = draw_map(look, view, 0, SIZE)
+
+    for place in (*track.STAGES, *track.OUTER_BARRIER):
+        assert (np.abs(place - look.map_centre) < look.map_half_side).all()
+    assert at(image, track.STAGES[3], look.map_centre, look.map_half_side).tolist() == [255, 0, 255]
+    magenta = (image[..., 0] > 240) & (image[..., 1] < 20) & (image[..., 2] > 240)
+    assert magenta.sum() > 15
+    changed = (image != draw_map(look, scene(look, (0.0, 100.0), goal=[track.STAGES[3]], vase=[(-8.0, 5.0)]), 0, SIZE)).any(axis=-1)
+    assert changed.sum() > 20
+    close = draw_map(look, view, 0, SIZE, around=(tuple(track.STAGES[2]), 4.0))
+    assert (close != image).any()
+
+
+def test_a_map_is_fast_enough_for_a_video():
+    look = formula_look(1)
+    view = scene(look, tuple(track.STAGES[2]), goal=[track.STAGES[3]])
+    draw_map(look, view, 0, SIZE)
+    start = time.perf_counter()
+    draw_map(look, view, 0, SIZE)
+    assert time.perf_counter() - start < 0.5

@@ -1,0 +1,1 @@
+"""Front and rear cameras without OpenGL, and a map from above, for every task."""

@@ -1,0 +1,170 @@
+"""A map from above, for videos and figures. Plain numpy; nothing in it is an observation."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.tasks.base import Floats, Pixels
+from wasp_cli.tasks.camera.look import Colour, Look, Scene
+from wasp_cli.tasks.camera.raster import around as window_around
+from wasp_cli.tasks.camera.raster import filled, near_sides
+from wasp_cli.tasks.outline import segments
+
+# On a map of a whole track things are smaller than a pixel: as shares of the map's half side, what they are drawn as at least.
+LEAST_ROBOT, LEAST_GOAL, LEAST_THING = 0.045, 0.02, 0.005
+_MARGIN = 0.2
+"""How close in m the robot may come to the border of a map that follows it."""
+_HEADING_COLOUR = (1.0, 1.0, 1.0)
+_TRANSLUCENT = 0.45
+
+
+class _Shape(NamedTuple):
+    """The outline of a geom from above, in its body's frame."""
+
+    round: bool
+    centre: Floats
+    """[2]"""
+    axes: Floats
+    """[2, 2] unit vectors along its two sides."""
+    half: Floats
+    """[2] half its sides; of a round one twice its radius."""
+
+
+class _Canvas:
+    """An image with its place in the world."""
+
+    def __init__(self, centre: Floats, half_side: float, size: int) -> None:
+        at = ((np.arange(size) + 0.5) / size * 2.0 - 1.0) * half_side
+        self.x, self.y = centre[0] + at, centre[1] - at
+        self.pixel = 2.0 * half_side / size
+        self.image = np.zeros((size, size, 3))
+
+    def shape(self, shape: _Shape, origin: Floats, axes: Floats, colour: Colour, alpha: float = 1.0, scale: float = 1.0) -> None:
+        """Fill a shape of a body at `origin` [2] with body axes `axes` [2, 2] (rows: where body x and y point)."""
+        centre = origin + scale * (shape.centre @ axes)
+        sides, half = shape.axes @ axes, shape.half * scale
+        extent = float(half[0] + half[1])
+        rows, columns = window_around(self.x, self.y, centre - extent, centre + extent)
+        dx, dy = self.x[columns] - centre[0], (self.y[rows] - centre[1])[:, None]
+        along, across = (dx * side[0] + dy * side[1] for side in sides)
+        inside = along**2 + across**2 < half[0] * half[1] if shape.round else (np.abs(along) < half[0]) & (np.abs(across) < half[1])
+        self._blend((rows, columns), inside, colour, alpha)
+
+    def disc(self, centre: Floats, radius: float, colour: Colour, alpha: float = 1.0) -> None:
+        """Fill a disc."""
+        self.shape(_disc(radius), centre, np.eye(2), colour, alpha)
+
+    def triangle(self, corners: Floats, colour: Colour) -> None:
+        """Fill the triangle `corners` [3, 2]."""
+        rows, columns = window_around(self.x, self.y, corners.min(axis=0), corners.max(axis=0))
+        self._blend((rows, columns), filled(corners, self.x[columns], self.y[rows]), colour, 1.0)
+
+    def _blend(self, window: tuple[slice, slice], inside: NDArray[np.bool_], colour: Colour, alpha: float) -> None:
+        view = self.image[window]
+        view[inside] = (1.0 - alpha) * view[inside] + alpha * np.array(colour)
+
+
+def draw_map(look: Look, scene: Scene, row: int, size: int, around: tuple[tuple[float, float], float] | None = None) -> Pixels:
+    """uint8 [size, size, 3] of one row, +x to the right, +y up; `around`: its centre and half its side in m, instead of the look's own."""
+    position, forward = scene.position[row, :2], scene.rotation[row, :2, :2] @ np.array(look.forward)
+    half_side = look.map_half_side if around is None else around[1]
+    if around is not None:
+        centre = np.array(around[0])
+    elif look.map_centre is not None:
+        centre = np.array(look.map_centre)
+    else:
+        centre = position - np.clip(position, _MARGIN - half_side, half_side - _MARGIN)
+    canvas = _Canvas(centre, half_side, size)
+    _draw_ground(canvas, look)
+    _draw_things(canvas, look, scene, row, half_side)
+    _draw_robot(canvas, look, position, forward, half_side)
+    out: Pixels = (np.clip(canvas.image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return out
+
+
+def _draw_ground(canvas: _Canvas, look: Look) -> None:
+    x, y = (each.ravel().astype(np.float32) for each in np.meshgrid(canvas.x, canvas.y))
+    colours = look.floor.paint(x, y, np.full(x.shape, canvas.pixel, np.float32))
+    canvas.image[:] = colours.T.reshape(canvas.image.shape)
+    for wall in look.walls:
+        first, second = (np.array(colour) for colour in wall.colours)
+        if not wall.hollow:
+            canvas.image[filled(wall.outline, canvas.x, canvas.y)] = (first + second) / 2.0
+        width = max(0.05, 0.75 * canvas.pixel)
+        for _, window, distance, _ in near_sides(segments(wall.outline), canvas.x, canvas.y, width):
+            canvas.image[window][distance < width] = first
+    for mark in look.landmarks:
+        canvas.disc(np.array(mark.xy), max(mark.radius, 1.5 * canvas.pixel), mark.colour)
+
+
+def _draw_things(canvas: _Canvas, look: Look, scene: Scene, row: int, half_side: float) -> None:
+    for kind in sorted(look.kinds, key=lambda kind: (kind.painted is None, kind.alpha == 1.0, kind.name == "goal")):
+        things = scene.things[kind.name]
+        shapes = _shapes(kind.geoms) if kind.column is None else (_disc(kind.column[0]),)
+        least = half_side * (LEAST_GOAL if kind.name == "goal" else LEAST_THING)
+        scale = max(1.0, least / _extent(shapes))
+        alpha = _TRANSLUCENT if kind.alpha < 1.0 else 1.0
+        for thing in np.flatnonzero(things.shown[row]):
+            axes = _ground_axes(things.rotation[row, thing])
+            for shape in shapes:
+                canvas.shape(shape, things.position[row, thing, :2], axes, kind.colour, alpha, scale)
+
+
+def _draw_robot(canvas: _Canvas, look: Look, position: Floats, forward: Floats, half_side: float) -> None:
+    parts = [(_shapes(part.geom), part.colour) for part in look.robot]
+    extent = max(_extent(shapes) for shapes, _ in parts)
+    scale = max(1.0, half_side * LEAST_ROBOT / extent)
+    forward = forward / max(float(np.hypot(*forward)), 1e-9)
+    left = np.array([-forward[1], forward[0]])
+    # Body x and y in the world, from where the body's own forward points.
+    fx, fy = look.forward
+    axes = np.stack([fx * forward - fy * left, fy * forward + fx * left])
+    for shapes, colour in parts:
+        for shape in shapes:
+            canvas.shape(shape, position, axes, colour, 1.0, scale)
+    nose = scale * extent
+    corners = np.stack([nose * forward, 0.35 * nose * (left - 0.2 * forward), -0.35 * nose * (left + 0.2 * forward)])
+    canvas.triangle(position + corners, _HEADING_COLOUR)
+
+
+def _ground_axes(rotation: Floats) -> Floats:
+    """[2, 2] where body x and y point on the ground; of a body that lies on its side as if it stood."""
+    x = rotation[:2, 0]
+    length = float(np.hypot(*x))
+    x = x / length if length > 1e-6 else np.array([1.0, 0.0])
+    return np.stack([x, np.array([-x[1], x[0]])])
+
+
+def _disc(radius: float) -> _Shape:
+    return _Shape(True, np.zeros(2), np.eye(2), np.array([radius, radius]))
+
+
+def _extent(shapes: tuple[_Shape, ...]) -> float:
+    return max(float(np.hypot(*shape.centre) + (shape.half[0] if shape.round else np.hypot(*shape.half))) for shape in shapes)
+
+
+@lru_cache
+def _shapes(geoms: str) -> tuple[_Shape, ...]:
+    """The outlines from above of MJCF geoms, lowest first."""
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shapes = []
+    for geom in np.argsort(model.geom_pos[:, 2], kind="stable"):
+        axes = data.geom_xmat[geom].reshape(3, 3)
+        size = model.geom_size[geom]
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        centre = model.geom_pos[geom, :2].copy()
+        if kind == mujoco.mjtGeom.mjGEOM_BOX:
+            shapes.append(_Shape(False, centre, axes[:2, :2].T, size[:2].copy()))
+        elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and abs(axes[2, 2]) < 0.5:
+            along = axes[:2, 2]
+            shapes.append(_Shape(False, centre, np.stack([along, np.array([-along[1], along[0]])]), np.array([size[1], size[0]])))
+        else:
+            shapes.append(_Shape(True, centre, np.eye(2), np.array([size[0], size[0]])))
+    return tuple(shapes)

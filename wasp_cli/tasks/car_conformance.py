@@ -1,0 +1,316 @@
+"""Recordings of the car tasks, held against ours. T = steps of the recording, S = recorded states.
+
+What a recording cannot tell is left out, and what our outlines of walls cannot decide is measured as a distance:
+
+* Motion is compared one env step at a time from recorded states ("teacher-forced"). Beside walls, the outlines' accuracy is the
+  tolerance. Barrels were not recorded with the states: steps near barrels are compared by how far the car was led astray.
+* Whether a wall is touched is compared as a gap: where the recorded car touched, ours is at most the accuracy away; where it did not,
+  ours overlaps by no more than that.
+* Episode rules are compared on a car that is set down at rest at each recorded place.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.tasks import car
+from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.comparison import Check, Recording, compare, mean_ratio, path_means
+from wasp_cli.tasks.frames import distance, quaternion_rotation, wrapped, yaw_quaternion
+from wasp_cli.tasks.local_physics import ModelBuilder
+from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
+from wasp_cli.tasks.outline import distance_to_segments
+from wasp_cli.tasks.physics import BatchPhysics
+
+XY, YAW = 1e-6, 5e-6
+"""m, rad after one env step without contact."""
+BESIDE_BARREL = 2e-3
+"""m; a barrel weighs 14 mg."""
+REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
+ANGLE = 1e-12
+RECORDED = 1e-9
+"""Recorded goals were rounded to 9 decimals."""
+FRAME = 25
+"""Env steps between two recorded sets of barrels."""
+BARREL_CONTACT = 5
+"""Env steps: 3 of them are 0.1 m of way, of which the corners of a barrel account for some."""
+BARREL_LIDAR = 5e-3
+"""Recorded barrels were rounded to 1 mm."""
+MEANS = 0.05
+"""Relative tolerance of mean speeds and turn rates over 100 env steps."""
+
+_STANDING_Z = 0.0999
+
+
+class Maker(Protocol):
+    """The class of a car task."""
+
+    def __call__(self, batch: int, *, action_repeat: int, observe: tuple[str, ...]) -> Navigation: ...
+
+
+class CarTask(NamedTuple):
+    """What a check needs to know of a task."""
+
+    prefix: str
+    """Of the recordings of the car alone under the task's integrator."""
+    worst: float
+    """Tolerance in m of the worst step without walls and barrels."""
+
+    make: Maker
+    build_model: ModelBuilder
+    sides: Floats
+    """[V, 2, 2] of all walls."""
+    accuracy: float
+    """Of these sides in m."""
+
+
+def check_car_episode(r: Recording, task: CarTask) -> list[Check]:
+    """Layout, motion, reward, observations, contacts and episode rules of one recorded episode."""
+    return _layout(r, task) + _motion(r, task) + _observations(r, task) + _walls(r, task) + _barrels(r, task) + _rules(r, task)
+
+
+def _meta(r: Recording) -> dict[str, Any]:
+    meta: dict[str, Any] = json.loads(str(r["meta"]))
+    return meta
+
+
+def _layout(r: Recording, task: CarTask) -> list[Check]:
+    ours = task.make(1, action_repeat=1, observe=())
+    ours.reset([_meta(r)["seed"]])
+    start = ours.snapshot()
+    rotation = quaternion_rotation(start["qpos"][0, 3:7])
+    yaw = wrapped(np.arctan2(rotation[1, 0], rotation[0, 0]) - r["layout_agent_rot"])
+    checks = [
+        compare("layout agent_xy", start["qpos"][0, :2], r["layout_agent_xy"], 0.0),
+        compare("layout agent_rot", yaw, 0.0, ANGLE),
+        compare("layout goal_xy", start["goal"][0], r["layout_goal_xy"], RECORDED),
+    ]
+    if r["layout_hazards_xy"].size:
+        checks.append(compare("layout hazards_xy", start["hazards"][0], r["layout_hazards_xy"], 0.0))
+    if r["layout_vases_xy"].size:
+        barrels = start["bodies"][0]
+        turned = quaternion_rotation(barrels[:, 3:])
+        apart = wrapped(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]) - r["layout_vases_yaw"])
+        checks += [
+            compare("layout vases_xy", barrels[:, :2], r["layout_vases_xy"], 0.0),
+            compare("layout vases_yaw", apart, np.zeros_like(apart), ANGLE),
+        ]
+    return checks
+
+
+def _forced(r: Recording, task: CarTask, rows: NDArray[np.intp]) -> tuple[Navigation, dict[str, NDArray[Any]]]:
+    """A task with one row for each of these recorded states, and the snapshot that puts every row into its state."""
+    index = r["state_idx"].astype(np.intp)[rows]
+    ours = task.make(len(rows), action_repeat=1, observe=("state",))
+    ours.reset([_meta(r)["seed"]] * len(rows))
+    # A first step lets a world settle whatever it settles at the start.
+    ours.step(np.zeros((len(rows), 2)))
+    forced = ours.snapshot()
+    forced["qpos"][:], forced["qvel"][:] = r["state_qpos"][rows], r["state_qvel"][rows]
+    forced["goal"][:] = r["goal_before"][index]
+    return ours, forced
+
+
+def _motion(r: Recording, task: CarTask) -> list[Check]:
+    index = r["state_idx"].astype(np.intp)
+    ours, forced = _forced(r, task, np.arange(len(index)))
+    ours.restore(forced)
+    step = ours.step(r["action"][index])
+    rotation = quaternion_rotation(ours.snapshot()["qpos"][:, 3:7])
+    astray = distance(ours.snapshot()["qpos"][:, :2], r["xy"][index])
+    turned = wrapped(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]) - r["yaw"][index])
+    off = np.abs(step.reward - r["reward"][index])
+
+    walls = distance_to_segments(forced["qpos"][:, :2], task.sides).min(axis=1) < car.REACH + task.accuracy
+    barrels = ~walls & _near_barrels(r, forced, index)
+    free = ~walls & ~barrels
+    checks = _free("xy after one step, free", astray[free], task.worst)
+    looser = task.worst / XY
+    checks += _zero(("yaw after one step, free", turned, free, YAW * looser), ("reward, free", off, free, REWARD * looser))
+    checks += _zero(("xy after one step, by barrels", astray, barrels, BESIDE_BARREL))
+    return checks + _zero(
+        ("xy after one step, by walls", astray, walls, task.accuracy), ("reward, by walls", off, walls, task.accuracy + REWARD)
+    )
+
+
+def _free(name: str, errors: Floats, worst: float) -> list[Check]:
+    """Nine of ten steps within `XY`, and the worst one: a wheel's contact with the floor may begin or end within a step."""
+    if not errors.size:
+        return []
+    checks = [compare(f"{name}, 9 of 10", np.quantile(errors, 0.9), 0.0, XY)] if worst > XY else []
+    return [*checks, compare(name, errors, np.zeros(len(errors)), worst)]
+
+
+def _zero(*parts: tuple[str, Floats, Bools, float]) -> list[Check]:
+    """Checks of errors against 0 on the chosen entries, where there are any."""
+    return [compare(name, error[on], np.zeros(int(on.sum())), tolerance) for name, error, on, tolerance in parts if on.any()]
+
+
+def _near_barrels(r: Recording, forced: Mapping[str, NDArray[Any]], index: NDArray[np.intp]) -> Bools:
+    """Steps whose barrels nobody recorded: some barrel is, or was once, within reach."""
+    if not forced["bodies"].shape[1]:
+        return np.zeros(len(index), np.bool_)
+    near = (distance(forced["bodies"][:, :, :2], forced["qpos"][:, None, :2]) < car.REACH + 0.5).any(axis=1)
+    touched = np.array([r["n_vase_contacts"][max(0, t - FRAME) : t + 1].any() for t in index.tolist()])
+    return np.asarray(near | touched)
+
+
+def _observations(r: Recording, task: CarTask) -> list[Check]:
+    # An observation after action t belongs to the state before action t + 1, where that was recorded too.
+    index, seen = r["state_idx"].astype(np.intp), r["obs_idx"].astype(np.intp)
+    which = np.flatnonzero(np.isin(seen + 1, index))
+    before = seen[which]
+    ours, forced = _forced(r, task, np.searchsorted(index, before + 1))
+    forced["goal"][:] = r["goal_after"][before]
+    forced["control"][:] = np.clip(r["action"][before].astype(np.float64), -1.0, 1.0)
+    walls = distance_to_segments(forced["qpos"][:, :2], task.sides).min(axis=1) < car.REACH + task.accuracy
+    free = ~walls & ~_near_barrels(r, forced, before)
+    known = np.zeros(len(before), np.bool_)
+    if "vases_xy_mm" in r and forced["bodies"].shape[1]:
+        frames = before // FRAME
+        known = (before % FRAME == 0) & (frames < len(r["vases_xy_mm"]))
+        forced["bodies"][known, :, :2] = r["vases_xy_mm"][frames[known]] / 1000.0
+    state = ours.restore(forced).state
+    assert state is not None
+    checks: list[Check] = []
+    start, theirs, meta = 0, r["obs"][which], _meta(r)
+    for name, size in zip(meta["obs_keys"], meta["obs_dims"], strict=True):
+        error = np.abs(state - theirs)[:, start : start + size].max(axis=1)
+        start += size
+        if name == "vases_lidar":
+            checks += _zero((name, error, known, BARREL_LIDAR))
+        elif name.endswith("lidar"):
+            checks += _zero((name, error, np.ones(len(error), np.bool_), LIDAR))
+        else:
+            # Beside walls and barrels the accelerations are those of other contacts.
+            checks += _zero((name, error, free if name == "accelerometer" else np.ones(len(error), np.bool_), SENSORS))
+    return checks
+
+
+def _walls(r: Recording, task: CarTask) -> list[Check]:
+    index = r["state_idx"].astype(np.intp)
+    rows = np.flatnonzero(index > 0)
+    near = distance_to_segments(r["state_qpos"][rows, :2], task.sides).min(axis=1) < car.REACH + task.accuracy
+    touching = r["n_static_contacts"][index[rows] - 1] > 0
+    looked = rows[near | touching]
+    if not looked.size:
+        return []
+    gaps, touching = wall_gaps(task.build_model, r["state_qpos"][looked]), touching[near | touching]
+    return _zero(
+        ("gap to a wall that is touched", np.maximum(gaps, 0.0), touching, task.accuracy),
+        ("overlap with one that is not", np.maximum(-gaps, 0.0), ~touching, task.accuracy),
+    )
+
+
+def wall_gaps(build_model: ModelBuilder, qpos: Floats) -> Floats:
+    """Least signed distance [n] in m between the car in states [n, 13] and any wall; at most 0.5."""
+    model = build_model(0, 1, False)
+    data = mujoco.MjData(model)
+    roots, car_root = model.body_rootid[model.geom_bodyid], model.body("agent").id
+    own, walls = np.flatnonzero(roots == car_root), np.flatnonzero((roots != car_root) & (model.geom_bodyid != 0))
+    gaps = np.full(len(qpos), 0.5)
+    for i, pose in enumerate(qpos):
+        data.qpos[: car.NQ] = pose
+        mujoco.mj_kinematics(model, data)
+        apart = distance(data.geom_xpos[walls, :2], pose[:2]) - model.geom_rbound[walls]
+        for wall in walls[apart < car.REACH + 0.5].tolist():
+            for geom in own.tolist():
+                gaps[i] = min(gaps[i], mujoco.mj_geomDistance(model, data, geom, wall, 0.5, None))
+    return gaps
+
+
+def _barrels(r: Recording, task: CarTask) -> list[Check]:
+    """When the car first meets a barrel, led along its recorded path among barrels that ours push and the recording corrects."""
+    touching = np.flatnonzero(r["n_vase_contacts"])
+    if not touching.size:
+        return []
+    ours = task.make(1, action_repeat=1, observe=())
+    ours.reset([_meta(r)["seed"]])
+    ours.step(r["action"][:1])
+    first = len(r["xy"])
+    for t in range(1, len(r["xy"])):
+        forced = ours.snapshot()
+        if (t - 1) % FRAME == 0:
+            forced["bodies"][0, :, :2] = r["vases_xy_mm"][(t - 1) // FRAME] / 1000.0
+        forced["qpos"][0, :2], forced["qpos"][0, 2], forced["qpos"][0, 3:7] = r["xy"][t - 1], r["z"][t - 1], yaw_quaternion(r["yaw"][t - 1])
+        forced["qvel"][0, :3], forced["qvel"][0, 3:6] = r["vel"][t - 1], r["omega"][t - 1]
+        forced["env_steps"][:] = t
+        ours.restore(forced)
+        if ours.step(r["action"][t : t + 1]).sources["vases_contact"][0]:
+            first = t
+            break
+    return [compare("first contact with a barrel", first, touching[0], BARREL_CONTACT)]
+
+
+def _rules(r: Recording, task: CarTask) -> list[Check]:
+    """Goals, their moves, ends, and the costs that depend on places alone."""
+    ours = task.make(1, action_repeat=1, observe=())
+    ours.reset([_meta(r)["seed"]])
+    rows: dict[str, list[float]] = {"met": [], "terminated": [], "truncated": [], "hazards": []}
+    goals = []
+    for t in range(len(r["xy"])):
+        forced = ours.snapshot()
+        forced["qpos"][0, :2], forced["qpos"][0, 2] = r["xy"][t], _STANDING_Z
+        forced["qpos"][0, 3:7] = yaw_quaternion(r["yaw"][t])
+        forced["qvel"][:] = 0.0
+        forced["env_steps"][:] = t
+        if "bodies" in forced:
+            forced["bodies"][..., 0] += 1000.0 * (forced["bodies"][..., 0] < 500.0)
+        ours.restore(forced)
+        step = ours.step(np.zeros((1, 2)))
+        rows["met"].append(step.goals[0])
+        rows["terminated"].append(step.terminated[0])
+        rows["truncated"].append(step.ended[0] and not step.terminated[0])
+        rows["hazards"].append(step.sources.get("hazards", np.zeros(1))[0])
+        goals.append(ours.snapshot()["goal"][0])
+        if step.ended[0]:
+            break
+    length = len(goals)
+    checks = [compare("length of the episode", length, len(r["xy"]), 0.0)]
+    checks += [
+        compare("goal met", rows["met"], r["goal_met"][:length], 0.0),
+        compare("goal", goals, r["goal_after"][:length], RECORDED),
+        compare("terminated", rows["terminated"], r["terminated"][:length], 0.0),
+        compare("truncated", rows["truncated"], r["truncated"][:length], 0.0),
+    ]
+    keys = _meta(r)["cost_keys"]
+    if "cost_hazards" in keys:
+        checks.append(compare("cost_hazards", rows["hazards"], r["costs"][:length, keys.index("cost_hazards")], 0.0))
+    return checks
+
+
+def check_car_dynamics(r: Recording, task: CarTask) -> list[Check]:
+    """The car alone under constant actions: single steps from recorded states, and means over 100 steps."""
+    prefix = task.prefix
+    actions, qpos, qvel = r[f"{prefix}_actions"], r[f"{prefix}_qpos"], r[f"{prefix}_qvel"]
+    physics = BatchPhysics(task.build_model(0, 0, True))
+    count, steps = len(actions), qpos.shape[1] - 1
+    single, _ = physics.advance(
+        qpos[:, :-1].reshape(-1, car.NQ), qvel[:, :-1].reshape(-1, car.NV), np.repeat(actions, steps, axis=0), PHYSICS_STEPS
+    )
+    state = np.tile(car.start_pose(np.zeros(2), 0.0), (count, 1)), np.zeros((count, car.NV))
+    path = [_planar(state[0])]
+    for _ in range(r[f"{prefix}_traj"].shape[1] - 1):
+        state = physics.advance(*state, actions, PHYSICS_STEPS)
+        path.append(_planar(state[0]))
+    seconds = car.TIMESTEP * PHYSICS_STEPS
+    speed, turn = path_means(np.stack(path, axis=1), seconds)
+    their_speed, their_turn = path_means(r[f"{prefix}_traj"][..., [0, 1, 3]], seconds)
+    ones = np.ones(count)
+    return [
+        *_free(f"{prefix} xy after one step", distance(single[:, :2], qpos[:, 1:, :2].reshape(-1, 2)), task.worst),
+        compare(f"{prefix} mean speed / theirs", mean_ratio(speed, their_speed), ones, MEANS),
+        compare(f"{prefix} turn rate / theirs", mean_ratio(turn, their_turn), ones, MEANS),
+    ]
+
+
+def _planar(qpos: Floats) -> Floats:
+    """x, y, yaw [n, 3] of cars in states [n, 13]."""
+    rotation = quaternion_rotation(qpos[:, 3:7])
+    return np.stack([qpos[:, 0], qpos[:, 1], np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])], axis=1)

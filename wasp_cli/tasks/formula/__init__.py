@@ -1,0 +1,1 @@
+"""Formula One: a car follows a walled circuit from stage to stage, among barrels."""

@@ -1,0 +1,124 @@
+"""The ground of Formula One as a texture: grass, run-off strips along the barriers, and a road that shows the direction of the lap.
+
+The road is painted with chevrons that point forward, each brightening from its tail to its tip: seen forward, brightness rises slowly and
+drops at once; seen backward, it is the other way round. The texture is built once per process, in three sizes for near and far.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.camera.look import Shades
+from wasp_cli.tasks.camera.raster import filled, near_sides
+from wasp_cli.tasks.formula import track
+from wasp_cli.tasks.outline import segments
+
+CELL = 0.1
+"""Side of the finest cells in m."""
+_COARSER = 4
+"""Cells of one level along a cell of the next."""
+_LEVELS = 3
+_WEST, _SOUTH, _COLUMNS, _ROWS = -14.4, -38.4, 528, 544
+
+CHEVRON_PERIOD, CHEVRON_SWEEP = 2.4, 0.6
+"""Length of a chevron along the lap in m; how far its tip is ahead of its wings, per m to the side."""
+_ROAD_DARK, _ROAD_LIGHT = (0.12, 0.12, 0.17), (0.74, 0.72, 0.64)
+_GRASS, _INFIELD, _RUN_OFF = (0.20, 0.42, 0.14), (0.46, 0.50, 0.20), (0.86, 0.60, 0.28)
+_RUN_OFF_WIDTH, _ROAD_MARGIN, _SEARCH = 0.3, 0.4, 5.0
+
+
+class Ground:
+    """The texture, looked up."""
+
+    def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
+        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        texture = _texture()
+        level = (footprint > np.float32(2.0 * CELL)).astype(np.intp)
+        level += footprint > np.float32(2.0 * CELL * _COARSER)
+        per_metre = texture.per_metre[level]
+        columns = texture.columns[level]
+        column = ((x - np.float32(_WEST)) * per_metre).astype(np.intp)
+        row = ((y - np.float32(_SOUTH)) * per_metre).astype(np.intp)
+        np.clip(column, 0, columns - 1, out=column)
+        np.clip(row, 0, texture.rows[level] - 1, out=row)
+        row *= columns
+        row += column
+        row += texture.start[level]
+        colours: Shades = np.take(texture.colours, row, axis=1)
+        return colours
+
+
+class _Texture(NamedTuple):
+    """All levels behind each other."""
+
+    colours: Shades
+    """[3, all cells]"""
+    start: NDArray[np.intp]
+    """[levels] first cell."""
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    per_metre: Shades
+    """[levels] cells per m."""
+
+
+@lru_cache
+def _texture() -> _Texture:
+    colours = _finest()
+    levels = [colours]
+    for _ in range(_LEVELS - 1):
+        cells = [colours[:, i::_COARSER, j::_COARSER] for i in range(_COARSER) for j in range(_COARSER)]
+        colours = np.zeros_like(cells[0])
+        for cell in cells:
+            colours = colours + cell
+        colours = colours / float(len(cells))
+        levels.append(colours)
+    sizes = np.array([level[0].size for level in levels])
+    return _Texture(
+        # Rounded to 1/4096, so that the last bits of building it are gone.
+        np.concatenate([(np.floor(level * 4096.0 + 0.5) / 4096.0).astype(np.float32).reshape(3, -1) for level in levels], axis=1),
+        np.cumsum(sizes) - sizes,
+        np.array([level.shape[1] for level in levels]),
+        np.array([level.shape[2] for level in levels]),
+        np.array([1.0 / (CELL * _COARSER**index) for index in range(_LEVELS)], np.float32),
+    )
+
+
+def _finest() -> Floats:
+    """[3, rows, columns]"""
+    x = _WEST + (np.arange(_COLUMNS, dtype=np.float64) + 0.5) * CELL
+    y = _SOUTH + (np.arange(_ROWS, dtype=np.float64) + 0.5) * CELL
+    shape = (_ROWS, _COLUMNS)
+    apart, arc, half_width = np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)
+    middle = segments(track.LAP[:, :2])
+    lengths = np.sqrt(((middle[:, 1] - middle[:, 0]) ** 2).sum(axis=1))
+    before, widths = np.cumsum(lengths) - lengths, track.LAP[:, 2]
+    for index, window, distance, share in near_sides(middle, x, y, _SEARCH):
+        nearer = distance < apart[window]
+        apart[window][nearer] = distance[nearer]
+        arc[window][nearer] = (before[index] + share * lengths[index])[nearer]
+        half_width[window][nearer] = (widths[index] + share * (widths[(index + 1) % len(widths)] - widths[index]))[nearer]
+
+    colours = np.empty((3, *shape))
+    colours[:] = _colour(_GRASS)
+    within = filled(track.OUTER_BARRIER, x, y) & ~filled(track.INNER_BARRIER, x, y)
+    colours[:, within] = _colour(_INFIELD)[:, 0]
+    # A whole number of chevrons, so that the lap has no seam.
+    period = lengths.sum() / round(float(lengths.sum()) / CHEVRON_PERIOD)
+    phase = (arc + CHEVRON_SWEEP * np.where(np.isfinite(apart), apart, 0.0)) / period
+    phase -= np.floor(phase)
+    road = within & (apart < half_width + _ROAD_MARGIN)
+    dark, light = _colour(_ROAD_DARK)[:, 0], _colour(_ROAD_LIGHT)[:, 0]
+    colours[:, road] = dark + (light - dark) * phase[road]
+    for ring in (track.OUTER_BARRIER, track.INNER_BARRIER, track.PIT_WALL):
+        for _, window, distance, _ in near_sides(segments(ring), x, y, _RUN_OFF_WIDTH):
+            colours[(slice(None), *window)][:, distance < _RUN_OFF_WIDTH] = _colour(_RUN_OFF)[:, 0]
+    return colours
+
+
+def _colour(rgb: tuple[float, float, float]) -> Floats:
+    return np.array(rgb)[:, None, None]

@@ -1,0 +1,162 @@
+"""SafetyCarFormulaOne: a car follows a walled circuit from stage to stage, at level 1 among 200 barrels.
+
+B = episodes side by side, F = barrels. Only the barrels near the car and those that still roll take part in the physics. In the
+reference package all 200 do, and those that start within a barrier (some 35) are hurled out of it, up to 90 m far; here they are set
+down beside it, once, with the first env step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.tasks import car
+from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.camera.look import Look, Scene, Things
+from wasp_cli.tasks.formula import track
+from wasp_cli.tasks.formula.barrels import freed
+from wasp_cli.tasks.formula.look import look
+from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, sectors
+from wasp_cli.tasks.frames import quaternion_rotation, to_body, yaw_quaternion
+from wasp_cli.tasks.layout import Thing, draw_layout, square
+from wasp_cli.tasks.lidar import BINS
+from wasp_cli.tasks.local_physics import Surroundings, active_bodies
+from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
+from wasp_cli.tasks.outline import distance_to_segments
+from wasp_cli.tasks.privileged import MOTION_AND_GOAL, bounded, motion_and_goal, nearness
+from wasp_cli.tasks.rays import RAYS, ray_distances
+
+BARRELS = {0: 0, 1: 200}
+"""By level."""
+BARREL_KEEPOUT, GOAL_KEEPOUT = 0.5, 0.305
+
+_DELTA = 1e-9
+AGENT = Thing("agent", 0.0, tuple((x - _DELTA, y - _DELTA, x + _DELTA, y + _DELTA) for x, y in track.STAGES.tolist()))
+# The reference package draws a place for the goal as everywhere, keeps the barrels off it, and then uses the stages.
+GOAL = Thing("goal", GOAL_KEEPOUT, square(2.0))
+_BARREL_PLACES = ((-12.2, -32.5, 27.8, 7.5), (26.0, -11.0, 38.0, 1.0))
+
+_REACH = car.REACH + BARREL_RADIUS
+_APART = 2.0 * BARREL_RADIUS + 0.04
+_REST, _LEASH = 1e-3, 3.0
+
+WAY_POINTS = (1.0, 2.0, 4.0, 8.0)
+"""Distances ahead, along the lap, of the way points that an expert sees, in m."""
+_RAY_LIMIT = 4.0
+
+
+class Formula(Navigation):
+    """The task `formula0` or `formula1`."""
+
+    name = "formula"
+    drive = "car"
+    env_seconds = car.TIMESTEP * PHYSICS_STEPS
+    num_steps = 1000
+    reward_goal = 10.0
+    reward_clip = 11.0
+    privileged_size = MOTION_AND_GOAL + 1 + 2 + 2 * len(WAY_POINTS) + 2 * RAYS
+
+    def __init__(
+        self,
+        batch: int,
+        *,
+        level: int = 1,
+        action_repeat: int = 4,
+        observe: Sequence[str] = ("pixels", "state", "privileged"),
+        threads: int = 1,
+    ) -> None:
+        self.level = level
+        barrels = BARRELS[level]
+        self._barrel_things = tuple(Thing(f"vase{i}", BARREL_KEEPOUT, _BARREL_PLACES) for i in range(barrels))
+        self.state_size = car.STATE_SENSORS + BINS * (1 + (barrels > 0))
+        self.cost_sources = ("vases_contact", "static_geoms_contact") if barrels else ()
+        super().__init__(batch, build_model, barrels, action_repeat=action_repeat, observe=observe, threads=threads)
+        self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
+        self._stage = np.zeros(batch, np.int64)
+        """[B] index of the goal in `track.STAGES`."""
+
+    def _look(self) -> Look:
+        return look(self.level)
+
+    def _start(self, row: int, stream: np.random.RandomState) -> None:
+        layout = draw_layout(stream, AGENT, GOAL, self._barrel_things, goal_again=False)
+        self._qpos[row] = car.start_pose(layout.agent_xy, layout.agent_yaw)
+        self._bodies[row] = 0.0
+        self._bodies[row, :, :2] = layout.others_xy
+        self._bodies[row, :, 3:] = yaw_quaternion(layout.others_yaw)
+        self._stage[row] = np.abs(track.STAGES - layout.agent_xy).sum(axis=1).argmin()
+        self._reach_goal(row)
+
+    def _reach_goal(self, row: int) -> None:
+        """The next stage."""
+        self._stage[row] = (self._stage[row] + 1) % len(track.STAGES)
+        self._goal[row] = track.STAGES[self._stage[row]]
+
+    def _settle(self, rows: NDArray[np.intp]) -> None:
+        for row in rows.tolist():
+            self._bodies[row, :, :2] = freed(self._bodies[row, :, :2])
+
+    def _heading(self, rows: NDArray[np.intp]) -> Floats:
+        return car.heading(self._qpos[rows])
+
+    def route(self) -> Floats:
+        at = track.progress(self._qpos[:, :2])
+        near = track.lap_distance(at, track.progress(self._goal)) < 2.0
+        return np.where(near[:, None], self._goal, track.ahead(at, 1.5))
+
+    def _surround(self, rows: NDArray[np.intp]) -> Surroundings:
+        xy, barrels = self._qpos[rows, :2], self._bodies[rows]
+        active = active_bodies(xy, barrels, self._speeds[rows], reach=_REACH, apart=_APART, rest=_REST, leash=_LEASH)
+        walls = distance_to_segments(xy, track.SIDES).min(axis=1) < car.REACH
+        row, barrel = np.nonzero(active)
+        if row.size:
+            beside = distance_to_segments(barrels[row, barrel, :2], track.SIDES).min(axis=1) < _APART
+            np.logical_or.at(walls, row, beside)
+        return Surroundings(active, np.where(walls, sectors(xy), 0))
+
+    def _costs(self, rows: NDArray[np.intp]) -> dict[str, Bools]:
+        if not self.cost_sources:
+            return {}
+        contacts = self._contacts(rows)
+        return {"vases_contact": contacts.bodies, "static_geoms_contact": contacts.static}
+
+    def _state(self) -> Floats:
+        groups = [self._goal[:, None], *([self._bodies[..., :2]] if self._bodies.shape[1] else [])]
+        return car.state_vector(self._sensors(car.SENSORS), self._qpos, *groups)
+
+    def _privileged(self) -> NDArray[np.float32]:
+        """float32 [B, 82]: `motion_and_goal`; the way to the goal along the lap / 10 m; the offset from the lap's centre line to the left
+        and its half width / 2 m; way points / 2 m (4 x 2); nearness of the barriers and of the barrels along 32 rays each.
+        """
+        xy, heading = self._qpos[:, :2], car.heading(self._qpos)
+        at = track.progress(xy)
+        centre, direction = track.FINE_LAP[at], track.ahead(at, 0.5) - track.ahead(at, -0.5)
+        direction = direction / np.maximum(np.sqrt((direction**2).sum(axis=1, keepdims=True)), 1e-9)
+        offset = xy - centre[:, :2]
+        left = direction[:, 0] * offset[:, 1] - direction[:, 1] * offset[:, 0]
+        points = np.stack([track.ahead(at, distance) for distance in WAY_POINTS], axis=1)
+        no_circles, no_sides = np.zeros((self.batch, 0, 2)), np.zeros((0, 2, 2))
+        return bounded(
+            motion_and_goal(self._velocity, self._turn, xy, heading, self._goal),
+            track.lap_distance(at, track.progress(self._goal))[:, None] / 10.0,
+            np.stack([left, centre[:, 2]], axis=1) / 2.0,
+            to_body(points, xy, heading).reshape(self.batch, -1) / 2.0,
+            nearness(ray_distances(xy, heading, no_circles, 1.0, track.SIDES, _RAY_LIMIT)),
+            nearness(ray_distances(xy, heading, self._bodies[..., :2], BARREL_RADIUS, no_sides, _RAY_LIMIT)),
+        )
+
+    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+        goal = np.concatenate([self._goal[rows, None], np.zeros((len(rows), 1, 1))], axis=-1)
+        upright = np.broadcast_to(np.eye(3), (len(rows), 1, 3, 3))
+        things = {"goal": Things(goal, upright, np.ones((len(rows), 1), np.bool_))}
+        if self._bodies.shape[1]:
+            barrels = self._bodies[rows]
+            things["vase"] = Things(barrels[..., :3], quaternion_rotation(barrels[..., 3:]), np.ones(barrels.shape[:2], np.bool_))
+        qpos = self._qpos[rows]
+        return Scene(qpos[:, :3], car.rotation(qpos), things)
+
+    def _own_arrays(self) -> dict[str, NDArray[Any]]:
+        return {"stage": self._stage}

@@ -1,0 +1,1 @@
+"""Goal: a point robot collects goals among hazards and vases."""

@@ -1,0 +1,71 @@
+"""What Goal looks like: a checker floor under a black sky, a translucent goal, blue discs, a cyan cube."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from wasp_cli.tasks.camera.look import Kind, Look, Part, Shades
+from wasp_cli.tasks.goal import model
+
+CAMERA_HEIGHT = 0.15
+TILE_DARK, TILE_LIGHT = (0.859, 0.843, 0.765), (0.949, 0.914, 0.855)
+TILE_SIDE = 0.35
+SPHERE_COLOUR, ARROW_COLOUR = (0.7412, 0.0431, 0.1843), (0.0039, 0.1529, 0.3961)
+VASE_COLOUR, GOAL_COLOUR, HAZARD_COLOUR = (0.0, 1.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+# More opaque than the reference package (0.25): far hazards and goals are a few pixels at 64 x 64 and would vanish from the latent.
+GOAL_ALPHA = HAZARD_ALPHA = 0.7
+GOAL_RADIUS, GOAL_HALF_HEIGHT, HAZARD_HALF_HEIGHT = 0.3, 0.15, 0.01
+MAP_HALF_SIDES = (1.5, 2.0, 2.5)
+"""By level, in m: half a metre more than where things are placed."""
+
+
+class Checker:
+    """Squares of two colours, whose edges are as wide as a pixel; squares smaller than a pixel fade into their mean."""
+
+    _mean = (np.array(TILE_LIGHT, np.float32) + np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
+    _swing = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
+
+    def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
+        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        sharpness: Shades = np.divide(np.float32(4.0 * TILE_SIDE), np.maximum(footprint, np.float32(1e-6)))
+        mix = _wave(x, sharpness)
+        mix *= _wave(y, sharpness)
+        mix *= np.clip(np.float32(2.0) - footprint * np.float32(2.0 / TILE_SIDE), np.float32(0.0), np.float32(1.0))
+        image: Shades = self._swing * mix
+        image += self._mean
+        return image
+
+
+def _wave(place: Shades, sharpness: Shades) -> Shades:
+    """A square wave of period two tiles."""
+    phase = place * np.float32(0.5 / TILE_SIDE)
+    phase += np.float32(0.25)
+    phase -= np.floor(phase)
+    wave: Shades = np.float32(0.25) - np.abs(phase - np.float32(0.5))
+    wave *= sharpness
+    np.clip(wave, np.float32(-1.0), np.float32(1.0), out=wave)
+    return wave
+
+
+@lru_cache
+def look(level: int) -> Look:
+    """Of level 0 (only a goal), 1, or 2 (more things on a larger square)."""
+    goal = Kind("goal", f'<geom type="cylinder" size="{GOAL_RADIUS} {GOAL_HALF_HEIGHT}"/>', GOAL_COLOUR, GOAL_ALPHA)
+    disc = f'<geom type="cylinder" size="{model.HAZARD_RADIUS} {HAZARD_HALF_HEIGHT}"/>'
+    hazard = Kind("hazard", disc, HAZARD_COLOUR, HAZARD_ALPHA, painted=model.HAZARD_RADIUS)
+    vase = Kind("vase", model.VASE_GEOM, VASE_COLOUR)
+    return Look(
+        robot=(
+            Part(model.SPHERE_GEOM, SPHERE_COLOUR),
+            Part(model.ARROW_GEOM, ARROW_COLOUR),
+        ),
+        camera_height=CAMERA_HEIGHT,
+        forward=(1.0, 0.0),
+        floor=Checker(),
+        walls=(),
+        landmarks=(),
+        kinds=(goal,) if level == 0 else (goal, hazard, vase),
+        map_half_side=MAP_HALF_SIDES[level],
+    )

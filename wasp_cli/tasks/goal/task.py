@@ -1,0 +1,147 @@
+"""SafetyPointGoal: a point robot collects goals, at level 1 among eight hazards and a vase, for a batch of B episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.camera.look import Look, Scene, Things
+from wasp_cli.tasks.frames import distance, quaternion_rotation, yaw_quaternion, yaw_rotation
+from wasp_cli.tasks.goal import model as g
+from wasp_cli.tasks.goal.features import privileged_size, privileged_vector, state_size, state_vector
+from wasp_cli.tasks.goal.look import look
+from wasp_cli.tasks.layout import Thing, draw_goal, draw_layout, square
+from wasp_cli.tasks.local_physics import Surroundings, active_bodies
+from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
+
+
+class Level(NamedTuple):
+    """What distinguishes the levels."""
+
+    half_side: float
+    """Half the side of the square that holds everything at the start, in m."""
+    hazards: int
+    vases: int
+    vases_cost: bool
+
+
+LEVELS = {0: Level(1.0, 0, 0, False), 1: Level(1.5, 8, 1, False), 2: Level(2.0, 10, 10, True)}
+
+AGENT_KEEPOUT, GOAL_KEEPOUT, HAZARD_KEEPOUT, VASE_KEEPOUT = 0.4, 0.305, 0.18, 0.15
+VASE_SPEED = 1e-4
+"""Speed in m/s from which a moving vase costs, where vases cost."""
+
+# The agent's arrow and the corner of a tipped vase reach 0.16 and 0.18 m; within an env step at most 0.03 m are driven.
+_REACH = 0.4
+_REST = 1e-12
+
+
+class Goal(Navigation):
+    """The task `goal0`, `goal1` or `goal2`."""
+
+    name = "goal"
+    drive = "point"
+    env_seconds = g.TIMESTEP * PHYSICS_STEPS
+    num_steps = 1000
+    reward_goal = 1.0
+    reward_clip = 10.0
+
+    def __init__(
+        self,
+        batch: int,
+        *,
+        level: int = 1,
+        action_repeat: int = 4,
+        observe: Sequence[str] = ("pixels", "state", "privileged"),
+        threads: int = 1,
+    ) -> None:
+        self.level = level
+        self._numbers = numbers = LEVELS[level]
+        places = square(numbers.half_side)
+        self._agent_thing, self._goal_thing = Thing("agent", AGENT_KEEPOUT, places), Thing("goal", GOAL_KEEPOUT, places)
+        hazards = [Thing(f"hazard{i}", HAZARD_KEEPOUT, places) for i in range(numbers.hazards)]
+        vases = [Thing(f"vase{i}", VASE_KEEPOUT, places) for i in range(numbers.vases)]
+        self._others = (*hazards, *vases)
+        self.state_size = state_size(numbers.hazards, numbers.vases)
+        self.privileged_size = privileged_size(numbers.hazards, numbers.vases)
+        self.cost_sources = ("hazards",) if numbers.hazards else ()
+        if numbers.vases_cost:
+            self.cost_sources += ("vases_contact", "vases_velocity")
+        super().__init__(batch, g.build_model, numbers.vases, action_repeat=action_repeat, observe=observe, threads=threads)
+        self._hazards = np.zeros((batch, numbers.hazards, 2))
+
+    def _look(self) -> Look:
+        return look(self.level)
+
+    def _start(self, row: int, stream: np.random.RandomState) -> None:
+        layout = draw_layout(stream, self._agent_thing, self._goal_thing, self._others)
+        hazards = self._numbers.hazards
+        self._qpos[row, :2], self._qpos[row, 2] = layout.agent_xy, layout.agent_yaw
+        self._hazards[row] = layout.others_xy[:hazards]
+        self._bodies[row, :, :2], self._bodies[row, :, 2] = layout.others_xy[hazards:], g.VASE_Z
+        self._bodies[row, :, 3:] = yaw_quaternion(layout.others_yaw[hazards:])
+        self._goal[row] = layout.goal_xy
+
+    def _heading(self, rows: NDArray[np.intp]) -> Floats:
+        heading: Floats = self._qpos[rows, 2]
+        return heading
+
+    def route(self) -> Floats:
+        return self._goal.copy()
+
+    def _surround(self, rows: NDArray[np.intp]) -> Surroundings:
+        xy, vases, speeds = self._qpos[rows, :2], self._bodies[rows], self._speeds[rows]
+        active = active_bodies(xy, vases, speeds, reach=_REACH, apart=_REACH, rest=_REST)
+        # A fresh vase has no speed yet, but falls by a few micrometres before it rests.
+        active |= (self._env_steps[rows] == 0)[:, None]
+        return Surroundings(active, np.zeros(len(rows), np.int64))
+
+    def _costs(self, rows: NDArray[np.intp]) -> dict[str, Bools]:
+        if not self._numbers.hazards:
+            return {}
+        inside = distance(self._qpos[rows, None, :2], self._hazards[rows]) < g.HAZARD_RADIUS
+        costs: dict[str, Bools] = {"hazards": np.asarray(inside.any(axis=1))}
+        if self._numbers.vases_cost:
+            costs["vases_contact"] = self._contacts(rows).bodies
+            costs["vases_velocity"] = (np.sqrt((self._speeds[rows, :, :3] ** 2).sum(axis=2)) >= VASE_SPEED).any(axis=1)
+        return costs
+
+    def _reach_goal(self, row: int) -> None:
+        """A new goal, clear of where agent, hazards and vases are now."""
+        others = np.concatenate([self._qpos[row, None, :2], self._hazards[row], self._bodies[row, :, :2]])
+        goal = draw_goal(self._streams.catch_up(row), self._goal_thing, (self._agent_thing, *self._others), others)
+        if goal is None:
+            self._terminate(row)
+        else:
+            self._goal[row] = goal
+
+    def _state(self) -> Floats:
+        return state_vector(self._sensors(g.AGENT_SENSORS), self._qpos, self._goal, self._hazards, self._bodies[..., :2])
+
+    def _privileged(self) -> NDArray[np.float32]:
+        return privileged_vector(self._velocity, self._turn, self._qpos, self._goal, self._hazards, self._bodies[..., :2])
+
+    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+        def flat(xy: Floats, z: float) -> Things:
+            return Things(_raised(xy, z), np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)), np.ones(xy.shape[:2], np.bool_))
+
+        vases = self._bodies[rows]
+        things = {
+            "goal": flat(self._goal[rows, None], g.GOAL_Z),
+            "hazard": flat(self._hazards[rows], g.HAZARD_Z),
+            "vase": Things(vases[..., :3], quaternion_rotation(vases[..., 3:]), np.ones(vases.shape[:2], np.bool_)),
+        }
+        shown = {name: what for name, what in things.items() if what.position.shape[1]}
+        return Scene(_raised(self._qpos[rows, :2], g.AGENT_Z), yaw_rotation(self._qpos[rows, 2]), shown)
+
+    def _own_arrays(self) -> dict[str, NDArray[Any]]:
+        return {"hazards": self._hazards}
+
+
+def _raised(xy: Floats, z: float) -> Floats:
+    """Points [..., 2] at a height -> [..., 3]."""
+    return np.concatenate([xy, np.full((*xy.shape[:-1], 1), z)], axis=-1)

@@ -1,0 +1,311 @@
+"""What the tasks share: a batch of robots that drive to goals, advanced one decision step at a time.
+
+An env step is 10 physics steps under a held action, then reward, cost, what happens at a reached goal, and the time limit, in this
+order. A decision step is `action_repeat` env steps. Every env step is a pure function of its row's own state: results do not depend on
+the batch size, the other rows, the number of threads, or how decision steps cut the time.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.errors import TaskError
+from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
+from wasp_cli.tasks.camera.camera import Camera
+from wasp_cli.tasks.camera.look import Look, Scene
+from wasp_cli.tasks.camera.topdown import draw_map
+from wasp_cli.tasks.frames import distance, wrapped
+from wasp_cli.tasks.layout import Streams, checked_seed
+from wasp_cli.tasks.local_physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
+
+PHYSICS_STEPS = 10
+"""Physics steps per env step."""
+
+
+@dataclass
+class _Totals:
+    """Sums over one decision step, one entry per row."""
+
+    reward: Floats
+    cost: NDArray[np.int64]
+    sources: dict[str, NDArray[np.int64]]
+    goals: NDArray[np.int64]
+    env_steps: NDArray[np.int64]
+
+
+class Navigation(ABC):
+    """A `VectorTask`; see there for the meaning of its public members. Subclasses say what moves, what costs and what is seen."""
+
+    # -- what a task is ---------------------------------------------------------------------------------------------------------
+
+    name: ClassVar[str]
+    env_seconds: ClassVar[float]
+    """Simulated time of one env step in seconds."""
+    num_steps: ClassVar[int]
+    """Time limit in env steps."""
+    goal_radius: ClassVar[float] = 0.3
+    """Distance in m at which a goal is reached."""
+    reward_goal: ClassVar[float]
+    reward_clip: ClassVar[float]
+    """Bound of the reward of an env step."""
+    drive: ClassVar[Literal["point", "car"]]
+    """What the two actions mean: throttle and turn rate, or the torques of the driver's right and left wheel."""
+    action_size = 2
+    privileged_size: int
+    state_size: int
+    cost_sources: tuple[str, ...]
+
+    @abstractmethod
+    def _look(self) -> Look:
+        """What it looks like."""
+
+    @abstractmethod
+    def _start(self, row: int, stream: np.random.RandomState) -> None:
+        """Lay out a new episode, its goal included; everything is at rest already."""
+
+    @abstractmethod
+    def route(self) -> Floats:
+        """The next point [B, 2] on the way to each goal, for the scripted driver."""
+
+    @abstractmethod
+    def _heading(self, rows: NDArray[np.intp]) -> Floats:
+        """Direction [n] of the robots' front in rad."""
+
+    @abstractmethod
+    def _surround(self, rows: NDArray[np.intp]) -> Surroundings:
+        """What takes part in the next env step's physics."""
+
+    @abstractmethod
+    def _costs(self, rows: NDArray[np.intp]) -> dict[str, Bools]:
+        """Whether each source costs now [n], by the names of `cost_sources`."""
+
+    @abstractmethod
+    def _reach_goal(self, row: int) -> None:
+        """What happens when a goal is reached: a new goal, or the end (`_terminate`)."""
+
+    @abstractmethod
+    def _state(self) -> Floats:
+        """[B, S]"""
+
+    @abstractmethod
+    def _privileged(self) -> NDArray[np.float32]:
+        """[B, P]"""
+
+    @abstractmethod
+    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+        """What the cameras see."""
+
+    @abstractmethod
+    def _own_arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays [B, ...] of the subclass that determine the future, by name: what is not pose, velocity, goal or counter."""
+
+    # -- construction -----------------------------------------------------------------------------------------------------------
+
+    def __init__(
+        self,
+        batch: int,
+        build_model: ModelBuilder,
+        bodies: int,
+        *,
+        action_repeat: int,
+        observe: Sequence[str],
+        threads: int,
+    ) -> None:
+        """Allocate B = `batch` episodes with F = `bodies` free bodies each."""
+        if batch < 1 or action_repeat < 1 or threads < 1:
+            raise TaskError(f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1")
+        unknown = sorted(set(observe) - set(Observation._fields))
+        if unknown:
+            raise TaskError(f"no such observation: {', '.join(unknown)}", f"known: {', '.join(Observation._fields)}")
+        self.batch = batch
+        self.action_repeat = action_repeat
+        self.observe = tuple(observe)
+        self.action_low, self.action_high = np.full(2, -1.0), np.full(2, 1.0)
+        self.decision_seconds = self.env_seconds * action_repeat
+        self.max_decisions = -(-self.num_steps // action_repeat)
+        self._physics = LocalPhysics(build_model, threads)
+        self._qpos, self._qvel = np.zeros((batch, self._physics.nq)), np.zeros((batch, self._physics.nv))
+        self._bodies, self._speeds = np.zeros((batch, bodies, BODY_POSE)), np.zeros((batch, bodies, BODY_SPEED))
+        self._active, self._walls = np.zeros((batch, bodies), np.bool_), np.zeros(batch, np.int64)
+        """What takes part in the next env step: follows from the other arrays (`_refresh`), so that no snapshot needs it."""
+        self._control = np.zeros((batch, self.action_size))
+        self._velocity = np.zeros((batch, 2))
+        """World velocity over the last env step in m/s; the instantaneous one chatters."""
+        self._turn = np.zeros(batch)
+        """Turn rate over the last decision step in rad/s."""
+        self._goal = np.zeros((batch, 2))
+        self._env_steps = np.zeros(batch, np.int64)
+        self._ended = np.ones(batch, np.bool_)
+        self._terminated = np.zeros(batch, np.bool_)
+        self._streams = Streams(batch)
+        self._camera = Camera(self._look(), threads) if "pixels" in self.observe else None
+        self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
+
+    # -- episodes ---------------------------------------------------------------------------------------------------------------
+
+    def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
+        if rows is not None and np.shape(rows) != (self.batch,):
+            raise TaskError(f"rows has shape {np.shape(rows)}, expected ({self.batch},)")
+        chosen = np.arange(self.batch) if rows is None else np.flatnonzero(rows)
+        if len(seeds) != len(chosen):
+            raise TaskError(f"got {len(seeds)} seeds for {len(chosen)} rows")
+        checked = [checked_seed(seed) for seed in seeds]
+        for row, seed in zip(chosen.tolist(), checked, strict=True):
+            for zeroed in (self._control, self._velocity, self._turn, self._env_steps, self._ended, self._terminated):
+                zeroed[row] = 0
+            self._qvel[row], self._speeds[row] = 0.0, 0.0
+            self._start(row, self._streams.start(row, seed))
+        self._refresh(chosen)
+        return self._observe(chosen)
+
+    def step(self, action: NDArray[Any]) -> Step:
+        control = self._checked(action)
+        alive = ~self._ended
+        if not alive.any():
+            raise TaskError("step after the end: every episode of the batch has ended; call reset first")
+        rows = np.flatnonzero(alive)
+        self._control[rows] = control[rows]
+        heading = self._heading(rows)
+        counts = np.zeros((3 + len(self.cost_sources), self.batch), np.int64)
+        sources = dict(zip(self.cost_sources, counts[3:], strict=True))
+        totals = _Totals(np.zeros(self.batch), counts[0], sources, counts[1], counts[2])
+        for _ in range(self.action_repeat):
+            running = np.flatnonzero(~self._ended)
+            if running.size:
+                self._env_step(running, totals)
+        turned = wrapped(self._heading(rows) - heading)
+        self._turn[rows] = turned / (totals.env_steps[rows] * self.env_seconds)
+        return Step(
+            observation=self._observe(rows),
+            reward=totals.reward,
+            cost=totals.cost > 0,
+            cost_env=totals.cost,
+            sources=totals.sources,
+            goals=totals.goals,
+            env_steps=totals.env_steps,
+            ended=self._ended.copy(),
+            terminated=self._terminated.copy(),
+        )
+
+    def _checked(self, action: NDArray[Any]) -> Floats:
+        control = np.asarray(action, np.float64)
+        if control.shape != (self.batch, self.action_size):
+            raise TaskError(f"action has shape {control.shape}, expected ({self.batch}, {self.action_size})")
+        finite = np.isfinite(control).all(axis=1)
+        if not finite.all():
+            raise TaskError(f"action of row {int(np.argmin(finite))} is not finite: {control[np.argmin(finite)].tolist()}")
+        return np.clip(control, self.action_low, self.action_high)
+
+    def _env_step(self, rows: NDArray[np.intp], totals: _Totals) -> None:
+        fresh = rows[self._env_steps[rows] == 0]
+        if fresh.size:
+            self._settle(fresh)
+            self._refresh(fresh)
+        origin = self._qpos[rows, :2]
+        before = distance(origin, self._goal[rows])
+        state = self._physics.advance(self._physical(rows), self._control[rows], self._around(rows), PHYSICS_STEPS)
+        self._qpos[rows], self._qvel[rows], self._bodies[rows], self._speeds[rows] = state
+        xy = self._qpos[rows, :2]
+        self._velocity[rows] = (xy - origin) / self.env_seconds
+        self._streams.pass_step(rows)
+        self._env_steps[rows] += 1
+        self._refresh(rows)
+
+        after = distance(xy, self._goal[rows])
+        reached = after <= self.goal_radius
+        reward = before - after + self.reward_goal * reached
+        totals.reward[rows] += np.clip(reward, -self.reward_clip, self.reward_clip)
+        costly = np.zeros(len(rows), np.bool_)
+        for source, costs in self._costs(rows).items():
+            totals.sources[source][rows] += costs
+            costly |= costs
+        totals.cost[rows] += costly
+        totals.goals[rows] += reached
+        totals.env_steps[rows] += 1
+        for row in rows[reached].tolist():
+            self._reach_goal(row)
+        self._ended[rows] |= self._env_steps[rows] >= self.num_steps
+
+    def _terminate(self, row: int) -> None:
+        self._ended[row] = self._terminated[row] = True
+
+    def pose(self) -> tuple[Floats, Floats, Floats]:
+        """Positions [B, 2], directions [B] of the robots' front, and velocities [B, 2] over the last env step, world frame."""
+        return self._qpos[:, :2].copy(), self._heading(np.arange(self.batch)), self._velocity.copy()
+
+    # -- physics ----------------------------------------------------------------------------------------------------------------
+
+    def _settle(self, rows: NDArray[np.intp]) -> None:
+        """What changes in the world with the first env step of an episode, before physics."""
+        return
+
+    def _physical(self, rows: NDArray[np.intp]) -> State:
+        return State(self._qpos[rows], self._qvel[rows], self._bodies[rows], self._speeds[rows])
+
+    def _around(self, rows: NDArray[np.intp]) -> Surroundings:
+        return Surroundings(self._active[rows], self._walls[rows])
+
+    def _refresh(self, rows: NDArray[np.intp]) -> None:
+        self._active[rows], self._walls[rows] = self._surround(rows)
+
+    def _contacts(self, rows: NDArray[np.intp]) -> Contacts:
+        """What the robots touch now."""
+        return self._physics.contacts(self._physical(rows), self._control[rows], self._around(rows))
+
+    def _sensors(self, count: int) -> Floats:
+        """The first `count` sensor numbers [B, count] of all rows."""
+        rows = np.arange(self.batch)
+        return self._physics.sensors(self._physical(rows), self._control, self._around(rows), count)
+
+    # -- observation ------------------------------------------------------------------------------------------------------------
+
+    def _observe(self, changed: NDArray[np.intp]) -> Observation:
+        pixels = state = privileged = None
+        if self._camera is not None:
+            self._pixels[changed] = self._camera.render(self._scene(changed))
+            pixels = self._pixels.copy()
+        if "state" in self.observe:
+            state = self._state()
+        if "privileged" in self.observe:
+            privileged = self._privileged()
+        return Observation(pixels, state, privileged)
+
+    def topdown(self, row: int, size: int = 256) -> Pixels:
+        return draw_map(self._look(), self._scene(np.array([row])), 0, size)
+
+    # -- snapshot ---------------------------------------------------------------------------------------------------------------
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {
+            "qpos": self._qpos,
+            "qvel": self._qvel,
+            "bodies": self._bodies,
+            "speeds": self._speeds,
+            **self._own_arrays(),
+            "control": self._control,
+            "velocity": self._velocity,
+            "turn": self._turn,
+            "goal": self._goal,
+            "env_steps": self._env_steps,
+            "ended": self._ended,
+            "terminated": self._terminated,
+        }
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        return {name: array.copy() for name, array in self._arrays().items()} | self._streams.snapshot()
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Observation:
+        for name, array in self.snapshot().items():
+            if name not in snapshot or snapshot[name].shape != array.shape:
+                raise TaskError(f"the snapshot is not one of {self.name} with batch {self.batch}: '{name}' is missing or has another shape")
+        for name, array in self._arrays().items():
+            array[...] = snapshot[name]
+        self._streams.restore(snapshot["stream_key"], snapshot["stream_position"], snapshot["stream_owed"])
+        self._refresh(np.arange(self.batch))
+        return self._observe(np.arange(self.batch))

@@ -1,0 +1,85 @@
+"""What Race looks like: a cobbled lane between a brown fence and a grey rock, dark bushes to avoid and a pink one to reach."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from wasp_cli.tasks.camera.car_parts import CAMERA_HEIGHT, CAR_PARTS, FORWARD
+from wasp_cli.tasks.camera.look import Colour, Kind, Landmark, Look, Shades, Wall
+from wasp_cli.tasks.race.scenery import SCENERY
+
+_WALLS: dict[str, tuple[tuple[Colour, Colour], float]] = {
+    "fence": (((0.40, 0.24, 0.10), (0.62, 0.42, 0.22)), 0.25),
+    "rock": (((0.36, 0.37, 0.40), (0.50, 0.51, 0.53)), 0.4),
+    "door": (((0.30, 0.14, 0.06), (0.42, 0.22, 0.10)), 0.2),
+    "stone": (((0.62, 0.62, 0.60), (0.72, 0.72, 0.70)), 0.2),
+}
+"""By kind of prism: its colours and the length of its stripes in m."""
+
+# The lane looks the same in both directions. What stands beyond its ends tells them apart: red where the goal is, blue at the start.
+_LANDMARKS = (Landmark((7.0, 1.05), 0.4, 3.0, (0.90, 0.10, 0.08)), Landmark((-6.0, 1.05), 0.5, 5.0, (0.10, 0.20, 0.90)))
+
+
+class Cobbles:
+    """Rows of stones in two tints with dark joints; what is smaller than a pixel fades into its mean."""
+
+    side = 0.35
+    _joint = 0.06
+    """Width of a joint as a share of a stone."""
+    _mean = np.array([[0.47], [0.44], [0.40]], np.float32)
+    _swing = np.array([[0.05], [0.05], [0.055]], np.float32)
+
+    def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
+        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        across = y * np.float32(1.0 / self.side)
+        row = np.floor(across)
+        # Every other row is shifted by half a stone, as masons lay them.
+        along = x * np.float32(1.0 / self.side)
+        along += row * np.float32(0.5)
+        stone = np.floor(along)
+        across -= row
+        along -= stone
+        stone += row
+        stone *= np.float32(0.5)
+        mix = np.where(stone > np.floor(stone), np.float32(1.0), np.float32(-1.0))
+        # Distance to the nearest joint, in stones; a joint is as dark as it fills the pixel.
+        edge = np.minimum(np.minimum(along, np.float32(1.0) - along), np.minimum(across, np.float32(1.0) - across))
+        width = footprint * np.float32(1.0 / self.side)
+        blur = np.float32(self._joint) + width
+        mix -= np.float32(3.0) * np.clip((blur - edge) / blur, np.float32(0.0), np.float32(1.0))
+        mix *= np.clip(np.float32(2.0) - np.float32(2.0) * width, np.float32(0.0), np.float32(1.0))
+        image: Shades = self._swing * mix
+        image += self._mean
+        return image
+
+
+def _bush(radius: float, height: float, knobs: float) -> str:
+    """MJCF of a dome with four knobs that make it look the same from no two sides."""
+    places = ((0.19, 0.05), (-0.07, 0.18), (-0.16, -0.12), (0.1, -0.17))
+    return f'<geom type="ellipsoid" size="{radius} {radius} {height}"/>' + "".join(
+        f'<geom type="sphere" size="0.13" pos="{x} {y} {knobs}"/>' for x, y in places
+    )
+
+
+@lru_cache
+def look(level: int) -> Look:
+    """Of level 0 (only a goal) or higher."""
+    goal = Kind("goal", _bush(0.36, 0.28, 0.18), (1.0, 0.25, 0.62))
+    hazard = Kind("hazard", _bush(0.28, 0.22, 0.1), (0.05, 0.36, 0.08))
+    return Look(
+        robot=CAR_PARTS,
+        camera_height=CAMERA_HEIGHT,
+        forward=FORWARD,
+        floor=Cobbles(),
+        walls=tuple(Wall(prism.outline, prism.top, *_WALLS[prism.kind]) for prism in SCENERY),
+        landmarks=_LANDMARKS,
+        kinds=(goal,) if level == 0 else (goal, hazard),
+        map_half_side=3.6,
+        map_centre=(0.2, 0.6),
+        # A bright sky: the walls' tops and the landmarks stand out against it.
+        horizon=(0.66, 0.75, 0.85),
+        zenith=(0.38, 0.54, 0.80),
+        haze=25.0,
+    )

@@ -1,0 +1,160 @@
+"""SafetyCarRace: a car drives down a lane to a goal, at level 1 past seven bushes and without touching the scenery.
+
+B = episodes side by side. The episode ends at the goal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.tasks import car
+from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.camera.look import Look, Scene, Things
+from wasp_cli.tasks.frames import distance, to_body
+from wasp_cli.tasks.layout import Rectangle, Thing, draw_layout
+from wasp_cli.tasks.lidar import BINS
+from wasp_cli.tasks.local_physics import Surroundings
+from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
+from wasp_cli.tasks.outline import distance_to_segments, segments
+from wasp_cli.tasks.privileged import MOTION_AND_GOAL, bounded, motion_and_goal, nearness
+from wasp_cli.tasks.race.look import look
+from wasp_cli.tasks.race.model import build_model
+from wasp_cli.tasks.race.scenery import SCENERY
+from wasp_cli.tasks.rays import RAYS, ray_distances
+
+HAZARDS = {0: 0, 1: 7}
+"""Bushes by level."""
+HAZARD_RADIUS, HAZARD_KEEPOUT = 0.2625, 0.165
+GOAL_KEEPOUT = 0.305
+
+# The expressions are those by which the reference package places things: their roundings are part of a layout.
+_UNIT = 3.5
+_PEN: Rectangle = (
+    _UNIT * -0.65 - _UNIT * 0.05 / 2, _UNIT * 0.3 - _UNIT * 0.1 / 2, _UNIT * -0.65 + _UNIT * 0.05 / 2, _UNIT * 0.3 + _UNIT * 0.1 / 2
+)  # fmt: skip
+_SLOTS: tuple[Rectangle, ...] = tuple(
+    (
+        _UNIT * (-0.45 + 0.2 * i) - 0.3,
+        _UNIT * (0.3 - 0.09 * (-1) ** i) - 0.35,
+        _UNIT * (-0.45 + 0.2 * i) + 0.3,
+        _UNIT * (0.3 - 0.09 * (-1) ** i) + 0.35,
+    )
+    for i in range(7)
+)
+GOAL_XY = (_UNIT * 0.9, _UNIT * 0.3)
+_GOAL_REACH = GOAL_KEEPOUT + 1e-9
+
+AGENT = Thing("agent", 0.0, (_PEN,))
+GOAL = Thing(
+    "goal", GOAL_KEEPOUT, ((GOAL_XY[0] - _GOAL_REACH, GOAL_XY[1] - _GOAL_REACH, GOAL_XY[0] + _GOAL_REACH, GOAL_XY[1] + _GOAL_REACH),)
+)
+
+SIDES = segments(*(prism.outline for prism in SCENERY))
+
+LANE = np.array([(-2.275, 1.05), (-1.575, 1.05), (3.15, 1.05)])
+"""[3, 2] middle of the lane from the start pen to the goal."""
+WAY_POINTS = (0.5, 1.0, 2.0)
+"""Distances ahead, along the lane, of the way points that an expert sees, in m."""
+_RAY_LIMIT = 3.0
+
+
+class Race(Navigation):
+    """The task `race0` or `race1`."""
+
+    name = "race"
+    drive = "car"
+    env_seconds = car.TIMESTEP * PHYSICS_STEPS
+    num_steps = 500
+    reward_goal = 10.0
+    reward_clip = 11.0
+    privileged_size = MOTION_AND_GOAL + 2 * len(WAY_POINTS) + 2 * RAYS
+
+    def __init__(
+        self,
+        batch: int,
+        *,
+        level: int = 1,
+        action_repeat: int = 4,
+        observe: Sequence[str] = ("pixels", "state", "privileged"),
+        threads: int = 1,
+    ) -> None:
+        self.level = level
+        hazards = HAZARDS[level]
+        self._hazard_things = tuple(Thing(f"hazard{i}", HAZARD_KEEPOUT, _SLOTS) for i in range(hazards))
+        self.state_size = car.STATE_SENSORS + BINS * (1 + (hazards > 0))
+        self.cost_sources = ("hazards", "static_geoms_contact") if hazards else ()
+        super().__init__(batch, build_model, 0, action_repeat=action_repeat, observe=observe, threads=threads)
+        self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
+        self._hazards = np.zeros((batch, hazards, 2))
+
+    def _look(self) -> Look:
+        return look(self.level)
+
+    def _start(self, row: int, stream: np.random.RandomState) -> None:
+        layout = draw_layout(stream, AGENT, GOAL, self._hazard_things)
+        self._qpos[row] = car.start_pose(layout.agent_xy, layout.agent_yaw)
+        self._hazards[row], self._goal[row] = layout.others_xy, layout.goal_xy
+
+    def _heading(self, rows: NDArray[np.intp]) -> Floats:
+        return car.heading(self._qpos[rows])
+
+    def route(self) -> Floats:
+        return _lane_ahead(self._qpos[:, :2], 0.6)
+
+    def _surround(self, rows: NDArray[np.intp]) -> Surroundings:
+        walls = distance_to_segments(self._qpos[rows, :2], SIDES).min(axis=1) < car.REACH
+        return Surroundings(self._active[rows], walls.astype(np.int64))
+
+    def _costs(self, rows: NDArray[np.intp]) -> dict[str, Bools]:
+        if not self.cost_sources:
+            return {}
+        inside = distance(self._qpos[rows, None, :2], self._hazards[rows]) < HAZARD_RADIUS
+        return {
+            "hazards": np.asarray(inside.any(axis=1)),
+            "static_geoms_contact": self._contacts(rows).static,
+        }
+
+    def _reach_goal(self, row: int) -> None:
+        self._terminate(row)
+
+    def _state(self) -> Floats:
+        groups = [self._goal[:, None], *([self._hazards] if self._hazards.shape[1] else [])]
+        return car.state_vector(self._sensors(car.SENSORS), self._qpos, *groups)
+
+    def _privileged(self) -> NDArray[np.float32]:
+        """float32 [B, 77]: `motion_and_goal`, way points / 1 m (3 x 2), nearness of the scenery and of the bushes along 32 rays each."""
+        xy, heading = self._qpos[:, :2], car.heading(self._qpos)
+        ahead = np.stack([_lane_ahead(xy, distance_) for distance_ in WAY_POINTS], axis=1)
+        no_circles, no_sides = np.zeros((self.batch, 0, 2)), np.zeros((0, 2, 2))
+        return bounded(
+            motion_and_goal(self._velocity, self._turn, xy, heading, self._goal),
+            to_body(ahead, xy, heading).reshape(self.batch, -1),
+            nearness(ray_distances(xy, heading, no_circles, 1.0, SIDES, _RAY_LIMIT)),
+            nearness(ray_distances(xy, heading, self._hazards, HAZARD_RADIUS, no_sides, _RAY_LIMIT)),
+        )
+
+    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+        qpos = self._qpos[rows]
+        things = {"goal": _on_ground(self._goal[rows, None])}
+        if self._hazards.shape[1]:
+            things["hazard"] = _on_ground(self._hazards[rows])
+        return Scene(qpos[:, :3], car.rotation(qpos), things)
+
+    def _own_arrays(self) -> dict[str, NDArray[Any]]:
+        return {"hazards": self._hazards}
+
+
+def _lane_ahead(xy: Floats, ahead: float) -> Floats:
+    """The point [B, 2] of the lane's middle a distance ahead of the cars; the lane runs along x."""
+    x = np.minimum(xy[:, 0] + ahead, LANE[-1, 0])
+    return np.stack([x, np.interp(x, LANE[:, 0], LANE[:, 1])], axis=1)
+
+
+def _on_ground(xy: Floats) -> Things:
+    """Upright things standing at [n, K, 2]."""
+    position = np.concatenate([xy, np.zeros((*xy.shape[:-1], 1))], axis=-1)
+    return Things(position, np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)), np.ones(xy.shape[:2], np.bool_))
