@@ -99,7 +99,9 @@ def refusal(error: OSError) -> WaspError:
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A hint that names the closest known names, or all of them when none is close."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    likeness = {other: difflib.SequenceMatcher(None, name, other).ratio() for other in known}
+    best = max(likeness.values(), default=0.0)
+    close = [f"'{other}'" for other in known if likeness[other] >= max(0.6, best - 0.03)][:4]
     if close:
-        return "did you mean " + " or ".join(f"'{c}'" for c in close) + "?"
+        return "did you mean " + " or ".join(filter(None, (", ".join(close[:-1]), close[-1]))) + "?"
     return "known: " + ", ".join(known)

@@ -103,7 +103,7 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
 @pytest.mark.parametrize(
     ("old", "new", "place", "message", "hint"),
     [
-        ("[goal1]", "[goal2]", (3, 9), "unknown task 'goal2'", "did you mean 'goal1'?"),
+        ("[goal1]", "[goal7]", (3, 9), "unknown task 'goal7'", "did you mean 'goal0', 'goal1' or 'goal2'?"),
         ("[goal1]", "[goal1, goal1]", (3, 8), "'goal1' is listed twice", None),
         ("[goal1]", "[]", (3, 8), "should not be empty", "the tasks"),
         ("[goal1]", "goal1", (3, 8), "should be a list, not 'goal1'", None),
@@ -135,7 +135,7 @@ def test_operators_may_be_absent_when_nobody_is_impaired() -> None:
 
 
 def test_all_problems_come_at_once_in_file_order() -> None:
-    text = GOOD.replace("goal1", "goal2").replace("0.2", "7").replace("[0]", "[0, 0]") + "extra: 1\nwasp: {alpha: x}\n"
+    text = GOOD.replace("goal1", "goal7").replace("0.2", "7").replace("[0]", "[0, 0]") + "extra: 1\nwasp: {alpha: x}\n"
     assert [at(problem) for problem in problems(text)] == [(3, 9), (6, 17), (7, 8), (8, 1), (9, 15)]
 
 
@@ -205,8 +205,8 @@ def test_a_bomb_of_aliases_is_refused_quickly() -> None:
 
 
 def test_the_excerpt_puts_a_caret_under_the_mistake() -> None:
-    assert str(only(GOOD.replace("[goal1]", "[goal2]"))) == (
-        "x.yaml:3:9: unknown task 'goal2'\n    3 | tasks: [goal2]\n      |         ^\n    did you mean 'goal1'?"
+    assert str(only(GOOD.replace("[goal1]", "[goal7]"))) == (
+        "x.yaml:3:9: unknown task 'goal7'\n    3 | tasks: [goal7]\n      |         ^\n    did you mean 'goal0', 'goal1' or 'goal2'?"
     )
 
 

@@ -17,9 +17,8 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.waves import waves
 from wasp_cli.store.artifact import damage, published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.tasks.registry import TASKS
 
-State = Literal["cached", "missing", "damaged", "failed", "blocked"]
+State = Literal["cached", "missing", "damaged", "failed"]
 _MEASURED = 300
 """Manifests read per kind for the estimate of times."""
 
@@ -35,7 +34,7 @@ class Step:
     @property
     def runs(self) -> bool:
         """Whether a run would compute it."""
-        return self.state in ("missing", "damaged", "failed")
+        return self.state != "cached"
 
 
 @dataclass(frozen=True)
@@ -58,10 +57,6 @@ class Plan:
     def kinds(self) -> list[str]:
         """The kinds of nodes, in the order in which they first run."""
         return list(dict.fromkeys(node.kind for wave in waves(step.node for step in self.steps) for node in wave))
-
-    def missing_tasks(self) -> list[str]:
-        """Tasks of the grid that this version does not have."""
-        return [task for task in dict.fromkeys(cell.task for cell, _ in self.grid.cells) if not TASKS[task].implemented]
 
     def estimate(self, workers: int) -> tuple[float, int]:
         """Seconds for the nodes that are to run, and how many of them have no measured time."""
@@ -108,12 +103,10 @@ def make_plan(
 
 
 def _step(node: Node, stored: Mapping[str, set[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
-    if node.key in damages and TASKS[node.task].implemented:
+    if node.key in damages:
         return Step(node, "damaged", f"damaged, to be computed again: {damages[node.key]}")
-    if node.key not in damages and node.key in stored.get(node.kind, ()):
+    if node.key in stored.get(node.kind, ()):
         return Step(node, "cached", "computed before")
-    if not TASKS[node.task].implemented:
-        return Step(node, "blocked", f"task '{node.task}' is not implemented in this version")
     if node.key in failures:
         return Step(node, "failed", f"failed before: {failures[node.key]}")
     return Step(node, "missing", "not computed yet")

@@ -17,7 +17,7 @@ def show(plan: Plan, console: Console, workers: int) -> None:
 
     table = Table(box=None, padding=(0, 2), header_style="bold")
     table.add_column("stage")
-    for column in ("nodes", "cached", "to run", "failed before", "blocked"):
+    for column in ("nodes", "cached", "to run", "failed before"):
         table.add_column(column, justify="right")
     for kind in plan.kinds():
         counts = [
@@ -25,11 +25,11 @@ def show(plan: Plan, console: Console, workers: int) -> None:
             plan.count("cached", kind),
             plan.count("missing", kind) + plan.count("damaged", kind),
         ]
-        counts += [plan.count("failed", kind), plan.count("blocked", kind)]
+        counts.append(plan.count("failed", kind))
         table.add_row(kind, *(str(count) if count else "-" for count in counts))
     table.add_section()
     fresh = plan.count("missing") + plan.count("damaged")
-    totals = [len(plan.steps), plan.count("cached"), fresh, plan.count("failed"), plan.count("blocked")]
+    totals = [len(plan.steps), plan.count("cached"), fresh, plan.count("failed")]
     table.add_row("total", *map(str, totals), style="bold")
     console.print(table)
     cells = len({node.key for _, node in plan.grid.cells})
@@ -40,9 +40,6 @@ def show(plan: Plan, console: Console, workers: int) -> None:
     for step in plan.steps:
         if step.state in ("failed", "damaged"):
             console.print(f"{step.node.label}: {step.reason}", markup=False, soft_wrap=True)
-    for task in plan.missing_tasks():
-        nodes = sum(step.state == "blocked" and step.node.task == task for step in plan.steps)
-        console.print(f"task '{task}' is not implemented in this version: its {nodes} nodes cannot run", style="yellow")
     console.print(_time(plan, workers))
 
 

@@ -14,35 +14,30 @@ if TYPE_CHECKING:
 
 
 def task_table(tasks: Sequence[Description]) -> Table:
-    """A row per task; what is not known of one that is not implemented is left empty."""
+    """A row per task."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("Task", "Spaces", "Costs", "Limit"):
         table.add_column(heading, no_wrap=True)
     for task in tasks:
-        style = "" if task.implemented else "dim"
-        cells = [Text(cell, style=style) for cell in (_spaces(task), _costs(task), _limit(task))]
-        table.add_row(Text(task.name, style=style or "bold").append(f"\n{task.gym_id}", style="dim"), *cells)
+        cells = [Text(cell) for cell in (_spaces(task), _costs(task), _limit(task))]
+        table.add_row(Text(task.name, style="bold").append(f"\n{task.gym_id}", style="dim"), *cells)
         table.add_section()
     return table
 
 
 def _spaces(task: Description) -> str:
-    if task.pixels_shape is None:
-        return "not implemented"
     shape = "x".join(map(str, task.pixels_shape))
     return f"state {task.state_size}\npixels {shape}\nprivileged {task.privileged_size}\n{_actions(task)}"
 
 
 def _actions(task: Description) -> str:
-    if task.action_low is None or task.action_high is None:
-        return ""
     pairs = zip(task.action_low, task.action_high, strict=True)
     bounds = dict.fromkeys(f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in pairs)
     return f"action {len(task.action_low)} in " + ", ".join(bounds)
 
 
 def _costs(task: Description) -> str:
-    return "\n".join(task.cost_sources or ())
+    return "\n".join(task.cost_sources) or "none"
 
 
 def _limit(task: Description) -> str:

@@ -21,7 +21,6 @@ from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
-from wasp_cli.tasks.registry import TASKS
 
 
 def cores() -> int:
@@ -48,22 +47,6 @@ def restricted(loaded: Loaded, task: str | None) -> Loaded:
     return replace(loaded, spec=loaded.spec.model_copy(update={"tasks": (task,)}))
 
 
-def require_tasks(loaded: Loaded) -> None:
-    """Refuse a spec with tasks that this version does not have, before anything runs.
-
-    Raises:
-        SpecError: pointing at the first such task.
-    """
-    available = [name for name in TASKS if TASKS[name].implemented]
-    written = loaded.source.document.get("tasks") or []
-    for task in loaded.spec.tasks:
-        if not TASKS[task].implemented:
-            possible = [name for name in loaded.spec.tasks if name in available]
-            hint = f"run the others with --task {possible[0]}" if possible else "available: " + ", ".join(available)
-            place = ("tasks", written.index(task)) if task in written else ("tasks",)
-            raise loaded.problem(place, f"task '{task}' ({TASKS[task].gym_id}) is not implemented in this version", hint)
-
-
 @dataclass(frozen=True)
 class Session:
     """A run that is over."""
@@ -87,11 +70,9 @@ def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
         jobs: worker processes at most; 0 computes in this process.
 
     Raises:
-        SpecError: the spec has a task that this version does not have.
         StoreError: the results folder cannot be written.
         Interrupted: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
     """
-    require_tasks(loaded)
     layout = Layout(results.absolute())
     layout.prepare()
     sweep(layout)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from wasp_cli.tasks.base import CAMERA_SIZE
 from wasp_cli.tasks.make import make_task
@@ -11,24 +11,23 @@ from wasp_cli.tasks.registry import TASKS
 
 @dataclass(frozen=True)
 class Description:
-    """What people want to know of a task. The last fields are None where the task is not implemented in this version."""
+    """What people want to know of a task."""
 
     name: str
     title: str
     gym_id: str
-    implemented: bool
     env_steps: int
     """Time limit in env steps."""
     seconds: float
     """Time limit in simulated seconds."""
     success_goals: int
     """Goals (stages) within the time limit that count as success."""
-    state_size: int | None = None
-    pixels_shape: tuple[int, int, int] | None = None
-    privileged_size: int | None = None
-    action_low: tuple[float, ...] | None = None
-    action_high: tuple[float, ...] | None = None
-    cost_sources: tuple[str, ...] | None = None
+    state_size: int
+    pixels_shape: tuple[int, int, int]
+    privileged_size: int
+    action_low: tuple[float, ...]
+    action_high: tuple[float, ...]
+    cost_sources: tuple[str, ...]
 
 
 def describe() -> list[Description]:
@@ -38,14 +37,14 @@ def describe() -> list[Description]:
 
 def _described(name: str) -> Description:
     info = TASKS[name]
-    known = Description(
-        name, info.title, info.gym_id, info.implemented, info.env_steps, round(info.env_steps * info.env_seconds, 6), info.success_goals
-    )
-    if not info.implemented:
-        return known
     task = make_task(name, 1, observe=())  # without a camera, which would take most of the time
-    return replace(
-        known,
+    return Description(
+        name=name,
+        title=info.title,
+        gym_id=info.gym_id,
+        env_steps=info.env_steps,
+        seconds=round(info.env_steps * info.env_seconds, 6),
+        success_goals=info.success_goals,
         state_size=task.state_size,
         pixels_shape=(6, CAMERA_SIZE, CAMERA_SIZE),
         privileged_size=task.privileged_size,

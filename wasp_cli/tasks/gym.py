@@ -1,6 +1,6 @@
 """The tasks as standard gymnasium environments: `gymnasium.make("wasp_cli.tasks.gym:wasp/SafetyPointGoal1-v0")`.
 
-Importing this module registers every implemented task under the namespace `wasp/`; MuJoCo is imported when one is made.
+Importing this module registers every task under the namespace `wasp/`; MuJoCo is imported when one is made.
 The cost comes as `info["cost"]`, as in the 5-tuple environments of the reference package. `gymnasium.make_vec` steps B episodes in one
 call (`TaskVectorEnv`); `upstream` and the option `upstream_api=True` give the reference package's own six-tuple.
 """
@@ -272,10 +272,10 @@ def upstream(task: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
 
 
 def register_envs() -> None:
-    """Register every implemented task that is not registered yet."""
+    """Register every task that is not registered yet."""
     for name in TASKS:
         info = TASKS[name]
-        if info.implemented and info.gym_id not in gymnasium.registry:
+        if info.gym_id not in gymnasium.registry:
             # The tasks keep their own time limit, which is why no TimeLimit wrapper is asked for; and they check actions themselves, while
             # gymnasium's checker would refuse the six-tuple.
             gymnasium.register(

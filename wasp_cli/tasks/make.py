@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from wasp_cli.tasks.registry import TASKS, require_implemented
+from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
     from wasp_cli.tasks.base import VectorTask
@@ -30,10 +30,8 @@ def make_task(
 
     Raises:
         UnknownName: no such task.
-        UsageError: the task is known but not implemented in this version.
     """
     info = TASKS[name]
-    require_implemented(info)
     options = {"action_repeat": action_repeat, "observe": tuple(observe), "threads": threads, **info.options}
     task: VectorTask = TASKS.load(name)(batch, **options)
     return task

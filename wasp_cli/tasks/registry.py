@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import UnknownName
 from wasp_cli.registry import Registry, load_target, module_of
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class TaskInfo:
     """Name in tables."""
     gym_id: str
     target: str
-    """Import string of the `VectorTask` class; empty while the task is not implemented."""
+    """Import string of the `VectorTask` class."""
     env_seconds: float
     """Simulated time of one env step in seconds."""
     env_steps: int
@@ -44,13 +44,9 @@ class TaskInfo:
     """What the class is built with, beside what `make_task` passes."""
 
     @property
-    def implemented(self) -> bool:
-        return bool(self.target)
-
-    @property
     def modules(self) -> tuple[str, ...]:
         """The modules with which the task's code begins: the keys of its results cover what these import."""
-        return (module_of(self.target),) if self.implemented else ()
+        return (module_of(self.target),)
 
     def facts(self) -> dict[str, Any]:
         """What the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
@@ -126,13 +122,6 @@ TASKS: Registry[TaskInfo] = TaskRegistry(
         TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}),
     ),
 )
-
-
-def require_implemented(info: TaskInfo) -> None:
-    """Raise UsageError when a task is only known by name."""
-    if not info.implemented:
-        available = ", ".join(name for name in TASKS if TASKS[name].implemented)
-        raise UsageError(f"task '{info.name}' ({info.gym_id}) is not implemented in this version", f"available: {available}")
 
 
 def is_foreign(name: str) -> bool:
