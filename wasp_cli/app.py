@@ -290,7 +290,7 @@ def show_task(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="PNG", help="The picture. (default: <task>_seed<N>.png)", show_default=False)
     ] = None,
-    steps: Annotated[int, typer.Option("--steps", min=0, metavar="N", help="Decision steps of random driving before.")] = 0,
+    steps: Annotated[int, typer.Option("--steps", min=0, metavar="N", help="Also show the first N decision steps of an episode.")] = 0,
 ) -> None:
     """Draw a layout: the map from above and both camera images."""
     from wasp_cli import console

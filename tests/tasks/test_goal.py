@@ -7,6 +7,7 @@ import pytest
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.goal.task import GOAL_KEEPOUT, HAZARD_KEEPOUT, Goal
+from wasp_cli.tasks.views import from_above
 
 VECTORS = ("state", "privileged")
 
@@ -237,7 +238,7 @@ def test_foreign_snapshots_are_refused():
 def test_the_map_shows_everything():
     task = Goal(2, observe=())
     task.reset([1, 2])
-    picture = task.topdown(1, 128)
+    picture = from_above(task, 1, 128)
 
     assert picture.shape == (128, 128, 3)
     assert picture.dtype == np.uint8

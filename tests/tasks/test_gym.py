@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -77,6 +78,8 @@ def test_rendering():
     assert picture.shape == (256, 256, 3)
     assert picture.dtype == np.uint8
     assert env.metadata["render_fps"] == 50
+    with pytest.raises(UsageError, match=r"no view 'chse'.*\n?.*"):
+        gymnasium.make(ID, render_mode="rgb_array", view="chse")
     with pytest.raises(UsageError, match="cannot render"):
         wasp_cli.tasks.gym.TaskEnv("goal1", render_mode="human")
     assert wasp_cli.tasks.gym.TaskEnv("goal1").render() is None
@@ -305,3 +308,24 @@ def test_an_unknown_task_is_named_with_close_ones(name: str) -> None:
     with pytest.raises(UnknownName, match=f"unknown task '{name}'") as caught:
         make_task(name, 1)
     assert "goal1" in caught.value.hint or "SafetyPointGoal1-v0" in caught.value.hint
+
+
+def test_a_view_from_behind_where_there_is_opengl():
+    env = gymnasium.make(ID, render_mode="rgb_array", view="chase")
+    env.reset(seed=0)
+    refused = None
+    try:
+        assert env.render().shape == (360, 480, 3)
+    except UsageError as error:
+        refused = error
+    # A machine without OpenGL is told what to do.
+    assert refused is None or "MUJOCO_GL" in refused.hint
+    env.close()
+
+
+def test_a_backend_of_opengl_that_is_not_there_is_an_error_not_a_traceback():
+    code = "from wasp_cli.tasks.make import make_task; make_task('goal1', 1, observe=())"
+    environment = {**os.environ, "MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": ""}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    # Where OSMesa is installed it simply works.
+    assert done.returncode == 0 or "UsageError: MuJoCo does not import with MUJOCO_GL=osmesa" in done.stderr

@@ -7,10 +7,13 @@ S = size of the state vector, P = size of the privileged vector.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from wasp_cli.tasks.camera.look import Look, Scene
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -54,11 +57,15 @@ class Step(NamedTuple):
 
 
 @runtime_checkable
-class HasMap(Protocol):
-    """A task that can be looked at from above."""
+class HasScene(Protocol):
+    """A task that can be drawn for people (`wasp_cli.tasks.views`). No picture of these is an observation."""
 
-    def topdown(self, row: int, size: int) -> Pixels:
-        """One episode as a map, for people: uint8 [size, size, 3], +x to the right, +y up. Never an observation."""
+    def look(self) -> Look:
+        """What stays the same over the episodes."""
+        ...
+
+    def scene(self, rows: NDArray[np.intp]) -> Scene:
+        """Where everything is now, of n rows."""
         ...
 
 

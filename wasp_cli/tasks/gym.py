@@ -7,20 +7,22 @@ call (`TaskVectorEnv`); `upstream` and the option `upstream_api=True` give the r
 
 from __future__ import annotations
 
-from typing import Any, Literal, SupportsFloat, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, cast, get_args
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError, UnknownName, UsageError, did_you_mean
-from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, HasMap, Observation, Pixels, VectorTask
+from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, HasScene, Observation, Pixels, VectorTask
 from wasp_cli.tasks.layout import SEED_LIMIT
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS, task_named
 
-MAP_SIZE = 256
+if TYPE_CHECKING:
+    from wasp_cli.tasks.views import Viewer
 
+ViewName = Literal["map", "chase"]
 ObservationName = Literal["state", "pixels", "privileged", "all"]
 Seen = NDArray[Any] | dict[str, NDArray[Any]]
 """An observation: an array, or with `all` a dictionary of three."""
@@ -34,7 +36,8 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         observation: `state` (float64 [S], the reference package's vector), `pixels` (uint8 [6, 64, 64]), `privileged` (float32 [P]), or
             `all` (a dictionary of these three).
         action_repeat: env steps per `step`; rewards and costs add up.
-        render_mode: `rgb_array` gives a map from above.
+        render_mode: `rgb_array` gives pictures for people: what `view` says.
+        view: `map` from above (uint8 [256, 256, 3]), or `chase` from behind the robot (uint8 [360, 480, 3]), which needs OpenGL.
         upstream_api: `step` returns the reference package's six values (obs, reward, cost, terminated, truncated, info), with its keys in
             `info`: `cost_<source>` and `cost_sum` in every step, `goal_met` in those that reach a goal. Wrappers of gymnasium expect five
             values and fail on it, so nothing but what `gymnasium.make` adds here by itself may lie around it (no `max_episode_steps=`).
@@ -56,16 +59,17 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         observation: ObservationName = "state",
         action_repeat: int = 1,
         render_mode: Literal["rgb_array"] | None = None,
+        view: ViewName = "map",
         upstream_api: bool = False,
         **unknown: object,
     ) -> None:
-        _refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "upstream_api"))
+        _refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "view", "upstream_api"))
         self._task, self._name = _made(task, 1, observation, action_repeat), observation
         self._success_goals = TASKS[task].success_goals
         self._upstream = bool(upstream_api)
         self._goals = 0
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self._task.decision_seconds)}
-        self.render_mode = _render_mode(task, self._task, render_mode)
+        self.render_mode, self._viewer = render_mode, _viewer(task, self._task, render_mode, view)
         self.action_space = gymnasium.spaces.Box(self._task.action_low, self._task.action_high, dtype=np.float64)
         self.observation_space = _space(self._task, observation)
 
@@ -110,11 +114,16 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return seen, reward, terminated, truncated, {"cost": cost, "cost_sources": sources, "goals": self._goals, "success": success}
 
     def render(self) -> Pixels | None:
-        """The map from above, uint8 [256, 256, 3]."""
-        if self.render_mode is None:
-            return None
-        assert isinstance(self._task, HasMap)
-        return self._task.topdown(0, MAP_SIZE)
+        """The picture that `view` names.
+
+        Raises:
+            UsageError: it needs OpenGL, which cannot be used here.
+        """
+        return None if self._viewer is None else self._viewer.draw(0)
+
+    def close(self) -> None:
+        if self._viewer is not None:
+            self._viewer.close()
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
@@ -144,10 +153,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
 
     Args:
         num_envs: B, episodes side by side.
-        task: as for `TaskEnv`; so are `observation`, `action_repeat` and `render_mode`.
+        task: as for `TaskEnv`; so are `observation`, `action_repeat`, `render_mode` and `view`.
         observation: see `task`.
         action_repeat: see `task`.
-        render_mode: see `task`; `render` gives B maps.
+        render_mode: see `task`; `render` gives B pictures.
         threads: threads for physics and cameras; results do not depend on it.
 
     Raises:
@@ -162,11 +171,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         observation: ObservationName = "state",
         action_repeat: int = 1,
         render_mode: Literal["rgb_array"] | None = None,
+        view: ViewName = "map",
         threads: int = 1,
         upstream_api: bool = False,
         **unknown: object,
     ) -> None:
-        _refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "threads"))
+        _refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "view", "threads"))
         if upstream_api:
             raise UsageError("a vector of environments has no six-tuple", "read infos['cost'], or step single environments")
         self._task, self._name = _made(task, num_envs, observation, action_repeat, threads), observation
@@ -177,7 +187,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
             "render_fps": round(1.0 / self._task.decision_seconds),
             "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP,
         }
-        self.render_mode = _render_mode(task, self._task, render_mode)
+        self.render_mode, self._viewer = render_mode, _viewer(task, self._task, render_mode, view)
         self.single_action_space = gymnasium.spaces.Box(self._task.action_low, self._task.action_high, dtype=np.float64)
         self.single_observation_space = _space(self._task, observation)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
@@ -236,11 +246,13 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         return seen, reward, terminated, truncated, infos
 
     def render(self) -> tuple[Pixels, ...] | None:
-        """The maps from above, each uint8 [256, 256, 3]."""
-        if self.render_mode is None:
-            return None
-        assert isinstance(self._task, HasMap)
-        return tuple(self._task.topdown(row, MAP_SIZE) for row in range(self.num_envs))
+        """The picture that `view` names, of each episode."""
+        return None if self._viewer is None else tuple(self._viewer.draw(row) for row in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Give an OpenGL context back."""
+        if self._viewer is not None:
+            self._viewer.close()
 
     def _start(self, rows: Bools, seeds: list[int | None]) -> Observation:
         layouts = []
@@ -300,10 +312,16 @@ def _made(task: str, batch: int, observation: str, action_repeat: int, threads: 
     return make_task(task, batch, action_repeat=action_repeat, observe=observe, threads=threads)
 
 
-def _render_mode(task: str, made: VectorTask, mode: str | None) -> str | None:
-    if mode is not None and (mode != "rgb_array" or not isinstance(made, HasMap)):
+def _viewer(task: str, made: VectorTask, mode: str | None, view: ViewName) -> Viewer | None:
+    if view not in (known := get_args(ViewName)):
+        raise UsageError(f"task '{task}' has no view '{view}'", did_you_mean(str(view), known))
+    if mode is None:
+        return None
+    if mode != "rgb_array" or not isinstance(made, HasScene):
         raise UsageError(f"task '{task}' cannot render '{mode}'", "render_mode is None or 'rgb_array'")
-    return mode
+    from wasp_cli.tasks.views import Viewer  # it imports MuJoCo, which registering the tasks should not
+
+    return Viewer(made, view)
 
 
 def _refuse_unknown(task: str, unknown: dict[str, object], known: tuple[str, ...]) -> None:

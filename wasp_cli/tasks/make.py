@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from wasp_cli.errors import UsageError
 from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
@@ -30,8 +32,20 @@ def make_task(
 
     Raises:
         UnknownName: no such task.
+        UsageError: MuJoCo does not import, because MUJOCO_GL names what is not there.
     """
     info = TASKS[name]
     options = {"action_repeat": action_repeat, "observe": tuple(observe), "threads": threads, **info.options}
-    task: VectorTask = TASKS.load(name)(batch, **options)
+    task: VectorTask = _class_of(name)(batch, **options)
     return task
+
+
+def _class_of(name: str) -> Any:
+    try:
+        return TASKS.load(name)
+    except AttributeError as error:
+        # MuJoCo asks for OpenGL when it is imported, though nothing here needs it, and fails so where the library is missing.
+        chosen = os.environ.get("MUJOCO_GL")
+        if chosen is None or "gl" not in str(error).lower():
+            raise
+        raise UsageError(f"MuJoCo does not import with MUJOCO_GL={chosen}: {error}", "unset MUJOCO_GL, or set it to egl") from error

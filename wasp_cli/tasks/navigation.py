@@ -19,7 +19,6 @@ from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
 from wasp_cli.tasks.camera.camera import Camera
 from wasp_cli.tasks.camera.look import Look, Scene
-from wasp_cli.tasks.camera.topdown import draw_map
 from wasp_cli.tasks.frames import distance, wrapped
 from wasp_cli.tasks.layout import Streams, checked_seed
 from wasp_cli.tasks.local_physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
@@ -62,7 +61,7 @@ class Navigation(ABC):
     cost_sources: tuple[str, ...]
 
     @abstractmethod
-    def _look(self) -> Look:
+    def look(self) -> Look:
         """What it looks like."""
 
     @abstractmethod
@@ -98,7 +97,7 @@ class Navigation(ABC):
         """[B, P]"""
 
     @abstractmethod
-    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+    def scene(self, rows: NDArray[np.intp]) -> Scene:
         """What the cameras see."""
 
     @abstractmethod
@@ -144,7 +143,7 @@ class Navigation(ABC):
         self._ended = np.ones(batch, np.bool_)
         self._terminated = np.zeros(batch, np.bool_)
         self._streams = Streams(batch)
-        self._camera = Camera(self._look(), threads) if "pixels" in self.observe else None
+        self._camera = Camera(self.look(), threads) if "pixels" in self.observe else None
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
 
     # -- episodes ---------------------------------------------------------------------------------------------------------------
@@ -268,16 +267,13 @@ class Navigation(ABC):
     def _observe(self, changed: NDArray[np.intp]) -> Observation:
         pixels = state = privileged = None
         if self._camera is not None:
-            self._pixels[changed] = self._camera.render(self._scene(changed))
+            self._pixels[changed] = self._camera.render(self.scene(changed))
             pixels = self._pixels.copy()
         if "state" in self.observe:
             state = self._state()
         if "privileged" in self.observe:
             privileged = self._privileged()
         return Observation(pixels, state, privileged)
-
-    def topdown(self, row: int, size: int = 256) -> Pixels:
-        return draw_map(self._look(), self._scene(np.array([row])), 0, size)
 
     # -- snapshot ---------------------------------------------------------------------------------------------------------------
 

@@ -27,14 +27,30 @@ class BatchPhysics:
 
     def advance(self, qpos: Floats, qvel: Floats, control: Floats, steps: int) -> tuple[Floats, Floats]:
         """States after `steps` physics steps under a held control: [n, nq], [n, nv], [n, nu] -> [n, nq], [n, nv]."""
+        if len(qpos) == 1:
+            data = self._placed(qpos, qvel, control)
+            mujoco.mj_step(self.model, data, nstep=steps)
+            return data.qpos[None].copy(), data.qvel[None].copy()
         state, _ = self._run(qpos, qvel, control, steps)
         nq = self.model.nq
         return state[:, -1, 1 : 1 + nq], state[:, -1, 1 + nq :]
 
     def sensors(self, qpos: Floats, qvel: Floats, control: Floats) -> Floats:
         """Sensor readings [n, nsensordata] at these very states."""
+        if len(qpos) == 1:
+            data = self._placed(qpos, qvel, control)
+            mujoco.mj_forward(self.model, data)
+            return np.array(data.sensordata[None])
         # A step reads its sensors before it integrates, so one more step tells those of the state it starts from.
         return self._run(qpos, qvel, control, 1)[1][:, 0]
+
+    def _placed(self, qpos: Floats, qvel: Floats, control: Floats) -> mujoco.MjData:
+        """The state of a single row: the same numbers as in a batch, without the batch's overhead."""
+        data = self._data[0]
+        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[0], qvel[0], control[0]
+        data.qacc_warmstart[:] = 0.0
+        data.time = 0.0
+        return data
 
     def _run(self, qpos: Floats, qvel: Floats, control: Floats, steps: int) -> tuple[Floats, Floats]:
         model, rows = self.model, len(qpos)

@@ -78,7 +78,7 @@ class Formula(Navigation):
         self._stage = np.zeros(batch, np.int64)
         """[B] index of the goal in `track.STAGES`."""
 
-    def _look(self) -> Look:
+    def look(self) -> Look:
         return look(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
@@ -148,7 +148,7 @@ class Formula(Navigation):
             nearness(ray_distances(xy, heading, self._bodies[..., :2], BARREL_RADIUS, no_sides, _RAY_LIMIT)),
         )
 
-    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+    def scene(self, rows: NDArray[np.intp]) -> Scene:
         goal = np.concatenate([self._goal[rows, None], np.zeros((len(rows), 1, 1))], axis=-1)
         upright = np.broadcast_to(np.eye(3), (len(rows), 1, 3, 3))
         things = {"goal": Things(goal, upright, np.ones((len(rows), 1), np.bool_))}

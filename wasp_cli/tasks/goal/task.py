@@ -74,7 +74,7 @@ class Goal(Navigation):
         super().__init__(batch, g.build_model, numbers.vases, action_repeat=action_repeat, observe=observe, threads=threads)
         self._hazards = np.zeros((batch, numbers.hazards, 2))
 
-    def _look(self) -> Look:
+    def look(self) -> Look:
         return look(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
@@ -125,7 +125,7 @@ class Goal(Navigation):
     def _privileged(self) -> NDArray[np.float32]:
         return privileged_vector(self._velocity, self._turn, self._qpos, self._goal, self._hazards, self._bodies[..., :2])
 
-    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+    def scene(self, rows: NDArray[np.intp]) -> Scene:
         def flat(xy: Floats, z: float) -> Things:
             return Things(_raised(xy, z), np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)), np.ones(xy.shape[:2], np.bool_))
 

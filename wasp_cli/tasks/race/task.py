@@ -91,7 +91,7 @@ class Race(Navigation):
         self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
         self._hazards = np.zeros((batch, hazards, 2))
 
-    def _look(self) -> Look:
+    def look(self) -> Look:
         return look(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
@@ -137,7 +137,7 @@ class Race(Navigation):
             nearness(ray_distances(xy, heading, self._hazards, HAZARD_RADIUS, no_sides, _RAY_LIMIT)),
         )
 
-    def _scene(self, rows: NDArray[np.intp]) -> Scene:
+    def scene(self, rows: NDArray[np.intp]) -> Scene:
         qpos = self._qpos[rows]
         things = {"goal": _on_ground(self._goal[rows, None])}
         if self._hazards.shape[1]:
