@@ -72,7 +72,7 @@ def specs(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none", requires=["project"])
 def smoke(session: nox.Session) -> None:
-    """The main job end to end in a fresh folder; a second run must compute nothing; then the report."""
+    """The main job end to end in a fresh folder; a second run must compute nothing; then the other tasks, and the report."""
     results = Path(session.create_tmp()).resolve() / "results"
     shutil.rmtree(results, ignore_errors=True)
     run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
@@ -80,6 +80,8 @@ def smoke(session: nox.Session) -> None:
     run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
     if not before or artifacts(results) != before:
         session.error("the second run of specs/smoke.yaml touched artifacts of the first one")
+    others = ("--set", "name=smoke-cars", "--set", "tasks=[race1, formula1]", "--set", "operators={laggy: {severe: 0.85}}")
+    run(session, "wasp", "run", "specs/smoke.yaml", *others, "--results", str(results))
     run(session, "wasp", "report", str(results))
 
 
