@@ -57,6 +57,13 @@ def test_imports_for_type_checking_do_not_count(write: Write) -> None:
     assert closure(["house.a"]) == {"house", "house.a", "house.c"}
 
 
+@pytest.fixture
+def at_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`house` stands for the package itself, whose registries and config models have rules of their own."""
+    monkeypatch.setattr(module, "PACKAGE", "house")
+
+
+@pytest.mark.usefixtures("at_home")
 def test_registries_are_not_followed(write: Write) -> None:
     write("house/a.py", "from house.registry import THINGS\n")
     write("house/registry.py", "from house import b\n")
@@ -87,6 +94,7 @@ def test_a_change_far_down_counts_and_one_elsewhere_does_not(write: Write) -> No
     assert closure_hash(("house.a",)) != before
 
 
+@pytest.mark.usefixtures("at_home")
 def test_fields_of_config_models_do_not_count_since_their_values_do(write: Write) -> None:
     text = "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n    def twice(self):\n        return 2 * self.x\n"
     write("house/configs.py", text)
@@ -97,6 +105,24 @@ def test_fields_of_config_models_do_not_count_since_their_values_do(write: Write
     assert source_hash("house.configs") != before
     write("house/configs.py", text.replace("(1, 2)", "(1, 3)"))
     assert source_hash("house.configs") != before
+
+
+def test_in_packages_of_others_registries_and_configurations_count(write: Write) -> None:
+    write("house/a.py", "from house import registry\nfrom house.config import Field\nfrom house.configs import SIZE\n")
+    write("house/registry.py", "from house import b\n")
+    write("house/b.py", "x = 1\n")
+    write("house/config.py", "class Field:\n    wet = 0.3\n")
+    write("house/configs.py", "class Other:\n    wet: float = 0.3\n")
+    assert closure(["house.a"]) == {"house", "house.a", "house.b", "house.registry", "house.config", "house.configs"}
+    for name, text in (
+        ("registry", "from house import b\ny = 1\n"),
+        ("b", "x = 2\n"),
+        ("config", "class Field:\n    wet = 0.4\n"),
+        ("configs", "class Other:\n    wet: float = 0.4\n"),
+    ):
+        before = closure_hash(("house.a",))
+        write(f"house/{name}.py", text)
+        assert closure_hash(("house.a",)) != before, name
 
 
 def test_a_root_without_source_is_refused(write: Write) -> None:

@@ -1,7 +1,8 @@
 """The source that a node's result depends on: every project module that it imports, hashed without comments and docstrings.
 
-Static: modules are read, never imported, so that planning needs no torch. Registries are not followed (their import strings name every
-task and method at once); a node names the modules that it loads through them as further roots.
+Static: modules are read, never imported, so that planning needs no torch. The package's registries are not followed (their import strings
+name every task and method at once); a node names the modules that it loads through them as further roots. In packages of others, such as a
+task of one's own, every module counts as it is: what they keep in a `registry` or a `config` may be constants.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset({"app", "console", "errors", "plan", "report", "run", "spec", "__main__"})
 """Parts of the package that move no number, so that a better message re-runs nothing."""
 CONFIGURATION = frozenset({"config", "configs"})
-"""Modules of config models: the resolved values are in the key already, so defaults and constraints of fields do not count."""
+"""Our modules of config models: the resolved values are in the key already, so defaults and constraints of fields do not count."""
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
@@ -82,7 +83,9 @@ def _fresh_hash(module: str) -> str:
 
 def _digest(module: str, tree: ast.Module) -> str:
     digest = hashlib.sha256()
-    for text in _syntax(_configured(tree) if module.rpartition(".")[2] in CONFIGURATION else tree):
+    parts = module.split(".")
+    configured = parts[0] == PACKAGE and parts[-1] in CONFIGURATION
+    for text in _syntax(_configured(tree) if configured else tree):
         digest.update(text.encode())
     return digest.hexdigest()[:12]
 
@@ -126,9 +129,10 @@ def _imports(module: str) -> frozenset[str]:
 def _counts(module: str) -> bool:
     """Whether the source of a module can change a result."""
     parts = module.split(".")
-    if parts[0] == PACKAGE and (len(parts) == 1 or parts[1] in ORCHESTRATION):
-        return False  # the package's own __init__ holds its version
-    return parts[-1] != "registry"
+    if parts[0] != PACKAGE:
+        return True
+    # The package's own __init__ holds its version.
+    return len(parts) > 1 and parts[1] not in ORCHESTRATION and parts[-1] != "registry"
 
 
 def _parents(module: str) -> Iterator[str]:
