@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wasp_cli.errors import TaskError
 from wasp_cli.tasks import car
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.formula import track
@@ -246,7 +247,7 @@ def test_barrels_are_set_down_beside_barriers_and_others_stay():
         before = task.snapshot()["bodies"][row, :, :2]
         after = freed(before)
         moved = distance(before, after) > 0
-        assert 15 < moved.sum() < 60
+        assert 5 < moved.sum() < 40
         gaps = distance_to_segments(after[moved], track.SIDES).min(axis=1)
         assert (gaps > BARREL_RADIUS).mean() > 0.9
         clear = distance_to_segments(before, track.SIDES).min(axis=1) > 0.4
@@ -331,3 +332,37 @@ def test_quaternions_of_placed_barrels_are_their_yaws():
     yaw = 2.0 * np.arctan2(quaternions[:, 3], quaternions[:, 0])
     np.testing.assert_allclose(quaternions, yaw_quaternion(yaw), atol=1e-12)
     assert np.ptp(yaw) > 5.0
+
+
+def test_a_lying_barrel_is_met_at_its_top():
+    task = Formula(1, observe=())
+    task.reset([3])
+    far_from_barrels(task)
+    state = task.snapshot()
+    # It lies along the car's way with its top toward the car: 0.37 m from its origin.
+    half = np.sqrt(0.5)
+    state["bodies"][0, 7] = [*(state["qpos"][0, :2] + [0.6, 0.0]), 0.16, half, 0.0, -half, 0.0]
+    task.restore(state)
+    assert task._active[0, 7]
+
+
+def test_a_barrel_beside_one_that_is_pushed_takes_part():
+    task = Formula(1, observe=())
+    task.reset([3])
+    far_from_barrels(task)
+    state = task.snapshot()
+    state["bodies"][0, 7, :2] = state["qpos"][0, :2] + [0.4, 0.0]
+    state["bodies"][0, 8, :2] = state["qpos"][0, :2] + [0.74, 0.0]
+    task.restore(state)
+    assert task._active[0, [7, 8]].all()
+    assert task._active.sum() == 2
+
+
+def test_unstable_physics_is_an_error_not_a_new_start():
+    task = Race(2, observe=())
+    task.reset([0, 1])
+    state = task.snapshot()
+    state["qvel"][1, :3] = 1e11
+    task.restore(state)
+    with pytest.raises(TaskError, match="row 1 became unstable"):
+        task.step(np.zeros((2, 2)))

@@ -68,6 +68,28 @@ def test_a_wrong_recording_fails(name, field, change):
     assert [each.quantity for each in conformance.checks_of(recording)(recording) if not each.ok]
 
 
+@pytest.mark.parametrize(
+    ("name", "place", "value", "noticed_by"),
+    [
+        ("PointGoal1_seed0.npz", "goal.task.Goal.reward_goal", 2.0, "reward, all steps"),
+        ("PointGoal1_seed0.npz", "goal.task.Goal.num_steps", 600, "meta num_steps"),
+        ("PointGoal1_seed0.npz", "goal.task.VASE_KEEPOUT", 0.16, "layout vases_xy"),
+        ("CarRace1_seed0.npz", "race.task.Race.reward_goal", 9.0, "reward, all steps"),
+        ("CarRace1_seed0.npz", "race.task.HAZARD_RADIUS", 0.27, "cost_hazards"),
+        ("CarRace1_seed0.npz", "car.REACH", 0.0, "cost of walls as the gaps tell"),
+        ("CarRace1_seed0.npz", "navigation.Navigation.goal_radius", 0.31, "meta goal_size"),
+        ("CarFormulaOne1_seed1.npz", "formula.task.Formula.num_steps", 750, "meta num_steps"),
+        ("CarFormulaOne1_seed1.npz", "formula.task.BARREL_KEEPOUT", 0.49, "layout vases_xy"),
+        ("CarFormulaOne1_seed1.npz", "formula.task._REACH", 0.0, "first contact with a barrel"),
+        ("CarRace1_seed0.npz", "lidar.RANGE", 2.9, "hazards_lidar"),
+    ],
+)
+def test_a_wrong_task_is_noticed(name, place, value, noticed_by, monkeypatch):
+    monkeypatch.setattr(f"wasp_cli.tasks.{place}", value)
+    recording = load_recording(name)
+    assert noticed_by in [each.quantity for each in conformance.checks_of(recording)(recording) if not each.ok]
+
+
 def test_the_layout_of_a_seed_is_bit_exact(recording):
     task = Goal(2, observe=())
     task.reset([7, 0])
@@ -99,14 +121,17 @@ def test_the_command_fails_on_a_wrong_recording_and_skips_unknown_ones(recording
     assert "boat.npz                     skipped" in out
 
 
-@pytest.mark.parametrize("arguments", [[], ["no-such-folder"]])
-def test_the_command_explains_its_usage(arguments, capsys):
+@pytest.mark.parametrize(("arguments", "message"), [([], "usage"), (["no-such-folder"], "there is no folder 'no-such-folder'")])
+def test_the_command_explains_its_usage(arguments, message, capsys):
     assert conformance.main(arguments) == 2
-    assert "usage" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
+    assert conformance.main(["--help"]) == 0
+    assert "FOLDER" in capsys.readouterr().out
 
 
-def test_nothing_checked_is_not_a_success(tmp_path: Path):
+def test_nothing_checked_is_not_a_success(tmp_path: Path, capsys):
     assert conformance.main([str(tmp_path)]) == 1
+    assert "no recordings" in capsys.readouterr().err
 
 
 def test_nan_is_out_of_tolerance():
@@ -114,3 +139,35 @@ def test_nan_is_out_of_tolerance():
     assert not compare("q", [], [], 1.0).ok
     with pytest.raises(ValueError, match="shapes"):
         compare("q", [1.0], [1.0, 2.0], 1.0)
+
+
+def cut(recording, keep):
+    """A recording that knows only the first states and observations."""
+    return {name: array[:keep] if name.startswith(("state_", "obs")) and np.ndim(array) else array for name, array in recording.items()}
+
+
+@pytest.mark.parametrize("name", [name for name in RECORDINGS if name != "dynamics.npz"])
+@pytest.mark.parametrize("keep", [0, 1, 20])
+def test_a_recording_with_less_in_it_is_compared_as_far_as_it_goes(name, keep):
+    recording = cut(load_recording(name), keep)
+    recording.pop("vases_xy_mm", None)
+    assert [each for each in conformance.checks_of(recording)(recording) if not each.ok] == []
+
+
+def test_files_that_are_no_recordings_are_named_and_the_others_are_checked(tmp_path: Path, capsys):
+    whole = load_recording("dynamics.npz")
+    np.savez(tmp_path / "whole.npz", **whole)
+    np.savez(tmp_path / "lacking.npz", **{name: array for name, array in whole.items() if name != "car_qvel"})
+    np.savez(tmp_path / "pickled.npz", point_traj=np.array([{"a": 1}], dtype=object))
+    np.savez(tmp_path / "short.npz", **{**whole, "car_qpos": whole["car_qpos"][:2]})
+    (tmp_path / "text.npz").write_text("no archive")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    (tmp_path / "cut.npz").write_bytes((DATA / "dynamics.npz").read_bytes()[:5000])
+    (tmp_path / "folder.npz").mkdir()
+
+    assert conformance.main([str(tmp_path)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    failed = {line.split()[0] for line in lines if "FAILED" in line}
+    assert failed == {"lacking.npz", "pickled.npz", "short.npz", "text.npz", "empty.npz", "cut.npz"}
+    assert any("lacks the field 'car_qvel'" in line for line in lines)
+    assert sum(line.startswith("whole.npz") and line.endswith(" ok") for line in lines) > 5

@@ -228,6 +228,10 @@ def test_foreign_snapshots_are_refused():
     larger.reset([0, 1])
     with pytest.raises(TaskError, match="batch 1"):
         task.restore(larger.snapshot())
+    broken = task.snapshot()
+    broken["qvel"][0, 0] = np.nan
+    with pytest.raises(TaskError, match="no number, in 'qvel'"):
+        task.restore(broken)
     for name in task.snapshot():
         partial = task.snapshot()
         del partial[name]

@@ -24,4 +24,6 @@ def test_the_command_prints_a_table(monkeypatch, capsys):
 
 def test_an_unknown_task_is_an_error(capsys):
     assert speed.main(["gaol1"]) == 2
-    assert "gaol1" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "gaol1" in error
+    assert "did you mean 'goal1'?" in error

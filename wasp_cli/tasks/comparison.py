@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.frames import wrapped
+from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.frames import distance, wrapped
 
 Recording = Mapping[str, NDArray[Any]]
 
@@ -35,6 +36,38 @@ def compare(quantity: str, ours: Any, theirs: Any, tolerance: float) -> Check:
     if ours.shape != theirs.shape:
         raise ValueError(f"{quantity}: shapes {ours.shape} and {theirs.shape} differ")
     return Check(quantity, float(np.abs(ours - theirs).max()) if ours.size else float("nan"), tolerance, ours.size)
+
+
+def errors(*parts: tuple[str, Floats, Bools, float]) -> list[Check]:
+    """Checks of errors [n] against 0 on the chosen entries [n]; what was not recorded is no check."""
+    return [compare(name, error[on], np.zeros_like(error[on]), tolerance) for name, error, on, tolerance in parts if on.any()]
+
+
+def check_rules(recording: Recording, expected: Mapping[str, float], costs: Sequence[str], sizes: int) -> list[Check]:
+    """The numbers that a recording states of its task.
+
+    Args:
+        recording: with `meta`.
+        expected: ours, by the names in `meta`.
+        costs: our cost sources.
+        sizes: length of our state vector.
+    """
+    meta = json.loads(str(recording["meta"]))
+    checks = [compare(f"meta {name}", ours, meta[name], 1e-9) for name, ours in expected.items() if meta.get(name) is not None]
+    theirs = [key.removeprefix("cost_") for key in meta["cost_keys"] if key != "cost_sum"]
+    return [
+        *checks,
+        compare("meta cost_keys", sorted(costs) != sorted(theirs), 0.0, 0.0),
+        compare("meta obs_dims", sizes, sum(meta["obs_dims"]), 0.0),
+    ]
+
+
+def check_rewards(recording: Recording, reward_goal: float, reward_clip: float, tolerance: float) -> list[Check]:
+    """Every recorded reward against the recorded way and our bonus."""
+    xy = np.concatenate([recording["layout_agent_xy"][None], recording["xy"]])
+    before, after = distance(xy[:-1], recording["goal_before"]), distance(xy[1:], recording["goal_before"])
+    rewards = np.clip(before - after + reward_goal * recording["goal_met"], -reward_clip, reward_clip)
+    return [compare("reward, all steps", rewards, recording["reward"], tolerance)]
 
 
 def path_means(path: Floats, seconds: float) -> tuple[Floats, Floats]:

@@ -147,15 +147,15 @@ def _packed(state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]) -> t
 
 
 def active_bodies(
-    agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float, apart: float, rest: float, leash: float = np.inf
+    agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float | Floats, apart: float, rest: float, leash: float = np.inf
 ) -> Bools:
-    """Which free bodies [n, F] take part: those in the agent's reach, those that move, and those in reach of a body that moves.
+    """Which free bodies [n, F] take part: those in the agent's reach, those that move, and those in reach of one of these.
 
     Args:
         agent_xy: [n, 2].
         bodies: [n, F, 7].
         speeds: [n, F, 6].
-        reach: distance of the agent's origin from a body's within which they can touch during an env step, in m.
+        reach: distance of the agent's origin from a body's within which they can touch during an env step, in m; one, or [n, F].
         apart: the same between two bodies.
         rest: largest entry of a velocity that counts as rest.
         leash: a body farther than this from the agent stands still, whatever its velocity, in m.
@@ -165,8 +165,8 @@ def active_bodies(
     range_ = distance(bodies[..., :2], agent_xy[:, None])
     moving = (np.abs(speeds) > rest).any(axis=2) & (range_ < leash)
     active: Bools = (range_ < reach) | moving
-    if moving.any():
-        row, first = np.nonzero(moving)
+    if active.any():
+        row, first = np.nonzero(active)
         close = distance(bodies[row, :, :2], bodies[row, first, None, :2]) < apart
         np.logical_or.at(active, row, close)
     return active

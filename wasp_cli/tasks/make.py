@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from wasp_cli.errors import UsageError
+from wasp_cli.tasks.mujoco_import import require_mujoco
 from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
@@ -36,16 +35,7 @@ def make_task(
     """
     info = TASKS[name]
     options = {"action_repeat": action_repeat, "observe": tuple(observe), "threads": threads, **info.options}
-    task: VectorTask = _class_of(name)(batch, **options)
+    require_mujoco()
+    task: VectorTask = TASKS.load(name)(batch, **options)
     return task
 
-
-def _class_of(name: str) -> Any:
-    try:
-        return TASKS.load(name)
-    except AttributeError as error:
-        # MuJoCo asks for OpenGL when it is imported, though nothing here needs it, and fails so where the library is missing.
-        chosen = os.environ.get("MUJOCO_GL")
-        if chosen is None or "gl" not in str(error).lower():
-            raise
-        raise UsageError(f"MuJoCo does not import with MUJOCO_GL={chosen}: {error}", "unset MUJOCO_GL, or set it to egl") from error

@@ -25,6 +25,8 @@ from wasp_cli.tasks.local_physics import BODY_POSE, BODY_SPEED, Contacts, LocalP
 
 PHYSICS_STEPS = 10
 """Physics steps per env step."""
+_JUMP = 1.0
+"""Way in m that no robot drives within an env step."""
 
 
 @dataclass
@@ -44,6 +46,7 @@ class Navigation(ABC):
     # -- what a task is ---------------------------------------------------------------------------------------------------------
 
     name: ClassVar[str]
+    level: int
     env_seconds: ClassVar[float]
     """Simulated time of one env step in seconds."""
     num_steps: ClassVar[int]
@@ -167,7 +170,7 @@ class Navigation(ABC):
         control = self._checked(action)
         alive = ~self._ended
         if not alive.any():
-            raise TaskError("step after the end: every episode of the batch has ended; call reset first")
+            raise TaskError("step after the end: no episode of the batch is running; call reset first")
         rows = np.flatnonzero(alive)
         self._control[rows] = control[rows]
         heading = self._heading(rows)
@@ -211,6 +214,10 @@ class Navigation(ABC):
         state = self._physics.advance(self._physical(rows), self._control[rows], self._around(rows), PHYSICS_STEPS)
         self._qpos[rows], self._qvel[rows], self._bodies[rows], self._speeds[rows] = state
         xy = self._qpos[rows, :2]
+        way = distance(xy, origin)
+        if not (way < _JUMP).all():
+            # MuJoCo starts a state that it finds unstable anew, at the origin, and only writes a line into a log.
+            raise TaskError(f"the physics of row {rows[np.argmin(way < _JUMP)]} became unstable: its robot jumped")
         self._velocity[rows] = (xy - origin) / self.env_seconds
         self._streams.pass_step(rows)
         self._env_steps[rows] += 1
@@ -237,6 +244,10 @@ class Navigation(ABC):
     def pose(self) -> tuple[Floats, Floats, Floats]:
         """Positions [B, 2], directions [B] of the robots' front, and velocities [B, 2] over the last env step, world frame."""
         return self._qpos[:, :2].copy(), self._heading(np.arange(self.batch)), self._velocity.copy()
+
+    def costs(self) -> dict[str, Bools]:
+        """Whether each source costs in the present state [B]."""
+        return self._costs(np.arange(self.batch))
 
     # -- physics ----------------------------------------------------------------------------------------------------------------
 
@@ -299,7 +310,10 @@ class Navigation(ABC):
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Observation:
         for name, array in self.snapshot().items():
             if name not in snapshot or snapshot[name].shape != array.shape:
-                raise TaskError(f"the snapshot is not one of {self.name} with batch {self.batch}: '{name}' is missing or has another shape")
+                what = f"{self.name}{self.level} with batch {self.batch}"
+                raise TaskError(f"the snapshot is not one of {what}: '{name}' is missing or has another shape")
+            if snapshot[name].dtype.kind == "f" and not np.isfinite(snapshot[name]).all():
+                raise TaskError(f"the snapshot holds what is no number, in '{name}'")
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
         self._streams.restore(snapshot["stream_key"], snapshot["stream_position"], snapshot["stream_owed"])

@@ -41,6 +41,8 @@ _BARREL_PLACES = ((-12.2, -32.5, 27.8, 7.5), (26.0, -11.0, 38.0, 1.0))
 
 _REACH = car.REACH + BARREL_RADIUS
 _APART = 2.0 * BARREL_RADIUS + 0.04
+_LYING = 0.25
+"""How much farther from its origin a tilted barrel reaches, in m."""
 _REST, _LEASH = 1e-3, 3.0
 
 WAY_POINTS = (1.0, 2.0, 4.0, 8.0)
@@ -109,7 +111,9 @@ class Formula(Navigation):
 
     def _surround(self, rows: NDArray[np.intp]) -> Surroundings:
         xy, barrels = self._qpos[rows, :2], self._bodies[rows]
-        active = active_bodies(xy, barrels, self._speeds[rows], reach=_REACH, apart=_APART, rest=_REST, leash=_LEASH)
+        upright = 1.0 - 2.0 * (barrels[..., 4] ** 2 + barrels[..., 5] ** 2)
+        reach = np.where(upright > 0.9, _REACH, _REACH + _LYING)
+        active = active_bodies(xy, barrels, self._speeds[rows], reach=reach, apart=_APART, rest=_REST, leash=_LEASH)
         walls = distance_to_segments(xy, track.SIDES).min(axis=1) < car.REACH
         row, barrel = np.nonzero(active)
         if row.size:

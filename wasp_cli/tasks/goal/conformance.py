@@ -13,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.comparison import Check, Recording, compare, mean_ratio, path_means
-from wasp_cli.tasks.frames import wrapped
+from wasp_cli.tasks.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
+from wasp_cli.tasks.frames import quaternion_rotation, wrapped
+from wasp_cli.tasks.goal.model import HAZARD_RADIUS, build_model
 from wasp_cli.tasks.goal.task import Goal
+from wasp_cli.tasks.navigation import PHYSICS_STEPS
 
 XY, YAW, VASE = 2e-5, 5e-5, 2e-3
 """m, rad, m. The vase weighs 8 mg: what differs is how far it jumps within a step in which it is hit."""
 REWARD, SENSORS, LIDAR = 2e-6, 1e-5, 2e-5
+ANGLE = 1e-12
 RECORDED = 1e-9
 """Recorded goals were rounded to 9 decimals."""
 MEANS = 0.05
@@ -30,7 +33,20 @@ _Snapshot = dict[str, NDArray[Any]]
 
 def check_point_goal(recording: Recording) -> list[Check]:
     """Layout, motion, reward, cost, observations and goals of one recorded episode."""
-    return _layout(recording) + _motion(recording) + _observations(recording) + _goals(recording)
+    return _numbers(recording) + _layout(recording) + _motion(recording) + _observations(recording) + _goals(recording)
+
+
+def _numbers(r: Recording) -> list[Check]:
+    task, model = Goal(1, observe=()), build_model(1)
+    known = {
+        "timestep": model.opt.timestep,
+        "integrator": model.opt.integrator,
+        "frameskip": PHYSICS_STEPS,
+        "num_steps": task.num_steps,
+        "goal_size": task.goal_radius,
+        "hazard_size": HAZARD_RADIUS,
+    }
+    return check_rules(r, known, task.cost_sources, task.state_size) + check_rewards(r, task.reward_goal, task.reward_clip, REWARD)
 
 
 def _layout(r: Recording) -> list[Check]:
@@ -44,11 +60,16 @@ def _layout(r: Recording) -> list[Check]:
         "hazards_xy": start["hazards"][0],
         "vases_xy": start["bodies"][0, :, :2],
     }
-    return [compare(f"layout {name}", ours, r[f"layout_{name}"], 0.0) for name, ours in pairs.items()]
+    turned = quaternion_rotation(start["bodies"][0, :, 3:])
+    yaw = wrapped(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]) - r["layout_vases_yaw"])
+    checks = [compare(f"layout {name}", ours, r[f"layout_{name}"], 0.0) for name, ours in pairs.items()]
+    return [*checks, compare("layout vases_yaw", yaw, np.zeros_like(yaw), ANGLE)]
 
 
 def _motion(r: Recording) -> list[Check]:
     index = r["state_idx"].astype(np.intp)
+    if not index.size:
+        return []
     task, forced = _forced(r)
     task.restore(forced)
     step = task.step(r["action"][index])
@@ -57,13 +78,13 @@ def _motion(r: Recording) -> list[Check]:
     # Where the vase is hit, the reward inherits the error of the position.
     hit = r["n_vase_contacts"][index] + r["n_vase_contacts"][np.maximum(index - 1, 0)] > 0
     hit |= np.abs(forced["speeds"][:, 0]).max(axis=1) > 1e-3
+    off = np.abs(step.reward - r["reward"][index])
     turn = wrapped(qpos[:, 2] - r["yaw"][index])
     return [
         compare("xy after one step", qpos[:, :2], r["xy"][index], XY),
         compare("yaw after one step", turn, np.zeros_like(turn), YAW),
         compare("vase xy after one step", after["bodies"][:, 0, :2], r["vases_xy"][index, 0], VASE),
-        compare("reward, vase untouched", step.reward[~hit], r["reward"][index][~hit], REWARD),
-        compare("reward, vase hit", step.reward[hit], r["reward"][index][hit], XY),
+        *errors(("reward, vase untouched", off, ~hit, REWARD), ("reward, vase hit", off, hit, XY)),
         compare("cost", step.cost_env, r["cost"][index], 0.0),
         compare("goal met", step.goals, r["goal_met"][index], 0.0),
     ]
@@ -73,6 +94,8 @@ def _observations(r: Recording) -> list[Check]:
     # An observation after action t belongs to the state before action t + 1, where that was recorded too.
     index, seen = r["state_idx"].astype(np.intp), r["obs_idx"].astype(np.intp)
     which = np.flatnonzero(np.isin(seen + 1, index))
+    if not which.size:
+        return []
     before, at = seen[which], np.searchsorted(index, seen[which] + 1)
     task, forced = _forced(r)
     forced = {name: array.copy() for name, array in forced.items()}
@@ -96,7 +119,8 @@ def _goals(r: Recording) -> list[Check]:
     """Step through the whole episode, each step from the recorded position; goals and their moves must agree exactly."""
     task = Goal(1, action_repeat=1, observe=())
     task.reset([_seed(r)])
-    cost, met, goals = [], [], []
+    rows: dict[str, list[float]] = {"cost": [], "met": [], "terminated": [], "truncated": []}
+    goals = []
     for t, action in enumerate(r["action"]):
         forced = task.snapshot()
         if t > 0:
@@ -105,13 +129,23 @@ def _goals(r: Recording) -> list[Check]:
             forced["qvel"][0, :2], forced["qvel"][0, 2] = r["vel"][t - 1, :2], r["omega"][t - 1, 2]
         task.restore(forced)
         step = task.step(action[None])
-        cost.append(step.cost_env[0])
-        met.append(step.goals[0])
+        rows["cost"].append(step.sources["hazards"][0])
+        rows["met"].append(step.goals[0])
+        rows["terminated"].append(step.terminated[0])
+        rows["truncated"].append(step.ended[0] and not step.terminated[0])
         goals.append(task.snapshot()["goal"][0])
+        if step.ended[0]:
+            break
+    length = len(goals)
+    column = json.loads(str(r["meta"]))["cost_keys"].index("cost_hazards")
     return [
-        compare("cost, all steps", cost, r["cost"], 0.0),
-        compare("goal met, all steps", met, r["goal_met"], 0.0),
-        compare("goal, all steps", goals, r["goal_after"], RECORDED),
+        compare("length of the episode", length, len(r["xy"]), 0.0),
+        compare("cost, all steps", rows["cost"], r["cost"][:length], 0.0),
+        compare("cost_hazards", rows["cost"], r["costs"][:length, column], 0.0),
+        compare("goal met, all steps", rows["met"], r["goal_met"][:length], 0.0),
+        compare("goal, all steps", goals, r["goal_after"][:length], RECORDED),
+        compare("terminated", rows["terminated"], r["terminated"][:length], 0.0),
+        compare("truncated", rows["truncated"], r["truncated"][:length], 0.0),
     ]
 
 

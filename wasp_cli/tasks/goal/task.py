@@ -37,7 +37,7 @@ VASE_SPEED = 1e-4
 
 # The agent's arrow and the corner of a tipped vase reach 0.16 and 0.18 m; within an env step at most 0.03 m are driven.
 _REACH = 0.4
-_REST = 1e-12
+_REST = 1e-8
 
 
 class Goal(Navigation):
