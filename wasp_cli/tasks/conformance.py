@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
                 failed += name.startswith("FAILED")
                 continue
             verdict = "ok" if check.ok else "FAILED"
-            line = f"{check.quantity:39s} worst {check.worst:9.2e}  tolerance {check.tolerance:7.0e}  of {check.compared:6d}  {verdict}"
+            line = f"{check.quantity:39s} worst {check.worst:9.2e}  tolerance {check.tolerance:7.1e}  of {check.compared:6d}  {verdict}"
             print(f"{path.name:28s} {line}", flush=True)
             failed += not check.ok
             done += 1
