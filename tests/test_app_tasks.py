@@ -125,7 +125,8 @@ def test_a_sheet_of_anothers_environment_shows_its_camera(tmp_path: Path) -> Non
         (["goal1", "--out", "map.txt"], 2, "'map.txt' is no name of a picture"),
         (["nowhere:MyEnv-v0"], 1, "module 'nowhere' does not import"),
         (["goal1", "--out", "no/such/folder/map.png"], 1, "'no/such/folder/map.png': no such file or directory"),
-        (["../../etc/passwd"], 1, "no task and no gymnasium id is called"),
+        (["SafetyPointGoal3-v0"], 2, "'wasp/SafetyPointGoal1-v0'"),
+        (["../../etc/passwd"], 2, "no task and no gymnasium id is called"),
     ],
 )
 def test_what_cannot_be_shown_is_said(arguments: list[str], code: int, expected: str) -> None:

@@ -67,15 +67,23 @@ class UsageError(WaspError):
 
 
 class UnknownName(UsageError):
-    """A name that no registry knows; the message suggests close ones."""
+    """A name that no registry knows; the message suggests close ones.
 
-    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+    Args:
+        kind: what the name should be a name of.
+        name: what was written.
+        known: what could have been written.
+        message: what to say instead of "unknown <kind> '<name>'".
+        otherwise: the hint where nothing known is close, instead of all that is known.
+    """
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], message: str | None = None, otherwise: str | None = None) -> None:
         known = sorted(known)
-        super().__init__(f"unknown {kind} '{name}'", did_you_mean(name, known))
-        self.kind, self.name, self.known = kind, name, known
+        super().__init__(message or f"unknown {kind} '{name}'", did_you_mean(name, known, otherwise))
+        self.kind, self.name, self.known, self._otherwise = kind, name, known, otherwise
 
-    def __reduce__(self) -> tuple[type[UnknownName], tuple[str, str, list[str]]]:  # type: ignore[override]
-        return type(self), (self.kind, self.name, self.known)
+    def __reduce__(self) -> tuple[type[UnknownName], tuple[str, str, list[str], str, str | None]]:  # type: ignore[override]
+        return type(self), (self.kind, self.name, self.known, self.message, self._otherwise)
 
 
 class SpecError(WaspError):
@@ -96,12 +104,29 @@ def refusal(error: OSError) -> WaspError:
     return WaspError(reason if error.filename is None else f"'{error.filename}': {reason}", "wasp --debug COMMAND shows where")
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint that names the closest known names, or all of them when none is close."""
+def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) -> str:
+    """A hint that names the closest known names; when none is close, `otherwise`, or all of them.
+
+    Capitals do not count, and of `space/Name` the namespace may be missing.
+    """
     known = list(known)
-    likeness = {other: difflib.SequenceMatcher(None, name, other).ratio() for other in known}
+    likeness = {other: closeness(name, [other]) for other in known}
     best = max(likeness.values(), default=0.0)
     close = [f"'{other}'" for other in known if likeness[other] >= max(0.6, best - 0.03)][:4]
     if close:
         return "did you mean " + " or ".join(filter(None, (", ".join(close[:-1]), close[-1]))) + "?"
-    return "known: " + ", ".join(known)
+    return otherwise or "known: " + ", ".join(known)
+
+
+def closeness(name: str, known: Iterable[str]) -> float:
+    """How close the closest of some names is, from 0 to 1, with namespaces or without them."""
+    return max((max(_likeness(name, other), _likeness(_bare(name), _bare(other))) for other in known), default=0.0)
+
+
+def _likeness(one: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, one.lower(), other.lower()).ratio()
+
+
+def _bare(name: str) -> str:
+    """A gymnasium id without its namespace."""
+    return name.rpartition("/")[2]

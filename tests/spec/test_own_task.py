@@ -59,15 +59,18 @@ def test_an_option_replaces_either_form(line: str, setting: str) -> None:
     [
         ("task: gaol1", 7, "unknown task 'gaol1'", "did you mean 'goal"),
         ("tasks: [goal1, gaol1]", 16, "unknown task 'gaol1'", "did you mean 'goal"),
-        ("task: puddle:Pudle-v0", 7, "unknown gymnasium id of module 'puddle' 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
-        ("tasks: [goal1, puddle:Pudle-v0]", 16, "unknown gymnasium id of module 'puddle' 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
+        ("task: puddle:Pudle-v0", 7, "module 'puddle' registers no 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
+        ("tasks: [goal1, puddle:Pudle-v0]", 16, "module 'puddle' registers no 'Pudle-v0'", "did you mean 'Puddle-v0'?"),
         ("task: nowhere:MyEnv-v0", 7, "module 'nowhere' does not import", "pip install -e ."),
-        ("task: json:MyEnv-v0", 7, "module 'json' does not register 'MyEnv-v0'", "gymnasium.register('MyEnv-v0'"),
+        ("task: json:MyEnv-v0", 7, "module 'json' registers no 'MyEnv-v0'", "gymnasium.register('MyEnv-v0'"),
         ("task: CartPole-v1", 7, "environment 'CartPole-v1': its action space is Discrete(2)", "float Box"),
         ("task: unlimited:Puddle-v1", 7, "environment 'unlimited:Puddle-v1': it has no time limit", "max_episode_steps=500"),
         ("task: wasp/SafetyPointGoal1-v0", 7, "'wasp/SafetyPointGoal1-v0' has a name of its own here", "write 'goal1'"),
         ("task: SafetyPointGoal1-v0", 7, "'SafetyPointGoal1-v0' has a name of its own here", "write 'goal1'"),
         ("task: wasp/SafetyPointGaol1-v0", 7, "unknown task", "did you mean 'wasp/SafetyPointGoal1-v0'"),
+        ("task: SafetyPointGoal1", 7, "unknown task 'SafetyPointGoal1'", "did you mean 'wasp/SafetyPointGoal1-v0'"),
+        ("task: SafetyPointGoal3-v0", 7, "no gymnasium id is called 'SafetyPointGoal3-v0'", "'wasp/SafetyPointGoal1-v0'"),
+        ("task: unlimited:Fails-v0", 7, "environment 'unlimited:Fails-v0': its step failed: RuntimeError: the wheel fell off", "line"),
         ("task: ../../etc/passwd", 7, "no task and no gymnasium id is called", "module:"),
         ("task: 'my pkg:MyEnv-v0'", 7, "unknown task 'my pkg:MyEnv-v0'", ""),
         ("task: [goal1]", 7, "should be one name, not a list", "write tasks: [...]"),
@@ -78,7 +81,15 @@ def test_an_option_replaces_either_form(line: str, setting: str) -> None:
 def test_mistakes_have_a_place_and_a_remedy(
     line: str, column: int, message: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = "import gymnasium\ngymnasium.register('Puddle-v1', entry_point='puddle:Puddle')\n"
+    module = """\
+import gymnasium
+import puddle
+gymnasium.register('Puddle-v1', entry_point='puddle:Puddle')
+class Fails(puddle.Puddle):
+    def step(self, action):
+        raise RuntimeError('the wheel fell off')
+gymnasium.register('Fails-v0', entry_point=Fails, max_episode_steps=5)
+"""
     (tmp_path / "unlimited.py").write_text(module, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     problem = only(line)

@@ -8,10 +8,10 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from wasp_cli.errors import UnknownName
+from wasp_cli.errors import UnknownName, closeness
 from wasp_cli.registry import Registry, load_target, module_of
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ _GYM_ID = re.compile(r"(?:[A-Za-z_][\w.]*:)?[\w./-]{1,100}", re.ASCII)
 
 
 @dataclass(frozen=True)
-class TaskInfo:
-    """What is known of a task without importing MuJoCo."""
+class _Named:
+    """What is known of a task by its name alone."""
 
     name: str
     title: str
@@ -34,6 +34,17 @@ class TaskInfo:
     gym_id: str
     target: str
     """Import string of the `VectorTask` class."""
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """The modules with which the task's code begins: the keys of its results cover what these import."""
+        return (module_of(self.target),)
+
+
+@dataclass(frozen=True)
+class TaskInfo(_Named):
+    """What is known of a task without importing MuJoCo."""
+
     env_seconds: float
     """Simulated time of one env step in seconds."""
     env_steps: int
@@ -43,28 +54,22 @@ class TaskInfo:
     options: Mapping[str, Any] = field(default_factory=dict)
     """What the class is built with, beside what `make_task` passes."""
 
-    @property
-    def modules(self) -> tuple[str, ...]:
-        """The modules with which the task's code begins: the keys of its results cover what these import."""
-        return (module_of(self.target),)
-
     def facts(self) -> dict[str, Any]:
         """What the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
-        return {name: value for name, value in asdict(self).items() if name not in ("title", "target", "gym_id")}
+        return _facts(self)
 
 
-class ForeignInfo(TaskInfo):
+class ForeignInfo(_Named):
     """A gymnasium id of somebody else's. Its numbers are asked of the environment when they are first read, which imports its module.
 
     A report of results needs the name alone, so that it can be printed where the environment is not installed.
     """
 
+    options: ClassVar[Mapping[str, Any]] = {}
+
     def __init__(self, name: str) -> None:
         gym_id = name.rpartition(":")[2]
-        target = "wasp_cli.tasks.foreign.task:GymTask"
-        known: dict[str, Any] = {"name": name, "title": gym_id, "gym_id": gym_id, "target": target, "options": {}}
-        for attribute, value in known.items():
-            object.__setattr__(self, attribute, value)
+        super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
 
     def examine(self) -> Facts:
         """What the environment says of itself.
@@ -77,23 +82,41 @@ class ForeignInfo(TaskInfo):
         facts: Facts = load_target("wasp_cli.tasks.foreign.examine:examine")(self.name)
         return facts
 
-    def __getattr__(self, name: str) -> Any:
-        if name not in ("env_seconds", "env_steps", "success_goals"):
-            raise AttributeError(name)
-        return getattr(self.examine(), name)
+    @property
+    def env_seconds(self) -> float:
+        """See `TaskInfo`."""
+        return self.examine().env_seconds
+
+    @property
+    def env_steps(self) -> int:
+        """See `TaskInfo`."""
+        return self.examine().env_steps
+
+    @property
+    def success_goals(self) -> int:
+        """See `TaskInfo`."""
+        return self.examine().success_goals
 
     @property
     def modules(self) -> tuple[str, ...]:
         return (*super().modules, *self.examine().modules)
 
     def facts(self) -> dict[str, Any]:
-        return super().facts() | {"registered": self.examine().registered}
+        """See `TaskInfo`; how an environment is registered moves results too."""
+        return _facts(self) | {"registered": self.examine().registered}
 
 
-class TaskRegistry(Registry[TaskInfo]):
+AnyTaskInfo = TaskInfo | ForeignInfo
+
+
+def _facts(info: AnyTaskInfo) -> dict[str, Any]:
+    return {name: getattr(info, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options")}
+
+
+class TaskRegistry(Registry[AnyTaskInfo]):
     """The registered tasks; gymnasium ids resolve too, but are not listed."""
 
-    def __getitem__(self, name: str) -> TaskInfo:
+    def __getitem__(self, name: str) -> AnyTaskInfo:
         if name not in self and is_foreign(name):
             return ForeignInfo(name)
         try:
@@ -109,7 +132,7 @@ class TaskRegistry(Registry[TaskInfo]):
 
 _GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
 
-TASKS: Registry[TaskInfo] = TaskRegistry(
+TASKS: Registry[AnyTaskInfo] = TaskRegistry(
     "task",
     "wasp.tasks",
     (
@@ -146,5 +169,6 @@ def task_named(text: str) -> str:
 
 
 def _names(like: str) -> list[str]:
-    """What a task may be called, for suggestions: gymnasium ids to those who write one."""
-    return [TASKS[name].gym_id for name in TASKS] if "/" in like or "-" in like else list(TASKS)
+    """What a task may be called, for suggestions: our gymnasium ids to those who write something like one, else our names."""
+    ids = [TASKS[name].gym_id for name in TASKS]
+    return ids if closeness(like, ids) > closeness(like, TASKS) else list(TASKS)

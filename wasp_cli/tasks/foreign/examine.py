@@ -23,13 +23,9 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError, UnknownName
 from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.foreign.calls import GymEnv, calling, described, of_environment, reset, step
 from wasp_cli.tasks.foreign.views import Views, views_of
-
-GymEnv = gymnasium.Env[Any, Any]
-
-COST_HINT = "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
-LONE_SOURCE = "cost"
-"""The cost source of an environment that names none."""
+from wasp_cli.tasks.registry import TASKS
 
 
 @dataclass(frozen=True)
@@ -60,7 +56,7 @@ def examine(name: str) -> Facts:
 
     Raises:
         UnknownName: no such id.
-        TaskError: its module does not import, it cannot be made, or it lacks something; the message names it.
+        TaskError: its module does not import, it cannot be made, it fails, or it lacks something; the message names it.
     """
     # What modules and environments print as they start must not get between the lines of a plan that is JSON.
     with contextlib.redirect_stdout(sys.stderr):
@@ -71,25 +67,24 @@ def _examined(name: str) -> Facts:
     spec = find_spec(name)
     env = make_env(name)
     try:
-        limit = _env_steps(spec, env)
-        low, high = _bounds(env)
-        views = views_of(env.observation_space)
-        sources = _driven(env)
-        success = env.unwrapped.metadata.get("success_goals", 1)
-        return Facts(
-            _modules(name, spec), _registered(spec), limit, _env_seconds(env), int(success), sources, low.ravel(), high.ravel(), views
-        )
-    except TaskError as error:
-        raise TaskError(f"environment '{name}': {error.message}", error.hint) from error
+        with of_environment(name):
+            limit = _env_steps(spec, env)
+            low, high = _bounds(env)
+            views = views_of(env.observation_space)
+            sources = _driven(env, views)
+            success = _success_goals(env)
+            modules, registered = _modules(name, spec), _registered(spec)
+            return Facts(modules, registered, limit, _env_seconds(env), success, sources, low.ravel(), high.ravel(), views)
     finally:
-        env.close()
+        with contextlib.suppress(TaskError), calling("close"):  # nothing is asked of it any more
+            env.close()
 
 
 def find_spec(name: str) -> EnvSpec:
     """The registration of an id; the module before the colon is imported first, and registers it.
 
     Raises:
-        UnknownName: no such id.
+        UnknownName: no such id, or the module registers none.
         TaskError: the module does not import.
     """
     module, _, gym_id = name.rpartition(":")
@@ -101,13 +96,16 @@ def find_spec(name: str) -> EnvSpec:
     except gymnasium.error.Error as error:
         # The ids of that module are the ones that can be meant.
         own = [known for known, spec in gymnasium.registry.items() if known not in before or _entry_module(spec.entry_point) == module]
-        if module and own:
-            raise UnknownName(f"gymnasium id of module '{module}'", gym_id, own) from error
         if module:
             example = f"gymnasium.register('{gym_id}', entry_point=..., max_episode_steps=...)"
-            raise TaskError(f"module '{module}' does not register '{gym_id}'", f"write {example} in it") from error
-        hint = f"write module:{gym_id} for an id that a module of yours registers"
-        raise TaskError(f"no task and no gymnasium id is called '{gym_id}'", hint) from error
+            message = f"module '{module}' registers no '{gym_id}'"
+            # Of few ids all are worth naming; a module without any is told how to register one.
+            otherwise = None if own else f"write {example} in it"
+            raise UnknownName("gymnasium id", gym_id, own, message=message, otherwise=otherwise) from error
+        known = {*TASKS, *(TASKS[task].gym_id for task in TASKS), *gymnasium.registry}
+        message = f"no task and no gymnasium id is called '{gym_id}'"
+        otherwise = f"write module:{gym_id} for an id that a module of yours registers"
+        raise UnknownName("gymnasium id", gym_id, known, message=message, otherwise=otherwise) from error
 
 
 def make_env(name: str) -> GymEnv:
@@ -120,23 +118,9 @@ def make_env(name: str) -> GymEnv:
     spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
     try:
         env: GymEnv = gymnasium.make(spec)
-    except Exception as error:  # the code is another's
-        raise TaskError(f"environment '{name}' cannot be made: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:  # the code is another's
+        raise TaskError(f"environment '{name}' cannot be made: {described(error)}") from error
     return env
-
-
-def cost_of(info: Mapping[str, Any]) -> float:
-    """The cost of an env step.
-
-    Raises:
-        TaskError: there is none, or it is no cost.
-    """
-    if "cost" not in info:
-        raise TaskError("its info has no 'cost'", COST_HINT)
-    cost = float(info["cost"])
-    if not (np.isfinite(cost) and cost >= 0):
-        raise TaskError(f"info['cost'] is {cost:g}", "a cost is a finite number of at least 0")
-    return cost
 
 
 # -- what is looked at -----------------------------------------------------------------------------------------------------------------
@@ -150,10 +134,10 @@ def _import(module: str) -> None:
             sys.path.append(os.getcwd())
             importlib.invalidate_caches()
         importlib.import_module(module)
-    except Exception as error:  # the code is another's
+    except (Exception, SystemExit) as error:  # the code is another's
         absent = isinstance(error, ModuleNotFoundError) and error.name is not None and f"{module}.".startswith(f"{error.name}.")
         hint = f"run in the folder that holds '{top}', or install it: pip install -e ." if absent else "repair the module"
-        raise TaskError(f"module '{module}' does not import: {type(error).__name__}: {error}", hint) from error
+        raise TaskError(f"module '{module}' does not import: {described(error)}", hint) from error
 
 
 def _entry_module(entry_point: Any) -> str:
@@ -198,24 +182,30 @@ def _bounds(env: GymEnv) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _driven(env: GymEnv) -> tuple[str, ...]:
+def _success_goals(env: GymEnv) -> int:
+    goals = env.unwrapped.metadata.get("success_goals", 1)
+    if not isinstance(goals, int) or goals < 1:
+        raise TaskError(f"its metadata['success_goals'] is {goals!r}", "the number of goals within the time limit that count as success")
+    return goals
+
+
+def _driven(env: GymEnv, views: Views) -> tuple[str, ...]:
     """One step of two equal episodes.
 
     Returns:
         The cost sources.
     """
     middle = (env.action_space.low + env.action_space.high) / 2  # type: ignore[attr-defined]  # a Box, as `_bounds` has seen
-    first, _ = env.reset(seed=0)
-    _, _, _, _, info = env.step(middle.astype(env.action_space.dtype))
-    again, _ = env.reset(seed=0)
+    first = reset(env, 0)
+    views.check(first)
+    done = step(env, middle.astype(env.action_space.dtype))
+    views.check(done.seen)
+    again = reset(env, 0)
+    views.check(again)
     if not _same(first, again):
         hint = "draw everything from self.np_random, after super().reset(seed=seed): assistants are compared on the same worlds"
         raise TaskError("two resets with the same seed show different things", hint)
-    cost_of(info)
-    sources = info.get("cost_sources", {LONE_SOURCE: 0.0})
-    if not isinstance(sources, Mapping) or not all(isinstance(source, str) for source in sources) or not sources:
-        raise TaskError(f"info['cost_sources'] is {sources!r}", "a dictionary from names to costs, with every source in every step")
-    return tuple(sources)
+    return tuple(done.sources)
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -6,7 +6,7 @@ decision step; an env step costs when `info["cost"]` is above zero. `info["goals
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
-from wasp_cli.tasks.foreign.examine import LONE_SOURCE, GymEnv, cost_of, examine, make_env
+from wasp_cli.tasks.foreign import calls
+from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environment
+from wasp_cli.tasks.foreign.examine import examine, make_env
 from wasp_cli.tasks.layout import checked_seed
 
 Ints = NDArray[np.int64]
@@ -70,6 +72,8 @@ class GymTask:
         self.decision_seconds = facts.env_seconds * action_repeat
         self.max_decisions = -(-facts.env_steps // action_repeat)
         self.cost_sources = facts.cost_sources
+        self.cameras = facts.views.cameras
+        """1, or 2; the image of a rear camera that is not there is black."""
 
         self._envs: list[GymEnv] = [make_env(name) for _ in range(batch)]
         self._env_steps = np.zeros(batch, np.int64)
@@ -90,10 +94,11 @@ class GymTask:
             raise TaskError(f"got {len(seeds)} seeds for {len(chosen)} rows")
         checked = [checked_seed(seed) for seed in seeds]
         for row, seed in zip(chosen.tolist(), checked, strict=True):
-            seen, _ = self._envs[row].reset(seed=seed)
-            for zeroed in (self._env_steps, self._goals, self._ended, self._terminated):
-                zeroed[row] = 0
-            self._look(row, seen, first=True)
+            with of_environment(self._name):
+                seen = calls.reset(self._envs[row], seed)
+                for zeroed in (self._env_steps, self._goals, self._ended, self._terminated):
+                    zeroed[row] = 0
+                self._look(row, seen, first=True)
         return self._observation()
 
     def step(self, action: NDArray[Any]) -> Step:
@@ -104,7 +109,8 @@ class GymTask:
         sources = {name: np.zeros(self.batch, np.int64) for name in self.cost_sources}
         totals = _Totals(np.zeros(self.batch), cost, goals, env_steps, sources)
         for row in np.flatnonzero(~self._ended).tolist():
-            self._advance(row, control[row], totals)
+            with of_environment(self._name):
+                self._advance(row, control[row], totals)
         return Step(
             observation=self._observation(),
             reward=totals.reward,
@@ -135,32 +141,25 @@ class GymTask:
         space = env.action_space
         assert space.shape is not None
         for _ in range(self.action_repeat):
-            seen, reward, terminated, truncated, info = env.step(control.reshape(space.shape).astype(space.dtype))
-            if not np.isfinite(float(reward)):
-                raise TaskError(f"environment '{self._name}' gave a reward of {float(reward)}")
+            done = calls.step(env, control.reshape(space.shape).astype(space.dtype))
             self._env_steps[row] += 1
             totals.env_steps[row] += 1
-            totals.reward[row] += float(reward)
-            self._count(row, info, totals)
-            self._terminated[row] = bool(terminated)
-            self._ended[row] = terminated or truncated or self._env_steps[row] >= self._facts.env_steps
+            totals.reward[row] += done.reward
+            self._count(row, done, totals)
+            self._terminated[row] = done.terminated
+            self._ended[row] = done.terminated or done.truncated or self._env_steps[row] >= self._facts.env_steps
             if self._ended[row]:
                 break
-        self._look(row, seen, first=False)
+        self._look(row, done.seen, first=False)
 
-    def _count(self, row: int, info: Mapping[str, Any], totals: _Totals) -> None:
+    def _count(self, row: int, done: EnvStep, totals: _Totals) -> None:
         """Add up cost and goals of an env step."""
-        try:
-            cost = cost_of(info)
-        except TaskError as error:
-            raise TaskError(f"environment '{self._name}': {error.message}", error.hint) from error
-        totals.cost[row] += cost > 0
-        for source, value in info.get("cost_sources", {LONE_SOURCE: cost}).items():
+        totals.cost[row] += done.cost > 0
+        for source, value in done.sources.items():
             if source not in totals.sources:
-                known = ", ".join(self.cost_sources)
-                raise TaskError(f"environment '{self._name}' has a new cost source '{source}'", f"its first step had: {known}")
-            totals.sources[source][row] += float(value) > 0
-        goals = int(info["goals"]) if "goals" in info else max(int(self._goals[row]), int(bool(info.get("success", False))))
+                raise TaskError(f"it has a new cost source '{source}'", f"its first step had: {', '.join(self.cost_sources)}")
+            totals.sources[source][row] += value > 0
+        goals = max(int(self._goals[row]), int(done.success)) if done.goals is None else done.goals
         totals.goals[row] += goals - self._goals[row]
         self._goals[row] = goals
 
@@ -172,17 +171,14 @@ class GymTask:
         blind = views.privileged is None  # then state and privileged are made of images
         if "pixels" in self.observe or blind:
             self._pixels[row] = views.pixels(seen)
-        try:
-            if blind:
-                coarse, before = views.coarse(self._pixels[row]), self._privileged[row, : self.privileged_size // 2].copy()
-                self._privileged[row] = np.concatenate([coarse, coarse - (coarse if first else before)])
-                self._state[row] = self._privileged[row]
-            if views.privileged is not None and "privileged" in self.observe:
-                self._privileged[row] = views.vector(seen, views.privileged)
-            if views.state is not None and "state" in self.observe:
-                self._state[row] = views.vector(seen, views.state)
-        except TaskError as error:
-            raise TaskError(f"environment '{self._name}': {error.message}") from error
+        if blind:
+            coarse, before = views.coarse(self._pixels[row]), self._privileged[row, : self.privileged_size // 2].copy()
+            self._privileged[row] = np.concatenate([coarse, coarse - (coarse if first else before)])
+            self._state[row] = self._privileged[row]
+        if views.privileged is not None and "privileged" in self.observe:
+            self._privileged[row] = views.vector(seen, views.privileged)
+        if views.state is not None and "state" in self.observe:
+            self._state[row] = views.vector(seen, views.state)
 
     def _observation(self) -> Observation:
         return Observation(
@@ -210,8 +206,10 @@ class GymTask:
         Raises:
             TaskError: the environment has no `snapshot`.
         """
-        own = [self._method(env, "snapshot")() for env in self._envs]
-        theirs = {f"env/{name}": np.stack([np.asarray(arrays[name]) for arrays in own]) for name in own[0]}
+        methods = [self._method(env, "snapshot") for env in self._envs]
+        with of_environment(self._name), calling("snapshot"):
+            own = [method() for method in methods]
+            theirs = {f"env/{name}": np.stack([np.asarray(arrays[name]) for arrays in own]) for name in own[0]}
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
@@ -225,7 +223,9 @@ class GymTask:
                 raise TaskError(f"the snapshot is not one of this task with batch {self.batch}: '{name}' is missing or has another shape")
         theirs = {name.removeprefix("env/"): array for name, array in snapshot.items() if name.startswith("env/")}
         for row, env in enumerate(self._envs):
-            self._method(env, "restore")({name: array[row].copy() for name, array in theirs.items()})
+            method = self._method(env, "restore")
+            with of_environment(self._name), calling("restore"):
+                method({name: array[row].copy() for name, array in theirs.items()})
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
         return self._observation()

@@ -6,6 +6,7 @@ rear). It is the whole observation, or an entry of a Dict.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,10 +33,29 @@ class _Camera:
     channels_last: bool
     channels: int
     """3, or 6 for two cameras."""
+    shape: tuple[int, ...]
+    """Of the image as the observation holds it."""
+
+    def image(self, observation: Any) -> Pixels:
+        """The image as it is.
+
+        Raises:
+            TaskError: it is not there, or is not what the observation space says.
+        """
+        image = np.asarray(observation if self.entry is None else _entry(observation, self.entry))
+        if image.shape != self.shape or image.dtype != np.uint8:
+            which = "its observation" if self.entry is None else f"its observation '{self.entry}'"
+            found = f"None, not {self._wanted}" if observation is None else f"{image.dtype} of shape {image.shape}, not {self._wanted}"
+            raise TaskError(f"{which} is {found}", "what reset and step return has to be as observation_space says")
+        return image
+
+    @property
+    def _wanted(self) -> str:
+        return f"uint8 of shape {self.shape}"
 
     def images(self, observation: Any) -> Pixels:
         """uint8 [channels, 64, 64]: every pixel the mean of the area that it covers."""
-        image = np.asarray(observation if self.entry is None else observation[self.entry])
+        image = self.image(observation)
         last = image if self.channels_last else np.moveaxis(image, 0, -1)
         parts = [_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)]
         return np.concatenate(parts)
@@ -66,6 +86,19 @@ class Views:
             out[3:] = self.rear.images(observation)
         return out
 
+    def check(self, observation: Any) -> None:
+        """Read all that is ever read of an observation.
+
+        Raises:
+            TaskError: something is not there, or is not what the observation space says.
+        """
+        for camera in (self.front, self.rear):
+            if camera is not None:
+                camera.image(observation)
+        for entry in (self.privileged, self.state):
+            if entry is not None:
+                self.vector(observation, entry)
+
     def coarse(self, pixels: Pixels) -> NDArray[np.float32]:
         """From [6, 64, 64] to [C]: 8 x 8 colours of each camera, in [0, 1]."""
         side = CAMERA_SIZE // COARSE
@@ -77,9 +110,16 @@ class Views:
         """float64 of an entry, flat.
 
         Raises:
-            TaskError: it is not finite.
+            TaskError: it is not there, not finite, or has another size than the observation space says.
         """
-        values = np.asarray(observation[entry], np.float64).ravel()
+        size = self.privileged_size if entry == self.privileged else self.state_size
+        found = _entry(observation, entry)
+        try:
+            values = np.asarray(found, np.float64).ravel()
+        except (TypeError, ValueError) as error:
+            raise TaskError(f"its observation '{entry}' is no array of numbers: {type(found).__name__}") from error
+        if values.size != size:
+            raise TaskError(f"its observation '{entry}' has {values.size} values, its space has {size}")
         if not np.isfinite(values).all():
             raise TaskError(f"its observation '{entry}' is not finite: {values.tolist()}")
         return values
@@ -106,6 +146,13 @@ def views_of(space: gymnasium.Space[Any]) -> Views:
     return Views(front, rear, privileged, state, sizes.get(privileged or "", coarse), sizes.get(state or "", coarse))
 
 
+def _entry(observation: Any, entry: str) -> Any:
+    if not isinstance(observation, Mapping) or entry not in observation:
+        found = f"entries {list(observation)}" if isinstance(observation, Mapping) else type(observation).__name__
+        raise TaskError(f"its observation has no '{entry}': {found}", "what reset and step return has to be as observation_space says")
+    return observation[entry]
+
+
 def _camera(space: gymnasium.Space[Any], entries: tuple[str, ...]) -> _Camera | None:
     if isinstance(space, gymnasium.spaces.Dict):
         found = next((entry for entry in entries if entry in space.spaces), None)
@@ -118,7 +165,7 @@ def _image(space: gymnasium.Space[Any], entry: str | None) -> _Camera | None:
         return None
     for channels_last, channels in ((True, space.shape[-1]), (False, space.shape[0])):
         if channels in (3, 6):
-            return _Camera(entry, channels_last, channels)
+            return _Camera(entry, channels_last, channels, space.shape)
     return None
 
 

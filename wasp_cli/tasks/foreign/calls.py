@@ -1,0 +1,169 @@
+"""Calls into the code of others, which may fail in every way: each failure becomes one `TaskError` that names the environment."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.errors import TaskError
+
+GymEnv = gymnasium.Env[Any, Any]
+
+COST_HINT = "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+LONE_SOURCE = "cost"
+"""The cost source of an environment that names none."""
+
+
+class EnvStep(NamedTuple):
+    """What an env step returned, checked."""
+
+    seen: Any
+    reward: float
+    terminated: bool
+    truncated: bool
+    cost: float
+    sources: dict[str, float]
+    """Cost by source."""
+    goals: int | None
+    """Reached so far; None where the environment does not count them."""
+    success: bool
+
+
+@contextmanager
+def of_environment(name: str) -> Iterator[None]:
+    """Every expected error of the block names the environment, and every other failure becomes an expected one."""
+    try:
+        with calling("code"):
+            yield
+    except TaskError as error:
+        raise TaskError(f"environment '{name}': {error.message}", error.hint) from error
+
+
+@contextmanager
+def calling(part: str) -> Iterator[None]:
+    """What the block calls is code of another, which must neither end this process nor print its traceback."""
+    try:
+        yield
+    except TaskError:
+        raise
+    except (Exception, SystemExit) as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        raise TaskError(
+            f"its {part} failed: {described(error)}", f"in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
+        ) from error
+
+
+def described(error: BaseException) -> str:
+    """The type of an error and what it says."""
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def reset(env: GymEnv, seed: int) -> Any:
+    """Start an episode and return what is seen.
+
+    Raises:
+        TaskError: it fails, or returns something else than gymnasium says.
+    """
+    with calling("reset"):
+        returned = env.reset(seed=seed)
+    seen, info = _tuple("reset", returned, "(observation, info)", 2)
+    _mapping("reset", info)
+    return seen
+
+
+def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
+    """Advance by an env step.
+
+    Raises:
+        TaskError: it fails, or returns something else than gymnasium and a task need.
+    """
+    with calling("step"):
+        returned = env.step(action)
+    seen, reward, terminated, truncated, info = _tuple("step", returned, "(observation, reward, terminated, truncated, info)", 5)
+    _mapping("step", info)
+    paid = _number(reward)
+    if paid is None or not math.isfinite(paid):
+        raise TaskError(f"its step gave a reward of {_shown(reward)}", "a reward is a finite number")
+    cost = _cost(info)
+    return EnvStep(
+        seen,
+        paid,
+        _flag("terminated", terminated),
+        _flag("truncated", truncated),
+        cost,
+        _sources(info, cost),
+        _goals(info),
+        _flag("info['success']", info.get("success", False)),
+    )
+
+
+def _tuple(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
+    if isinstance(returned, tuple) and len(returned) == size:
+        return returned
+    got = f"{len(returned)} values" if isinstance(returned, tuple) else f"a single {type(returned).__name__}"
+    raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
+
+
+def _mapping(part: str, info: Any) -> None:
+    if not isinstance(info, Mapping):
+        raise TaskError(f"its {part} returned {_shown(info)} as info", "info is a dictionary; " + COST_HINT)
+
+
+def _cost(info: Mapping[str, Any]) -> float:
+    if "cost" not in info:
+        raise TaskError("its info has no 'cost'", COST_HINT)
+    cost = _number(info["cost"])
+    if cost is None or not (math.isfinite(cost) and cost >= 0):
+        raise TaskError(f"info['cost'] is {_shown(info['cost'])}", "a cost is a finite number of at least 0")
+    return cost
+
+
+def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
+    sources = info.get("cost_sources", {LONE_SOURCE: cost})
+    named = isinstance(sources, Mapping) and bool(sources) and all(isinstance(source, str) for source in sources)
+    if not named:
+        raise TaskError(f"info['cost_sources'] is {_shown(sources)}", "a dictionary from names to costs, with every source in every step")
+    costs = {source: _number(value) for source, value in sources.items()}
+    for source, value in costs.items():
+        if value is None or not math.isfinite(value):
+            raise TaskError(f"info['cost_sources']['{source}'] is {_shown(sources[source])}", "a cost is a finite number of at least 0")
+    return {source: value for source, value in costs.items() if value is not None}
+
+
+def _goals(info: Mapping[str, Any]) -> int | None:
+    if "goals" not in info:
+        return None
+    goals = _number(info["goals"])
+    if goals is None or not (math.isfinite(goals) and goals >= 0 and goals == int(goals)):
+        raise TaskError(f"info['goals'] is {_shown(info['goals'])}", "the number of goals reached so far in the episode")
+    return int(goals)
+
+
+def _flag(name: str, value: Any) -> bool:
+    number = _number(value)
+    if number is None:
+        raise TaskError(f"its step gave {name} = {_shown(value)}", "it is True or False")
+    return bool(number)
+
+
+def _number(value: Any) -> float | None:
+    """A real number, a bool, or an array of no axes that holds one; None for everything else, texts of digits too."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    return float(value) if isinstance(value, numbers.Real | np.bool_) else None
+
+
+def _shown(value: Any) -> str:
+    """A value in one short line."""
+    number = _number(value)
+    text = f"{number:g}" if number is not None and not isinstance(value, bool | np.bool_) else " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
