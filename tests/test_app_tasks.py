@@ -124,7 +124,7 @@ def test_a_sheet_of_anothers_environment_shows_its_camera(tmp_path: Path) -> Non
         (["goal1", "--seed", "-1"], 2, "Invalid value for '--seed'"),
         (["goal1", "--out", "map.txt"], 2, "'map.txt' is no name of a picture"),
         (["nowhere:MyEnv-v0"], 1, "module 'nowhere' does not import"),
-        (["goal1", "--out", "no/such/folder/map.png"], 1, "'no/such/folder/map.png': no such file or directory"),
+        (["goal1", "--out", "no/such/folder/map.png"], 2, "create the folder 'no/such/folder'"),
         (["SafetyPointGoal3-v0"], 2, "'wasp/SafetyPointGoal1-v0'"),
         (["../../etc/passwd"], 2, "no task and no gymnasium id is called"),
     ],
@@ -135,3 +135,26 @@ def test_what_cannot_be_shown_is_said(arguments: list[str], code: int, expected:
     assert expected in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stdout == ""
+
+
+def test_json_is_of_the_list_alone() -> None:
+    done = wasp("tasks", "--json", "show", "goal1")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--json is for the list of tasks" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [["tasks"], ["tasks", "show", "goal1"], ["tasks", "show", "race1", "--steps", "3"]])
+def test_mujoco_that_does_not_import_is_said(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "foo")
+    done = wasp(*arguments, folder=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "MuJoCo does not import with MUJOCO_GL=foo" in done.stderr
+    assert "unset MUJOCO_GL" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_check_counts_one_cell(tmp_path: Path) -> None:
+    text = "name: one\npreset: smoke\ntask: goal1\nmethods: [human]\noperators:\n  noisy: {mild: 0.2}\nseeds: [0]\n"
+    (tmp_path / "one.yaml").write_text(text, encoding="utf-8")
+    assert wasp("check", "one.yaml", folder=tmp_path).stdout.split(": ")[1].strip() == "ok, 1 cell"

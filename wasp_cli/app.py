@@ -189,7 +189,8 @@ def check(
         except SpecError as error:
             problems.append(error.message)
             continue
-        out().print(f"{path}: ok, {len(list(cells_of(spec)))} cells", markup=False, soft_wrap=True)
+        cells = len(list(cells_of(spec)))
+        out().print(f"{path}: ok, {cells} cell{'s' if cells != 1 else ''}", markup=False, soft_wrap=True)
     if problems:
         raise SpecError("\n".join(problems))
 
@@ -262,6 +263,10 @@ def tasks(
 ) -> None:
     """List the tasks with their spaces, cost sources and limits; or show one (wasp tasks show)."""
     if context.invoked_subcommand is not None:
+        if json:
+            from wasp_cli.errors import UsageError
+
+            raise UsageError("--json is for the list of tasks, and a task is shown as a picture", "wasp tasks --json")
         return
     from dataclasses import asdict
 
@@ -290,7 +295,9 @@ def show_task(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="PNG", help="The picture. (default: <task>_seed<N>.png)", show_default=False)
     ] = None,
-    steps: Annotated[int, typer.Option("--steps", min=0, metavar="N", help="Also show the first N decision steps of an episode.")] = 0,
+    steps: Annotated[
+        int, typer.Option("--steps", min=0, metavar="N", help="Also show the first N decision steps; at most an episode.")
+    ] = 0,
 ) -> None:
     """Draw a layout: the map from above and both camera images."""
     from wasp_cli import console

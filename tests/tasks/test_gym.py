@@ -33,7 +33,7 @@ def test_make_by_module_name_needs_no_import():
 
 
 def test_registration_leaves_mujoco_alone():
-    code = "import sys, wasp_cli, wasp_cli.tasks.gym; print('mujoco' in sys.modules)"
+    code = "import sys, wasp_cli, wasp_cli.tasks.gym, wasp_cli.tasks.views, wasp_cli.tasks.sheet; print('mujoco' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
@@ -170,6 +170,22 @@ def test_a_vector_refuses_what_it_cannot_do(call: Any, expected: str) -> None:
         call(envs)
 
 
+def test_the_first_reset_of_a_vector_starts_every_row() -> None:
+    envs = gymnasium.make_vec(ID, num_envs=3, action_repeat=50)
+    with pytest.raises(UsageError, match="leaves out rows that have not begun: 1, 2"):
+        envs.reset(seed=0, options={"reset_mask": np.array([True, False, False])})
+    envs.reset(seed=0, options={"reset_mask": np.ones(3, bool)})
+    envs.reset(options={"reset_mask": np.array([True, False, False])})
+    assert envs.step(np.full((3, 2), 0.3))[1].all()
+
+
+def test_a_task_may_be_named_again() -> None:
+    env = gymnasium.make(ID, task="goal1")
+    again = gymnasium.make(env.spec)
+    assert same(env.reset(seed=2), again.reset(seed=2))
+    assert wasp_cli.tasks.gym.TaskEnv("race1").max_episode_steps == 500
+
+
 def test_a_vector_steps_after_a_reset_only_and_has_no_six_values() -> None:
     with pytest.raises(TaskError, match="reset"):
         gymnasium.make_vec(ID, num_envs=2).step(np.zeros((2, 2)))
@@ -259,10 +275,13 @@ def test_actions_beyond_the_bounds_are_clipped() -> None:
     [
         (np.array([np.nan, 0.0]), "not finite"),
         (np.array([np.inf, 0.0]), "not finite"),
+        (np.array([1.0, 1j]), "array of real numbers, not ndarray of complex128"),
+        ([1.0, 1j], "array of real numbers, not list"),
+        (["1", "0"], "array of real numbers, not list"),
         (np.zeros(3), r"shape \(3,\), expected \(2,\)"),
         (np.zeros((1, 2)), r"shape \(1, 2\), expected \(2,\)"),
         (0.5, r"shape \(\), expected"),
-        ("forward", "array of numbers, not str"),
+        ("forward", "array of real numbers, not str"),
         (None, "expected \\(2,\\)"),
     ],
     ids=str,
@@ -283,6 +302,10 @@ def test_wrong_actions_are_refused_and_change_nothing(action: Any, expected: str
         ({"observe": "pixels"}, "no option 'observe'", "'observation'"),
         ({"action_repeat": 0}, "action_repeat should be an integer of at least 1, not 0", None),
         ({"action_repeat": 2.5}, "not 2.5", None),
+        ({"task": "race1"}, f"'{ID}' is the task 'goal1', and task='race1' cannot change it", "wasp/SafetyCarRace1-v0"),
+        ({"task": 3}, "task=3 cannot change it", None),
+        ({"view": "chase"}, "view 'chase' of task 'goal1' without a render mode", "render_mode='rgb_array'"),
+        ({"view": "map"}, "view 'map' of task 'goal1' without a render mode", "render_mode='rgb_array'"),
     ],
 )
 def test_wrong_options_are_refused_with_a_suggestion(options: dict[str, Any], expected: str, hint: str | None) -> None:
@@ -321,6 +344,23 @@ def test_a_view_from_behind_where_there_is_opengl():
     # A machine without OpenGL is told what to do.
     assert refused is None or "MUJOCO_GL" in refused.hint
     env.close()
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        f"import gymnasium, wasp_cli.tasks.gym; gymnasium.make('{ID}')",
+        f"import gymnasium, wasp_cli.tasks.gym; gymnasium.make_vec('{ID}', num_envs=2)",
+        "from wasp_cli.tasks.views import from_above; from_above(None, 0)",
+    ],
+)
+def test_mujoco_that_does_not_import_is_an_expected_error(code: str) -> None:
+    caught = "except WaspError as error: print(error.exit_code, error.message, error.hint)"
+    lines = ["from wasp_cli.errors import WaspError", "try:", *(f"    {part.strip()}" for part in code.split(";")), caught]
+    environment = {**os.environ, "MUJOCO_GL": "foo"}
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False, env=environment)
+    assert done.stdout.startswith("2 MuJoCo does not import with MUJOCO_GL=foo"), done.stderr
+    assert "unset MUJOCO_GL" in done.stdout
 
 
 def test_a_backend_of_opengl_that_is_not_there_is_an_error_not_a_traceback():

@@ -7,7 +7,7 @@ call (`TaskVectorEnv`); `upstream` and the option `upstream_api=True` give the r
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, cast, get_args
+from typing import Any, Literal, SupportsFloat, cast, get_args
 
 import gymnasium
 import numpy as np
@@ -18,11 +18,8 @@ from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, HasScene, Observatio
 from wasp_cli.tasks.layout import SEED_LIMIT
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS, task_named
+from wasp_cli.tasks.views import Viewer, ViewName
 
-if TYPE_CHECKING:
-    from wasp_cli.tasks.views import Viewer
-
-ViewName = Literal["map", "chase"]
 ObservationName = Literal["state", "pixels", "privileged", "all"]
 Seen = NDArray[Any] | dict[str, NDArray[Any]]
 """An observation: an array, or with `all` a dictionary of three."""
@@ -37,10 +34,12 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
             `all` (a dictionary of these three).
         action_repeat: env steps per `step`; rewards and costs add up.
         render_mode: `rgb_array` gives pictures for people: what `view` says.
-        view: `map` from above (uint8 [256, 256, 3]), or `chase` from behind the robot (uint8 [360, 480, 3]), which needs OpenGL.
+        view: `map` from above (uint8 [256, 256, 3]; the default), or `chase` from behind the robot (uint8 [360, 480, 3]), which needs
+            OpenGL. With a render mode only.
         upstream_api: `step` returns the reference package's six values (obs, reward, cost, terminated, truncated, info), with its keys in
             `info`: `cost_<source>` and `cost_sum` in every step, `goal_met` in those that reach a goal. Wrappers of gymnasium expect five
             values and fail on it, so nothing but what `gymnasium.make` adds here by itself may lie around it (no `max_episode_steps=`).
+        registered: the task of the gymnasium id that is made, which `task` may not replace. Not for callers.
 
     `info` of a step: `cost` (env steps that cost, 0 or 1 without action repeat), `cost_sources` (the same per source), `goals` (reached
     in this episode so far), `success` (whether they are as many as the task asks for). Actions beyond the bounds of the action space are
@@ -59,10 +58,12 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         observation: ObservationName = "state",
         action_repeat: int = 1,
         render_mode: Literal["rgb_array"] | None = None,
-        view: ViewName = "map",
+        view: ViewName | None = None,
         upstream_api: bool = False,
+        registered: str | None = None,
         **unknown: object,
     ) -> None:
+        _refuse_other_task(task, registered)
         _refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "view", "upstream_api"))
         self._task, self._name = _made(task, 1, observation, action_repeat), observation
         self._success_goals = TASKS[task].success_goals
@@ -158,6 +159,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         action_repeat: see `task`.
         render_mode: see `task`; `render` gives B pictures.
         threads: threads for physics and cameras; results do not depend on it.
+        upstream_api: not there for vectors.
+        registered: see `task`.
 
     Raises:
         UnknownName: no such task.
@@ -171,11 +174,13 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         observation: ObservationName = "state",
         action_repeat: int = 1,
         render_mode: Literal["rgb_array"] | None = None,
-        view: ViewName = "map",
+        view: ViewName | None = None,
         threads: int = 1,
         upstream_api: bool = False,
+        registered: str | None = None,
         **unknown: object,
     ) -> None:
+        _refuse_other_task(task, registered)
         _refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "view", "threads"))
         if upstream_api:
             raise UsageError("a vector of environments has no six-tuple", "read infos['cost'], or step single environments")
@@ -197,11 +202,13 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         """[B] the episode ended with the last step, so the next one starts another."""
         self._draws: list[np.random.Generator | None] = [None] * num_envs
         """Per row: draws the layouts of episodes that start without a seed."""
+        self._begun = np.zeros(num_envs, np.bool_)
+        """[B] an episode was started."""
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
         """Start episodes: row b with `seed + b`, or with the b-th of a list of seeds; None draws a layout.
 
-        `options={"reset_mask": bool [B]}` starts those rows alone, and the others show what they showed.
+        `options={"reset_mask": bool [B]}` starts those rows alone, and the others show what they showed; the first reset starts every row.
 
         Raises:
             UsageError: a wrong number of seeds, a wrong mask, or another option.
@@ -214,6 +221,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         options = dict(options or {})
         rows = _mask(options.pop("reset_mask", None), self.num_envs)
         _refuse_reset_options(options)
+        if not (rows | self._begun).all():
+            left = ", ".join(map(str, np.flatnonzero(~(rows | self._begun))))
+            raise UsageError(f"options['reset_mask'] leaves out rows that have not begun: {left}", "the first reset starts every row")
         return _chosen(self._start(rows, [seeds[row] for row in np.flatnonzero(rows)]), self._name), {}
 
     def step(self, actions: NDArray[Any]) -> tuple[Seen, Floats, Bools, Bools, dict[str, Any]]:
@@ -264,7 +274,9 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
             layouts.append(int(draws.integers(SEED_LIMIT)) if seed is None else seed)
         self._goals[rows] = 0
         self._over[rows] = False
-        return self._task.reset(layouts, rows)
+        seen = self._task.reset(layouts, rows)
+        self._begun |= rows
+        return seen
 
 
 def upstream(task: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
@@ -295,7 +307,7 @@ def register_envs() -> None:
                 entry_point="wasp_cli.tasks.gym:TaskEnv",
                 vector_entry_point="wasp_cli.tasks.gym:TaskVectorEnv",
                 disable_env_checker=True,
-                kwargs={"task": name},
+                kwargs={"task": name, "registered": name},
             )
 
 
@@ -312,16 +324,23 @@ def _made(task: str, batch: int, observation: str, action_repeat: int, threads: 
     return make_task(task, batch, action_repeat=action_repeat, observe=observe, threads=threads)
 
 
-def _viewer(task: str, made: VectorTask, mode: str | None, view: ViewName) -> Viewer | None:
-    if view not in (known := get_args(ViewName)):
+def _viewer(task: str, made: VectorTask, mode: str | None, view: ViewName | None) -> Viewer | None:
+    if view is not None and view not in (known := get_args(ViewName)):
         raise UsageError(f"task '{task}' has no view '{view}'", did_you_mean(str(view), known))
     if mode is None:
+        if view is not None:
+            raise UsageError(f"view '{view}' of task '{task}' without a render mode", "add render_mode='rgb_array', or leave the view out")
         return None
     if mode != "rgb_array" or not isinstance(made, HasScene):
         raise UsageError(f"task '{task}' cannot render '{mode}'", "render_mode is None or 'rgb_array'")
-    from wasp_cli.tasks.views import Viewer  # it imports MuJoCo, which registering the tasks should not
+    return Viewer(made, view or "map")
 
-    return Viewer(made, view)
+
+def _refuse_other_task(task: str, registered: str | None) -> None:
+    """An id stands for its task: results under its name must not be those of another."""
+    if registered is not None and task != registered:
+        hint = f"that is gymnasium.make('{TASKS[task].gym_id}')" if task in TASKS else "leave task= out"
+        raise UsageError(f"'{TASKS[registered].gym_id}' is the task '{registered}', and task={task!r} cannot change it", hint)
 
 
 def _refuse_unknown(task: str, unknown: dict[str, object], known: tuple[str, ...]) -> None:
@@ -377,9 +396,14 @@ def _mask(mask: Any, size: int) -> Bools:
 
 def _checked(action: Any, shape: tuple[int, ...]) -> Floats:
     try:
-        control = np.asarray(action, np.float64)
+        given = np.asarray(action)
+        # NumPy would drop imaginary parts, and read texts of digits.
+        if given.dtype.kind not in "biufO":
+            raise TypeError(given.dtype)
+        control = given.astype(np.float64)
     except (TypeError, ValueError) as error:
-        raise TaskError(f"an action is an array of numbers, not {type(action).__name__}") from error
+        kind = f"{type(action).__name__} of {action.dtype}" if isinstance(action, np.ndarray) else type(action).__name__
+        raise TaskError(f"an action is an array of real numbers, not {kind}") from error
     if control.shape != shape:
         raise TaskError(f"action has shape {control.shape}, expected {shape}")
     if not np.isfinite(control).all():

@@ -1,17 +1,20 @@
 """Pictures of a task for people: from above, which needs no OpenGL, and from behind the robot, which does. None is an observation.
 
-Apart from the tasks themselves, so that a nicer picture makes no result stale.
+Apart from the tasks themselves, so that a nicer picture makes no result stale. MuJoCo is imported by what draws, since the names of views
+are wanted without it too.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from wasp_cli.tasks.base import HasScene, Pixels
-from wasp_cli.tasks.camera.topdown import draw_map
-from wasp_cli.tasks.camera.view3d import View3D
+from wasp_cli.tasks.mujoco_import import require_mujoco
+
+if TYPE_CHECKING:
+    from wasp_cli.tasks.camera.view3d import View3D
 
 ViewName = Literal["map", "chase"]
 MAP_SIZE, CHASE_SIZE = 256, (480, 360)
@@ -20,6 +23,9 @@ MAP_SIZE, CHASE_SIZE = 256, (480, 360)
 
 def from_above(task: HasScene, row: int, size: int = MAP_SIZE) -> Pixels:
     """One episode as a map: uint8 [size, size, 3], +x to the right, +y up."""
+    require_mujoco()
+    from wasp_cli.tasks.camera.topdown import draw_map
+
     return draw_map(task.look(), task.scene(np.array([row])), 0, size)
 
 
@@ -39,6 +45,9 @@ class Viewer:
         if self._view == "map":
             return from_above(self._task, row)
         if self._chase is None:
+            require_mujoco()
+            from wasp_cli.tasks.camera.view3d import View3D
+
             self._chase = View3D(self._task.look(), *CHASE_SIZE)
         return self._chase.render(self._task.scene(np.array([row])), 0)
 

@@ -1,0 +1,124 @@
+"""The picture of an episode: which moments it shows, and that nothing in it is blank."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from PIL import Image
+
+from wasp_cli.errors import UsageError
+from wasp_cli.tasks import sheet
+from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.sheet import GAP, MOMENT, MOMENTS, draw_sheet
+
+
+class Clock(gymnasium.Env[Any, Any]):
+    """Shows its clock as a colour, and ends early."""
+
+    metadata = {"render_modes": [], "render_fps": 25}
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
+    observation_space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
+    ends_at = 10**9
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.clock = 0
+        return self.seen(), {}
+
+    def seen(self):
+        return np.full((64, 64, 3), 1 + self.clock // 4 % 250, np.uint8)
+
+    def step(self, action):
+        self.clock += 1
+        return self.seen(), 0.0, self.clock >= self.ends_at, False, {"cost": 0.0}
+
+
+class Short(Clock):
+    ends_at = 4 * 29
+
+
+gymnasium.register("SheetClock-v0", entry_point=Clock, max_episode_steps=4 * 40)
+gymnasium.register("SheetShort-v0", entry_point=Short, max_episode_steps=4 * 1000)
+gymnasium.register("SheetLong-v0", entry_point=Clock, max_episode_steps=4 * 240)
+
+
+def read(path: Path) -> np.ndarray[Any, Any]:
+    return np.asarray(Image.open(path).convert("RGB"))
+
+
+def decisions(path: Path) -> list[int]:
+    """The clocks of a strip, in decision steps."""
+    picture = read(path)
+    row = picture.shape[0] - 2 * sheet.CAPTION - MOMENT // 2
+    columns = [GAP + column * (MOMENT + GAP // 2) + MOMENT // 2 for column in range(MOMENTS)]
+    return [int(picture[row, x, 0]) - 1 for x in columns if x < picture.shape[1] and picture[row, x, 0] != 255]
+
+
+@pytest.mark.parametrize(
+    ("task", "steps", "expected"),
+    [
+        ("SheetClock-v0", 14, [0, 2, 4, 6, 8, 10, 12, 14]),
+        ("SheetClock-v0", 3, [0, 1, 2, 3]),
+        ("SheetClock-v0", 100_000, [0, 6, 11, 17, 23, 29, 34, 40]),
+        ("SheetShort-v0", 1000, [0, 4, 8, 12, 17, 21, 25, 29]),
+    ],
+    ids=["as asked", "few", "no longer than an episode", "an early end"],
+)
+def test_the_moments_are_spread_over_what_was_driven(task: str, steps: int, expected: list[int], tmp_path: Path) -> None:
+    assert decisions(draw_sheet(task, 0, steps, tmp_path / "a.png")) == expected
+
+
+def test_of_a_long_episode_a_part_is_kept_that_is_spread_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sheet, "KEPT", 32)
+    found = decisions(draw_sheet("SheetLong-v0", 0, 240, tmp_path / "a.png"))
+    assert len(found) == MOMENTS
+    assert (found[0], found[-1]) == (0, 240)
+    np.testing.assert_allclose(np.diff(found), 240 / 7, atol=12)
+
+
+def test_an_episode_is_driven_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resets: list[object] = []
+
+    def made(*arguments: Any, **options: Any) -> Any:
+        task = make_task(*arguments, **options)
+        reset = task.reset
+        monkeypatch.setattr(task, "reset", lambda seeds: (resets.append(seeds), reset(seeds))[1])
+        return task
+
+    monkeypatch.setattr(sheet, "make_task", made)
+    draw_sheet("goal1", 5, 3, tmp_path / "a.png")
+    assert resets == [[5]]
+
+
+@pytest.mark.parametrize("steps", [0, 40])
+def test_a_sheet_of_one_camera_has_no_room_for_another(steps: int, tmp_path: Path) -> None:
+    picture = read(draw_sheet("SheetClock-v0", 0, steps, tmp_path / "a.png"))
+    assert (picture.reshape(-1, 3) != 0).any(1).all(), "the rear image that is not there is black"
+    blank = (picture == 255).all((1, 2))
+    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~blank, [True]])))
+    assert runs.max() < 3 * sheet.CAPTION, "no empty band"
+
+
+@pytest.mark.parametrize(
+    ("decisions", "seconds", "expected"),
+    [
+        ([0, 1, 2], 0.08, ["0.00", "0.08", "0.16"]),
+        ([0, 10, 20], 0.16, ["0.0", "1.6", "3.2"]),
+        ([0, 1, 2], 0.004, ["0.000", "0.004", "0.008"]),
+        ([0], 0.08, ["0.00"]),
+    ],
+)
+def test_no_two_moments_have_the_same_time(decisions: list[int], seconds: float, expected: list[str]) -> None:
+    pixels = np.zeros((6, 64, 64), np.uint8)
+    assert sheet._times([sheet._Moment(decision, pixels, 0, 0) for decision in decisions], seconds) == expected
+
+
+def test_the_folder_is_looked_for_before_anything_is_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sheet, "make_task", lambda *_, **__: pytest.fail("driven"))
+    with pytest.raises(UsageError) as caught:
+        draw_sheet("goal1", 0, 3, tmp_path / "missing" / "x.png")
+    assert caught.value.hint == f"create the folder '{tmp_path / 'missing'}'"
