@@ -352,7 +352,7 @@ def failing(*_: Any) -> Any:
 
 
 FAILING: list[tuple[type[Lights], str]] = [
-    (variant(step=failing), "its step failed: RuntimeError: the wheel\nfell off .*in test_foreign.py, line"),
+    (variant(step=failing), "its step failed: RuntimeError: the wheel fell off .*in test_foreign.py, line"),
     (variant(step=lambda self, action: sys.exit(7)), "its step failed: SystemExit: 7"),
     (variant(step=lambda self, action: sys.exit()), "its step failed: SystemExit "),
     (variant(reset=lambda self, **_: 1 / 0), "its reset failed: ZeroDivisionError"),

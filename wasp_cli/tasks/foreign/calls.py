@@ -63,8 +63,9 @@ def calling(part: str) -> Iterator[None]:
 
 
 def described(error: BaseException) -> str:
-    """The type of an error and what it says."""
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    """The type of an error and what it says, in one line."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def reset(env: GymEnv, seed: int) -> Any:
