@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -17,27 +16,17 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
+from wasp_cli.tasks.batch import Totals, check_options, checked_action, chosen_rows, running_rows
 from wasp_cli.tasks.camera.camera import Camera
 from wasp_cli.tasks.camera.look import Look, Scene
 from wasp_cli.tasks.frames import distance, wrapped
-from wasp_cli.tasks.layout import Streams, checked_seed
+from wasp_cli.tasks.layout import Streams
 from wasp_cli.tasks.local_physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
 
 PHYSICS_STEPS = 10
 """Physics steps per env step."""
 _JUMP = 1.0
 """Way in m that no robot drives within an env step."""
-
-
-@dataclass
-class _Totals:
-    """Sums over one decision step, one entry per row."""
-
-    reward: Floats
-    cost: NDArray[np.int64]
-    sources: dict[str, NDArray[np.int64]]
-    goals: NDArray[np.int64]
-    env_steps: NDArray[np.int64]
 
 
 class Navigation(ABC):
@@ -120,11 +109,7 @@ class Navigation(ABC):
         threads: int,
     ) -> None:
         """Allocate B = `batch` episodes with F = `bodies` free bodies each."""
-        if batch < 1 or action_repeat < 1 or threads < 1:
-            raise TaskError(f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1")
-        unknown = sorted(set(observe) - set(Observation._fields))
-        if unknown:
-            raise TaskError(f"no such observation: {', '.join(unknown)}", f"known: {', '.join(Observation._fields)}")
+        check_options(batch, action_repeat, threads, observe)
         self.batch = batch
         self.action_repeat = action_repeat
         self.observe = tuple(observe)
@@ -152,59 +137,31 @@ class Navigation(ABC):
     # -- episodes ---------------------------------------------------------------------------------------------------------------
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
-        if rows is not None and np.shape(rows) != (self.batch,):
-            raise TaskError(f"rows has shape {np.shape(rows)}, expected ({self.batch},)")
-        chosen = np.arange(self.batch) if rows is None else np.flatnonzero(rows)
-        if len(seeds) != len(chosen):
-            raise TaskError(f"got {len(seeds)} seeds for {len(chosen)} rows")
-        checked = [checked_seed(seed) for seed in seeds]
-        for row, seed in zip(chosen.tolist(), checked, strict=True):
+        chosen = list(chosen_rows(self.batch, seeds, rows))
+        for row, seed in chosen:
             for zeroed in (self._control, self._velocity, self._turn, self._env_steps, self._ended, self._terminated):
                 zeroed[row] = 0
             self._qvel[row], self._speeds[row] = 0.0, 0.0
             self._start(row, self._streams.start(row, seed))
-        self._refresh(chosen)
-        return self._observe(chosen)
+        started = np.array([row for row, _ in chosen], np.intp)
+        self._refresh(started)
+        return self._observe(started)
 
     def step(self, action: NDArray[Any]) -> Step:
-        control = self._checked(action)
-        alive = ~self._ended
-        if not alive.any():
-            raise TaskError("step after the end: no episode of the batch is running; call reset first")
-        rows = np.flatnonzero(alive)
+        control = checked_action(action, self.batch, self.action_size)
+        rows = running_rows(self._ended)
         self._control[rows] = control[rows]
         heading = self._heading(rows)
-        counts = np.zeros((3 + len(self.cost_sources), self.batch), np.int64)
-        sources = dict(zip(self.cost_sources, counts[3:], strict=True))
-        totals = _Totals(np.zeros(self.batch), counts[0], sources, counts[1], counts[2])
+        totals = Totals.nothing_yet(self.batch, self.cost_sources)
         for _ in range(self.action_repeat):
             running = np.flatnonzero(~self._ended)
             if running.size:
                 self._env_step(running, totals)
         turned = wrapped(self._heading(rows) - heading)
         self._turn[rows] = turned / (totals.env_steps[rows] * self.env_seconds)
-        return Step(
-            observation=self._observe(rows),
-            reward=totals.reward,
-            cost=totals.cost > 0,
-            cost_env=totals.cost,
-            sources=totals.sources,
-            goals=totals.goals,
-            env_steps=totals.env_steps,
-            ended=self._ended.copy(),
-            terminated=self._terminated.copy(),
-        )
+        return totals.as_step(self._observe(rows), self._ended, self._terminated)
 
-    def _checked(self, action: NDArray[Any]) -> Floats:
-        control = np.asarray(action, np.float64)
-        if control.shape != (self.batch, self.action_size):
-            raise TaskError(f"action has shape {control.shape}, expected ({self.batch}, {self.action_size})")
-        finite = np.isfinite(control).all(axis=1)
-        if not finite.all():
-            raise TaskError(f"action of row {int(np.argmin(finite))} is not finite: {control[np.argmin(finite)].tolist()}")
-        return np.clip(control, self.action_low, self.action_high)
-
-    def _env_step(self, rows: NDArray[np.intp], totals: _Totals) -> None:
+    def _env_step(self, rows: NDArray[np.intp], totals: Totals) -> None:
         fresh = rows[self._env_steps[rows] == 0]
         if fresh.size:
             self._settle(fresh)

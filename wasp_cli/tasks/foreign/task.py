@@ -7,7 +7,6 @@ decision step; an env step costs when `info["cost"]` is above zero. `info["goals
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,23 +14,12 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
+from wasp_cli.tasks.batch import Totals, check_options, checked_action, chosen_rows, running_rows
 from wasp_cli.tasks.foreign import calls
 from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environment
 from wasp_cli.tasks.foreign.examine import examine, make_env
-from wasp_cli.tasks.layout import checked_seed
 
 Ints = NDArray[np.int64]
-
-
-@dataclass
-class _Totals:
-    """Sums over one decision step, one entry per row."""
-
-    reward: Floats
-    cost: Ints
-    goals: Ints
-    env_steps: Ints
-    sources: dict[str, Ints]
 
 
 class GymTask:
@@ -58,11 +46,7 @@ class GymTask:
         observe: Sequence[str] = ("pixels", "state", "privileged"),
         threads: int = 1,
     ) -> None:
-        if batch < 1 or action_repeat < 1 or threads < 1:
-            raise TaskError(f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1")
-        unknown = sorted(set(observe) - set(Observation._fields))
-        if unknown:
-            raise TaskError(f"no such observation: {', '.join(unknown)}", f"known: {', '.join(Observation._fields)}")
+        check_options(batch, action_repeat, threads, observe)
         self._facts = facts = examine(name)
         self._name = name
         self.batch, self.action_repeat, self.observe = batch, action_repeat, tuple(observe)
@@ -87,13 +71,7 @@ class GymTask:
     # -- episodes ---------------------------------------------------------------------------------------------------------------
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
-        if rows is not None and np.shape(rows) != (self.batch,):
-            raise TaskError(f"rows has shape {np.shape(rows)}, expected ({self.batch},)")
-        chosen = np.arange(self.batch) if rows is None else np.flatnonzero(rows)
-        if len(seeds) != len(chosen):
-            raise TaskError(f"got {len(seeds)} seeds for {len(chosen)} rows")
-        checked = [checked_seed(seed) for seed in seeds]
-        for row, seed in zip(chosen.tolist(), checked, strict=True):
+        for row, seed in chosen_rows(self.batch, seeds, rows):
             with of_environment(self._name):
                 seen = calls.reset(self._envs[row], seed)
                 for zeroed in (self._env_steps, self._goals, self._ended, self._terminated):
@@ -102,41 +80,21 @@ class GymTask:
         return self._observation()
 
     def step(self, action: NDArray[Any]) -> Step:
-        control = self._checked(action)
-        if self._ended.all():
-            raise TaskError("step after the end: every episode of the batch has ended; call reset first")
-        cost, goals, env_steps = np.zeros((3, self.batch), np.int64)
-        sources = {name: np.zeros(self.batch, np.int64) for name in self.cost_sources}
-        totals = _Totals(np.zeros(self.batch), cost, goals, env_steps, sources)
-        for row in np.flatnonzero(~self._ended).tolist():
+        control = self._scaled(checked_action(action, self.batch, self.action_size))
+        totals = Totals.nothing_yet(self.batch, self.cost_sources)
+        for row in running_rows(self._ended).tolist():
             with of_environment(self._name):
                 self._advance(row, control[row], totals)
-        return Step(
-            observation=self._observation(),
-            reward=totals.reward,
-            cost=totals.cost > 0,
-            cost_env=totals.cost,
-            sources=totals.sources,
-            goals=totals.goals,
-            env_steps=totals.env_steps,
-            ended=self._ended.copy(),
-            terminated=self._terminated.copy(),
-        )
+        return totals.as_step(self._observation(), self._ended, self._terminated)
 
-    def _checked(self, action: NDArray[Any]) -> Floats:
-        """[B, A] within the environment's own bounds."""
-        control = np.asarray(action, np.float64)
-        if control.shape != (self.batch, self.action_size):
-            raise TaskError(f"action has shape {control.shape}, expected ({self.batch}, {self.action_size})")
-        finite = np.isfinite(control).all(axis=1)
-        if not finite.all():
-            raise TaskError(f"action of row {int(np.argmin(finite))} is not finite: {control[np.argmin(finite)].tolist()}")
+    def _scaled(self, control: Floats) -> Floats:
+        """Commands [B, A] in [-1, 1] within the environment's own bounds."""
         low, high = self._facts.action_low, self._facts.action_high
         # In this order a Box of [-1, 1] gets every command as it is, to the bit.
-        scaled = (low + high) / 2 + (high - low) / 2 * np.clip(control, -1.0, 1.0)
+        scaled = (low + high) / 2 + (high - low) / 2 * control
         return np.clip(scaled, low, high)
 
-    def _advance(self, row: int, control: Floats, totals: _Totals) -> None:
+    def _advance(self, row: int, control: Floats, totals: Totals) -> None:
         env = self._envs[row]
         space = env.action_space
         assert space.shape is not None
@@ -152,7 +110,7 @@ class GymTask:
                 break
         self._look(row, done.seen, first=False)
 
-    def _count(self, row: int, done: EnvStep, totals: _Totals) -> None:
+    def _count(self, row: int, done: EnvStep, totals: Totals) -> None:
         """Add up cost and goals of an env step."""
         totals.cost[row] += done.cost > 0
         for source, value in done.sources.items():
