@@ -118,4 +118,3 @@ def state_vector(sensors: Floats, qpos: Floats, *seen: Floats) -> Floats:
     caster = quaternion_rotation(sensors[:, 15:19]).reshape(-1, 9)
     around = ground_to_body(np.concatenate(seen, axis=1), qpos[:, :3], rotation(qpos))
     return np.concatenate([sensors[:, :15], caster, lidars(around, [points.shape[1] for points in seen])], axis=1)
-

@@ -38,4 +38,3 @@ def make_task(
     require_mujoco()
     task: VectorTask = TASKS.load(name)(batch, **options)
     return task
-

@@ -17,9 +17,7 @@ def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
     geoms = "".join(f'<geom name="{prism.name}" type="mesh" mesh="{prism.name}"/>' for prism in SCENERY)
     others = f'<body name="scenery">{geoms}</body>' if walls else ""
     touches = f'<contact name="{STATIC_SENSOR}" subtree1="agent" body2="scenery" data="found"/>' if walls else ""
-    return mujoco.MjModel.from_xml_string(
-        car_mjcf("Euler", others=others, assets=assets, sensors=None if integrate else touches)
-    )
+    return mujoco.MjModel.from_xml_string(car_mjcf("Euler", others=others, assets=assets, sensors=None if integrate else touches))
 
 
 def _mesh(prism: Prism) -> str:
