@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.tasks.conftest import load_recording
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks import car
 from wasp_cli.tasks.driver import drive
@@ -254,6 +255,18 @@ def test_barrels_are_set_down_beside_barriers_and_others_stay():
         assert not moved[clear].any()
         assert distance(before, after).max() < 1.2
         assert (freed(after)[~moved] == after[~moved]).all()
+
+
+def test_freed_barrels_stand_about_where_the_original_has_them():
+    recording = load_recording("CarFormulaOne1_seed1.npz")
+
+    def drivable(places):
+        return places[inside(places, track.OUTER_BARRIER) & ~inside(places, track.INNER_BARRIER)]
+
+    ours, theirs = drivable(freed(recording["layout_vases_xy"])), drivable(recording["vases_xy_mm"][12] / 1000.0)
+    assert abs(len(ours) - len(theirs)) <= 3
+    apart = np.linalg.norm(ours[:, None] - theirs, axis=2)
+    assert (apart.min(axis=1) > 0.3).sum() <= 15
 
 
 def test_the_lap():
