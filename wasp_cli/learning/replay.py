@@ -20,6 +20,8 @@ from wasp_cli.tasks.base import CAMERA_SIZE
 
 PIXELS = (6, CAMERA_SIZE, CAMERA_SIZE)
 _BYTES = int(np.prod(PIXELS))
+HELD_OUT = 0.1
+"""Share of the episodes of a dataset that no gradient sees."""
 
 
 def _schema(action: int, privileged: int) -> pa.Schema:
