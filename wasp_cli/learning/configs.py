@@ -43,7 +43,7 @@ class ExpertConfig(Config):
     multiplier_lr: float = assumed(0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
     checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
-    evaluation_episodes: int = assumed(20, "episodes of the final evaluation of each checkpoint", ge=1)
+    evaluation_episodes: int = assumed(64, "episodes of the final evaluation of each checkpoint", ge=1)
 
     @model_validator(mode="after")
     def _checkpoints_rise_to_one(self) -> ExpertConfig:
