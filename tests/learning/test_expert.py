@@ -13,6 +13,7 @@ import torch
 from stable_baselines3 import PPO
 
 from tests.learning.test_loops import Staggered
+from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.learning.expert import EpisodeSums, best_checkpoint, evaluate_privileged, load_skill
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
@@ -22,7 +23,7 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.expert import ExpertStage
 from wasp_cli.tasks.make import make_task
 
-TINY = ExpertConfig(interactions=1200, envs=4, rollout=50, epochs=2, batch=50, hidden=(8,), evaluation_episodes=2, checkpoints=(0.25, 1.0))
+TINY = ExpertConfig(interactions=600, envs=4, rollout=25, epochs=2, batch=50, hidden=(8,), evaluation_episodes=2, checkpoints=(0.25, 1.0))
 
 
 def silent(share: float, text: str) -> None:
@@ -82,8 +83,16 @@ class Interrupted(Exception):
     pass
 
 
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Folder of a finished artifact, and its summary."""
+    root = tmp_path_factory.mktemp("trained")
+    summary = ExpertStage().run(job(root))
+    return root / "out", summary
+
+
 @pytest.mark.parametrize("rollouts", [1, 4])
-def test_an_interrupted_training_ends_with_the_same_bytes(tmp_path: Path, rollouts: int) -> None:
+def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, Any], tmp_path: Path, rollouts: int) -> None:
     count = 0
 
     def interrupt(share: float, text: str) -> None:
@@ -92,35 +101,43 @@ def test_an_interrupted_training_ends_with_the_same_bytes(tmp_path: Path, rollou
         if count == rollouts:
             raise Interrupted
 
-    whole = ExpertStage().run(job(tmp_path / "whole"))
     with pytest.raises(Interrupted):
-        ExpertStage().run(job(tmp_path / "parts", interrupt))
-    assert not list((tmp_path / "parts" / "out").iterdir())
+        ExpertStage().run(job(tmp_path, interrupt))
+    assert not list((tmp_path / "out").iterdir())
     torch.manual_seed(99)
     np.random.seed(99)  # noqa: NPY002
     shares: list[float] = []
-    again = ExpertStage().run(job(tmp_path / "parts", lambda share, text: shares.append(share)))
-    assert len(shares) == 7 - max(1, rollouts)  # six rollouts; the interrupted one is made again
-    assert again == whole
-    names = sorted(path.name for path in (tmp_path / "whole" / "out").iterdir())
+    summary = ExpertStage().run(job(tmp_path, lambda share, text: shares.append(share)))
+    assert len(shares) == 7 - rollouts  # six rollouts; the interrupted one is made again
+    whole, expected = trained
+    assert summary == expected
+    names = sorted(path.name for path in whole.iterdir())
     assert names == [
         "curve.json", "curve.png", "evaluation.json", "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors"
     ]  # fmt: skip
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     for name in names:
-        assert (tmp_path / "whole" / "out" / name).read_bytes() == (tmp_path / "parts" / "out" / name).read_bytes(), name
+        assert (whole / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
 
 
-def test_the_artifact_says_how_every_checkpoint_does(tmp_path: Path) -> None:
-    summary = ExpertStage().run(job(tmp_path))
-    evaluation = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+def test_a_damaged_state_is_named(tmp_path: Path) -> None:
+    root = job(tmp_path)
+    (root.work_dir / "training.safetensors").write_bytes(b"not tensors")
+    with pytest.raises(ArtifactError, match="training.safetensors"):
+        ExpertStage().run(root)
+
+
+def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) -> None:
+    out, summary = trained
+    evaluation = json.loads((out / "evaluation.json").read_text())
     assert list(evaluation) == ["0.25", "1"]
     judge = make_task("race1", 2, observe=("privileged",), action_repeat=4)
-    sums = evaluate_privileged(judge, load_skill(tmp_path / "out", 1.0), [derive("expert-evaluation", "race1", 0, i) for i in range(2)])
+    sums = evaluate_privileged(judge, load_skill(out, 1.0), [derive("expert-evaluation", "race1", 0, i) for i in range(2)])
     assert evaluation["1"] == sums.statistics(1)
     assert summary["return"] == evaluation["1"]["return"]
     assert summary["return_at_0.25"] == evaluation["0.25"]["return"]
-    rows = json.loads((tmp_path / "out" / "curve.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    assert [row["interactions"] for row in rows] == [200.0 * (k + 1) for k in range(6)]
+    rows = json.loads((out / "curve.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert [row["interactions"] for row in rows] == [100.0 * (k + 1) for k in range(6)]
     assert rows[0]["multiplier"] == TINY.multiplier_init  # it acts from the first rollout
 
 

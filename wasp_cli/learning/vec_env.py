@@ -125,6 +125,7 @@ class TaskVecEnv(VecEnv):
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
         """Return to a snapshot; the last observation is the caller's to keep."""
+        self.task.reset([0] * self.num_envs)  # an environment of somebody else's may refuse everything before its first reset
         self.task.restore({name.removeprefix("task/"): array for name, array in snapshot.items() if name.startswith("task/")})
         self._return[:], self._cost[:], self._until_cut[:] = snapshot["return"], snapshot["cost"], snapshot["until_cut"]
 
