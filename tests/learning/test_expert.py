@@ -123,7 +123,7 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, A
 def test_a_damaged_state_is_named(tmp_path: Path) -> None:
     root = job(tmp_path)
     (root.work_dir / "training.safetensors").write_bytes(b"not tensors")
-    with pytest.raises(ArtifactError, match="training.safetensors"):
+    with pytest.raises(ArtifactError, match=r"training\.safetensors"):
         ExpertStage().run(root)
 
 

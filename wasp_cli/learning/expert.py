@@ -89,7 +89,9 @@ def train_expert(
         save_skill(export_actor(model, normalised), work / checkpoint_name(fraction), task, config)
 
     state = TrainingState(work / "training.safetensors", model, env, normalised, seeds)
-    rule = MultiplierRule(config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit)
+    rule = MultiplierRule(
+        config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit, floor=config.multiplier_min
+    )
     early = {int(f * config.interactions): functools.partial(store, f) for f in config.checkpoints if f < 1.0}
     callback = LagrangianCallback(
         env, rule, config.interactions, progress, log_std_floor=config.log_std_floor, checkpoints=early,

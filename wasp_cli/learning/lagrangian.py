@@ -16,7 +16,7 @@ from wasp_cli.learning.vec_env import TaskVecEnv
 
 @dataclass(frozen=True)
 class MultiplierRule:
-    """lambda <- clip(lambda + rate * (cost / limit - 1), 0, bound), once per rollout, `delay` interactions after the start."""
+    """lambda <- clip(lambda + rate * (cost / limit - 1), floor, bound), once per rollout, `delay` interactions after the start."""
 
     initial: float
     rate: float
@@ -24,11 +24,12 @@ class MultiplierRule:
     limit: float
     """Cost per 1000 env steps."""
     delay: int = 0
+    floor: float = 0.0
 
     def next(self, value: float, cost: float) -> float:
         """The multiplier after one of `value`, where the latest cost was that per 1000 env steps."""
         excess = cost / max(self.limit, 1e-9) - 1.0
-        return min(self.bound, max(0.0, value + self.rate * excess))
+        return min(self.bound, max(self.floor, value + self.rate * excess))
 
 
 class LagrangianCallback(BaseCallback):

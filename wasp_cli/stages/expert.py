@@ -42,7 +42,7 @@ class ExpertStage:
         (job.out_dir / "curve.json").write_text(json.dumps(rows, indent=1))
         draw_curve(curve, config.cost_limit, job.out_dir / "curve.png")
         judge = make_task(job.task, config.evaluation_episodes, **options)
-        multiplier = sum(row["multiplier"] for row in curve) / len(curve)  # of the whole training: the last one may be zero
+        multiplier = sum(row["multiplier"] for row in curve) / len(curve)  # of the whole training
         evaluation, validation = {}, {}
         for fraction in config.checkpoints:
             skill = load_skill(job.out_dir, fraction)
