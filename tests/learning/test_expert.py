@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
 
 from tests.learning.test_loops import Staggered
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, TaskError
 from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.learning.expert import EpisodeSums, best_checkpoint, evaluate_privileged, load_skill
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
+from wasp_cli.learning.ppo_state import TrainingState
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv
 from wasp_cli.seeds import derive
 from wasp_cli.stages.base import Job
@@ -125,6 +127,20 @@ def test_a_damaged_state_is_named(tmp_path: Path) -> None:
     (root.work_dir / "training.safetensors").write_bytes(b"not tensors")
     with pytest.raises(ArtifactError, match=r"training\.safetensors"):
         ExpertStage().run(root)
+
+
+def test_a_task_without_snapshots_leaves_no_state(tmp_path: Path) -> None:
+    class Forgetful(Staggered):
+        def snapshot(self) -> dict[str, Any]:
+            raise TaskError("no snapshot")
+
+    seeds = SeedStream("forgetful")
+    env = TaskVecEnv(Forgetful(2), 3, -1.0, 1.0, seeds)
+    normalised = VecNormalize(env)
+    state = TrainingState(tmp_path / "training.safetensors", PPO("MlpPolicy", normalised, n_steps=2, batch_size=4), env, normalised, seeds)
+    state.save([])
+    assert not list(tmp_path.iterdir())
+    assert state.restore() == []
 
 
 def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) -> None:
