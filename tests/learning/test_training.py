@@ -235,6 +235,7 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
     assert rule.next(0.3, 0.0) == pytest.approx(0.2)
     assert rule.next(0.05, 0.0) == 0.0
     assert rule.next(0.55, 500.0) == 0.6
+    assert MultiplierRule(initial=0.3, rate=0.1, bound=0.6, limit=25.0, floor=0.1).next(0.15, 0.0) == 0.1
 
 
 def test_behaviours_follow_their_shares() -> None:

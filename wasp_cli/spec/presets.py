@@ -57,7 +57,7 @@ _QUICK: Document = {
 # Sizes for a large GPU: the critics and the planner imagine thousands of rollouts at once. This version still computes on the CPU, where
 # they take very long.
 _GPU: Document = {
-    "expert": {"interactions": 3_000_000},
+    "expert": {"interactions": 1_000_000},
     "dataset": {"steps": 200_000},
     "world_model": {
         "deter": 512, "hidden": 256, "variables": 32, "classes": 16, "depth": 32, "head": 256,
@@ -72,7 +72,7 @@ _GPU: Document = {
 # The paper's planner with M = 5 rollouts a candidate, over models that have seen more than `cpu` gives them.
 # Budgets of training are not in the paper; these are about four times `cpu`.
 _PAPER: Document = {
-    "expert": {"interactions": 4_000_000},
+    "expert": {"interactions": 2_000_000},
     "dataset": {"steps": 200_000},
     "world_model": {"updates": 8000, "refit_updates": 1500},
     "policies": {"updates": 4000, "evaluation_episodes": 20},
