@@ -131,6 +131,30 @@ def test_an_evaluation_reads_what_its_method_needs() -> None:
     }  # fmt: skip
 
 
+def test_named_stages_are_trained_once_for_each_task_and_chain() -> None:
+    laid_out = grid(tasks=["goal1", "race1"], methods=[], stages=["heldout", "world_model"], operators={}, seeds=[0, 1])
+    assert (laid_out.cells, laid_out.points) == ((), 0)
+    kinds = ["expert", "dataset", "world_model", "policies", "heldout"]
+    assert sorted(node.label for node in laid_out.nodes) == sorted(
+        f"{t} s{s} {k}" for t in ("goal1", "race1") for s in (0, 1) for k in kinds
+    )
+    shared = grid(methods=[], stages=["critics"], operators={}, seeds=[0, 1, 2], training_seed=1)
+    assert {node.seed for node in shared.nodes} == {1}
+    assert keys(shared) < keys(grid(seeds=[1]))
+
+
+def test_stages_that_methods_need_add_nothing_to_a_grid() -> None:
+    assert keys(grid(stages=["expert", "critics"])) == keys(grid())
+    assert {node.kind for node in grid(stages=["denoiser"]).nodes} - {node.kind for node in grid().nodes} == {"denoiser"}
+
+
+def test_parts_are_what_is_trained() -> None:
+    laid_out = grid()
+    named = {(part.task, part.kind, part.seed) for part, _ in laid_out.parts}
+    kinds = ("expert", "dataset", "world_model", "policies", "critics", "heldout", "ida_q")
+    assert named == {("goal1", kind, seed) for kind in kinds for seed in (0, 1)}
+
+
 def test_waves_put_what_is_needed_first() -> None:
     laid_out = grid()
     nodes = list(laid_out.nodes)

@@ -119,6 +119,15 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
          "letters, digits, dot, dash and underscore, beginning with a letter or a digit"),
         ("smoke", "smok", (2, 9), "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'", "did you mean 'smoke'?"),
         ("operators:\n  noisy: {mild: 0.2}\n", "", (1, 1), "the listed methods assist an operator; name at least one variant", None),
+        ("[human, wasp]", "[]", (4, 10), "neither methods nor stages are listed", "name a method, or under `stages` what is to be trained"),
+        ("[human, wasp]", "[]\nstages: [critics]\nvariants: [no-case2]", (6, 12), "unknown variant of the listed methods 'no-case2'",
+         "known: full"),
+        ("[human, wasp]", "[]\nstages: [world-model]", (5, 10), "unknown stage 'world-model'", "did you mean 'world_model'?"),
+        ("[human, wasp]", "[human]\nstages: [expert, evaluate]", (5, 18),
+         "'evaluate' runs for a method", "list its method under `methods`"),
+        ("[human, wasp]", "[human]\nstages: [calibration]", (5, 10), "'calibration' runs for a method", "list its method under `methods`"),
+        ("[human, wasp]", "[human]\nstages: [expert, expert]", (5, 9), "'expert' is listed twice", None),
+        ("[human, wasp]", "[human]\nstages: expert", (5, 9), "should be a list, not 'expert'", None),
         ("[human, wasp]", "[human]\nvariants: [no-case2]", (5, 12), "unknown variant of the listed methods 'no-case2'", "known: full"),
     ],
 )  # fmt: skip
@@ -132,6 +141,11 @@ def test_wrong_names_and_values_are_told_where_they_stand(
 
 def test_operators_may_be_absent_when_nobody_is_impaired() -> None:
     assert read("name: x\ntasks: [goal1]\nmethods: [expert]\nseeds: [0]\n").spec.operators == {}
+
+
+def test_a_spec_may_train_and_evaluate_nothing() -> None:
+    spec = read("name: x\ntasks: [goal1]\nmethods: []\nstages: [critics, heldout]\nseeds: [0]\n").spec
+    assert (spec.methods, spec.stages, spec.operators) == ((), ("critics", "heldout"), {})
 
 
 def test_all_problems_come_at_once_in_file_order() -> None:

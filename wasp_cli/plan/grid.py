@@ -15,8 +15,10 @@ from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import closure_hash
 from wasp_cli.plan.keys import key_of
 from wasp_cli.plan.node import Node, with_upstream
+from wasp_cli.plan.part import Part
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
+from wasp_cli.spec.names import OF_METHODS
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
@@ -27,7 +29,7 @@ CALIBRATED_VARIANT = "full"
 
 @dataclass(frozen=True)
 class Grid:
-    """What a spec asks for: its cells, each with its evaluation node, and every node behind them."""
+    """What a spec asks for: its cells, each with its evaluation node, what else it trains, and every node behind them."""
 
     cells: tuple[tuple[Cell, Node], ...]
     nodes: tuple[Node, ...]
@@ -35,14 +37,20 @@ class Grid:
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
 
+    @property
+    def parts(self) -> list[tuple[Part, Node]]:
+        """What is trained, needed parts first."""
+        return [(Part(node.task, node.kind, node.seed), node) for node in self.nodes if node.kind not in OF_METHODS]
+
 
 def lay_out(spec: Spec) -> Grid:
-    """Every cell of a spec and every node behind it, each node once."""
+    """Every cell of a spec, every stage that it names, and every node behind them, each node once."""
     builder = _Builder(spec)
     cells = tuple((cell, builder.evaluation(cell)) for cell in cells_of(spec))
     severities = sum(len(values) for values in spec.operators.values())
     per_seed = sum(len(spec.variants_of(method)) for method in spec.methods) * max(severities, 1)
-    nodes = with_upstream(node for _, node in cells)
+    named = [builder.training(kind, task, seed) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), spec.stages)]
+    nodes = with_upstream([*(node for _, node in cells), *named])
     return Grid(cells, tuple(nodes), len(spec.tasks) * len(spec.seeds) * per_seed)
 
 

@@ -14,6 +14,7 @@ from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.keys import canonical
 from wasp_cli.plan.node import Node
+from wasp_cli.plan.part import Part
 from wasp_cli.plan.waves import waves
 from wasp_cli.store.artifact import damage, published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
@@ -72,6 +73,7 @@ class Plan:
         return {
             "points": self.grid.points,
             "cells": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.cells],
+            "parts": [{**part.as_json(), "key": node.key} for part, node in self.grid.parts],
             "nodes": [_node_json(step) for step in self.steps],
             "counts": dict(Counter(step.state for step in self.steps)),
         }
@@ -161,3 +163,8 @@ def measured(layout: Layout, stored: Mapping[str, Iterable[str]]) -> dict[str, f
 def cells_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
     """Each cell with the key of its artifact, as reports take them."""
     return [(cell, node.key) for cell, node in grid.cells]
+
+
+def parts_with_keys(grid: Grid) -> list[tuple[Part, str]]:
+    """Each trained part with the key of its artifact, as reports take them."""
+    return [(part, node.key) for part, node in grid.parts]

@@ -29,6 +29,8 @@ def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
     for method in spec.methods:
         for kind in ("evaluate", *METHODS[method].needs, *(["calibration"] if METHODS[method].calibrated else [])):
             need(kind)
+    for kind in spec.stages:
+        need(kind)
     for name, value, why in assumptions(spec):
         section = name.partition(".")[0] if "." in name else ""
         idle = section not in kinds if section in STAGES else section in METHODS and section not in spec.methods

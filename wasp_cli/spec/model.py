@@ -18,7 +18,18 @@ from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import load_target
-from wasp_cli.spec.names import NO_REPEATS, MethodName, OperatorName, Seed, SeverityName, SpecName, TaskName, VariantName, unknown
+from wasp_cli.spec.names import (
+    NO_REPEATS,
+    MethodName,
+    OperatorName,
+    Seed,
+    SeverityName,
+    SpecName,
+    StageName,
+    TaskName,
+    VariantName,
+    unknown,
+)
 from wasp_cli.spec.presets import PRESETS, merged
 from wasp_cli.stages.registry import STAGES
 
@@ -26,6 +37,8 @@ Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 """Where, what, and the value that is wrong."""
+DEFAULT_STAGES: tuple[str, ...] = ()
+"""What every spec trains besides what its methods need."""
 
 
 def _refuse(problems: list[Problem]) -> None:
@@ -59,7 +72,10 @@ class Spec(Config):
     name: SpecName = Field(description="names the reports; enters no key")
     preset: Preset = Field(default="cpu", description="every size and budget; what this file says goes over it")
     tasks: Annotated[tuple[TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
-    methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(min_length=1, description="the assistants")]
+    methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(description="the assistants")]
+    stages: Annotated[tuple[StageName, ...], NO_REPEATS] = Field(
+        default=DEFAULT_STAGES, description="what is trained besides what the methods need, once for each task and seed of training"
+    )
     variants: Annotated[tuple[VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
         default=("full",), description="ablations of the methods that have them; the others run once"
     )
@@ -97,15 +113,27 @@ class Spec(Config):
         """The seed whose training chain the evaluation seed `seed` uses."""
         return seed if self.training_seed is None else self.training_seed
 
+    def chain_seeds(self) -> tuple[int, ...]:
+        """The seeds of all training chains, each once."""
+        return tuple(dict.fromkeys(self.chain_seed(seed) for seed in self.seeds))
+
     @model_validator(mode="after")
     def _parts_fit(self) -> Spec:
-        _refuse(_variant_problems(self) + _operator_problems(self) + _skill_problems(self))
+        _refuse(_nothing_to_do(self) + _variant_problems(self) + _operator_problems(self) + _skill_problems(self))
         return self
+
+
+def _nothing_to_do(spec: Spec) -> list[Problem]:
+    if spec.methods or spec.stages:
+        return []
+    hint = "name a method, or under `stages` what is to be trained"
+    return [(("methods",), PydanticCustomError("nothing", "neither methods nor stages are listed", {"hint": hint}), [])]
 
 
 def _variant_problems(spec: Spec) -> list[Problem]:
     problems: list[Problem] = []
-    offered = {variant for method in spec.methods for variant in METHODS[method].variants}
+    # Without methods the default stands, and asks for nothing.
+    offered = {variant for method in spec.methods for variant in METHODS[method].variants} or {"full"}
     for index, variant in enumerate(spec.variants):
         if variant not in offered:
             problems.append((("variants", index), unknown("variant of the listed methods", variant, offered), variant))

@@ -1,0 +1,20 @@
+"""A trained part of a spec, as people name it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, order=True, slots=True)
+class Part:
+    """What one training stage leaves for a task and a seed."""
+
+    task: str
+    kind: str
+    seed: int
+    """The seed of the training chain."""
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain values, for the plan of a run."""
+        return asdict(self)
