@@ -117,13 +117,14 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
     assert wasp("check", spec).stdout == f"{spec}: ok, training only\n"
     assert "nothing to evaluate" in wasp("plan", spec, "--results", results).stdout
     done = wasp("run", spec, "--results", results, "-j", "0", fake=True)
-    assert (done.returncode, "5 computed" in done.stderr) == (0, True), done.stderr
+    assert (done.returncode, "9 computed" in done.stderr) == (0, True), done.stderr
     shown = wasp("report", results)
     assert shown.returncode == 0, shown.stderr
     assert "Main results" not in shown.stdout
     page = (results / "reports" / "smoke" / "report.md").read_text(encoding="utf-8")
     assert "- Training only: the spec lists no methods." in page
-    assert page.count("| Goal1 | 0 | ") == 5
+    assert page.count("| Goal1 | 0 | ") == 9
+    assert "| world_model, round 2 | " in page
     assert not (results / "reports" / "smoke" / "table1.md").exists()
 
 

@@ -8,12 +8,13 @@ from typing import Any
 
 @dataclass(frozen=True, order=True, slots=True)
 class Part:
-    """What one training stage leaves for a task and a seed."""
+    """What one training stage leaves for a task, a seed and a round."""
 
     task: str
     kind: str
     seed: int
     """The seed of the training chain."""
+    round: int = 1
 
     def as_json(self) -> dict[str, Any]:
         """As plain values, for the plan of a run."""

@@ -81,7 +81,7 @@ class Plan:
 
 def _node_json(step: Step) -> dict[str, Any]:
     node = step.node
-    needs = {kind: needed.key for kind, needed in node.needs.items()}
+    needs = {name: needed.key for name, needed in node.needs.items()}
     return {"key": node.key, "kind": node.kind, "label": node.label, "state": step.state, "reason": step.reason, "needs": needs}
 
 
@@ -138,12 +138,12 @@ def _cause(path: Path) -> str:
 
 
 def sort_of(node: Node) -> str:
-    """Nodes of a sort take about as long: the same stage and method at the same sizes, whatever the seed and the operator."""
+    """Nodes of a sort take about as long: the same stage, method and round at the same sizes, whatever the seed and the operator."""
     return _sort(node.kind, node.task, node.config, node.axes)
 
 
 def _sort(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
-    return canonical([kind, task, config, axes.get("method"), axes.get("method_config")])
+    return canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
 
 
 def measured(layout: Layout, stored: Mapping[str, Iterable[str]]) -> dict[str, float]:

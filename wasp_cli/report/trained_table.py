@@ -50,10 +50,12 @@ def trained_artifacts(layout: Layout, roots: Iterable[tuple[str, str]]) -> tuple
             damaged.append(error.message)
             return
         try:
-            for needed, needed_key in manifest["upstream"].items():
-                visit(needed, needed_key)
+            kinds = manifest.get("upstream_kinds", {})  # older manifests name artifacts by kind
+            for name, needed in manifest["upstream"].items():
+                visit(kinds.get(name, name), needed)
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
+            stage += f", round {manifest['axes']['round']}" if "round" in manifest["axes"] else ""
             task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
             trained = Trained(stage, task, seed, key, manifest["provenance"].get("seconds"), summary)
         except (KeyError, TypeError, ValueError, AttributeError, WaspError) as error:

@@ -39,6 +39,8 @@ Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 """Where, what, and the value that is wrong."""
 DEFAULT_STAGES: tuple[str, ...] = ()
 """What every spec trains besides what its methods need."""
+MIXING = ("residual", "rollouts")
+"""Stages that drive the task with operators of their own choice."""
 
 
 def _refuse(problems: list[Problem]) -> None:
@@ -86,6 +88,7 @@ class Spec(Config):
     training_seed: Seed | None = Field(
         default=None, description="null: every seed trains its own models; a number: all share the models of that seed"
     )
+    rounds: int = assumed(2, "rounds of data; from the second on, WASP's own rollouts are added and all models trained again", ge=1, le=9)
     episodes: int = assumed(30, "episodes per cell and seed", ge=1)
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
@@ -158,16 +161,17 @@ def _skill_problems(spec: Spec) -> list[Problem]:
         for severity, value in spec.operators.get("limited-skill", {}).items()
         if value not in checkpoints
     ]
-    mixed: dict[str, tuple[float, ...]] = getattr(spec, "residual").operators  # noqa: B009
-    for variant, values in mixed.items():
-        if variant not in OPERATORS:
-            problems.append((("residual", "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
-            continue
-        for index, value in enumerate(values):
-            if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
-                problems.append((("residual", "operators", variant, index), _out_of_range(variant), value))
-            elif variant == "limited-skill" and value not in checkpoints:
-                problems.append((("residual", "operators", variant, index), what, value))
+    for section in MIXING:
+        mixed: dict[str, tuple[float, ...]] = getattr(spec, section).operators
+        for variant, values in mixed.items():
+            if variant not in OPERATORS:
+                problems.append(((section, "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
+                continue
+            for index, value in enumerate(values):
+                if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
+                    problems.append(((section, "operators", variant, index), _out_of_range(variant), value))
+                elif variant == "limited-skill" and value not in checkpoints:
+                    problems.append(((section, "operators", variant, index), what, value))
     return problems
 
 

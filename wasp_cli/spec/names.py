@@ -18,6 +18,8 @@ RECORDED = "recorded"
 """Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
 OF_METHODS = ("calibration", "evaluate")
 """Stages that run for a method: the methods that a spec lists ask for them."""
+OF_ROUNDS = ("rollouts",)
+"""Stages that begin a round: `rounds` asks for them."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
@@ -62,12 +64,14 @@ def _own(gym_id: str) -> str | None:
 
 def training_stages() -> list[str]:
     """The stages that a spec can ask for by name, in registry order."""
-    return [kind for kind in STAGES if kind not in OF_METHODS]
+    return [kind for kind in STAGES if kind not in (*OF_METHODS, *OF_ROUNDS)]
 
 
 def _stage(name: str) -> str:
     if name in OF_METHODS:
         raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
+    if name in OF_ROUNDS:
+        raise PydanticCustomError("of_round", "'{name}' begins a further round", {"name": name, "hint": "say how many with `rounds`"})
     if name not in training_stages():
         raise unknown("stage", name, training_stages())
     return name

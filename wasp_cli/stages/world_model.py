@@ -29,6 +29,7 @@ class WorldModelStage:
     config = WorldModelConfig
     settings = ("action_repeat",)
     needs: tuple[str, ...] = ("dataset",)
+    previous = True
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, encode, refit, judge."""
