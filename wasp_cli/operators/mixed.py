@@ -51,12 +51,13 @@ class MixedOperator(Operator):
         return torch.stack(issued)[self.choice, torch.arange(len(self.choice))]
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> MixedOperator:
-        """Every row keeps its operator in imagination."""
+        """Every row keeps its operator in imagination, and operators of no row are left out."""
+        used, choice = torch.unique(self.choice[rows], return_inverse=True)
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
         forked.noise, forked.batch = noise, len(rows) * copies
-        forked.operators = [operator.fork(rows, copies, noise) for operator in self.operators]
-        forked.choice = self.choice[rows].repeat_interleave(copies)
+        forked.operators = [self.operators[i].fork(rows, copies, noise) for i in used.tolist()]
+        forked.choice = choice.repeat_interleave(copies)
         return forked
 
     def snapshot(self) -> Memory:

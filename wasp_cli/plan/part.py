@@ -16,6 +16,9 @@ class Part:
     """The seed of the training chain."""
     round: int = 1
 
+    def __str__(self) -> str:
+        return f"{self.task} s{self.seed} {self.kind}" + (f", round {self.round}" if self.round > 1 else "")
+
     def as_json(self) -> dict[str, Any]:
         """As plain values, for the plan of a run."""
         return asdict(self)

@@ -21,6 +21,7 @@ from wasp_cli.report.main_table import detail_table, main_table, operator_table
 from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
 from wasp_cli.report.threshold_table import threshold_table
 from wasp_cli.report.trained_table import Trained, trained_artifacts, trained_markdown
+from wasp_cli.report.training_table import training_tables
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
@@ -30,7 +31,7 @@ NAMED = 12
 """Missing cells that the terminal names; the report names all."""
 
 
-TABLES = ("table1", "table2", "operators", "details", "thresholds")
+TABLES = ("table1", "table2", "training", "world_model", "operators", "details", "thresholds")
 KNOWN = frozenset({"report.md", *FIGURES, *(f"{name}.{ending}" for name in TABLES for ending in RENDERERS)})
 """Every file that a report can write."""
 
@@ -108,16 +109,17 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
     """
     layout = Layout(results)
     damaged: list[str] = []
-    failures = {key: text for _, key in cells if (text := _failure(layout, key, damaged))}
+    failures = {key: text for _, key in [*cells, *parts] if (text := _failure(layout, key, damaged))}
     blocked = _blocked(layout, spec, damaged)
     frame = read_frame(_wanted(layout, cell, key, failures.get(key), blocked.get(key)) for cell, key in cells)
+    roots = [*(("evaluate", key) for _, key in cells), *((part.kind, key) for part, key in parts)]
+    trained, unreadable = trained_artifacts(layout, roots)
     front = [main_table(frame)] if cells else []
     ablations = ablation_table(frame)
     if ablations is not None:
         front.append(ablations)
+    front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     back = [table for table in (operator_table(frame), detail_table(frame), threshold_table(frame)) if table.rows and table.columns]
-    roots = [*(("evaluate", key) for _, key in cells), *((part.kind, key) for part, key in parts)]
-    trained, unreadable = trained_artifacts(layout, roots)
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
         name=spec.name,
