@@ -213,6 +213,16 @@ class ResidualConfig(Config):
     operators: dict[str, tuple[float, ...]] = assumed(LADDER, "operators mixed per episode", min_length=1)
 
 
+class RolloutsConfig(Config):
+    """Data of a further round: full WASP assists the operators in the real task, with thresholds that nobody has calibrated yet."""
+
+    steps: int = assumed(20_000, "decision steps that a round adds to the dataset", ge=1)
+    envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    operators: dict[str, tuple[float, ...]] = assumed(
+        LADDER, "operators, one per episode in turn; the unimpaired one comes first", min_length=1
+    )
+
+
 class EvaluateConfig(Config):
     """One cell of the grid."""
 

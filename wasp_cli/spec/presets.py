@@ -15,11 +15,13 @@ _CPU: Document = {
 # Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
 _SMOKE: Document = {
     "episodes": 2,
+    "rollouts": {"steps": 400, "envs": 2},
     "expert": {"interactions": 2000, "envs": 8, "rollout": 32, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
     "dataset": {"steps": 600, "envs": 4},
     "world_model": {
         "deter": 32, "hidden": 32, "variables": 4, "classes": 4, "depth": 4, "head": 32,
-        "batch": 4, "length": 16, "updates": 20, "warmup": 5, "refit_updates": 5, "checkpoint_every": 10,
+        "batch": 4, "length": 16, "updates": 20, "later_updates": 10, "warmup": 5, "ahead_starts": 8, "refit_updates": 5, "refit_starts": 16,
+        "checkpoint_every": 10,
     },
     "policies": {"updates": 20, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32]},
@@ -36,6 +38,7 @@ _SMOKE: Document = {
 # many small updates of the world model beat few large ones.
 _QUICK: Document = {
     "episodes": 10,
+    "rounds": 1,
     "expert": {
         "interactions": 320_000, "rollout": 64, "gamma": 0.97, "entropy": 0.0, "multiplier_init": 0.2, "evaluation_episodes": 10,
     },

@@ -24,6 +24,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage"),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage"),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage"),
+        StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage"),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage"),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage"),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.stages.base import Job
@@ -27,8 +27,8 @@ class WorldModelStage:
     config = WorldModelConfig
     settings = ("action_repeat",)
     needs: tuple[str, ...] = ("dataset",)
-    previous: ClassVar[str] = "world_model"
-    """A later round of data starts from the weights of the round before, under the input name `previous`."""
+    previous = True
+    """A later round of data goes on from the weights of the round before."""
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, encode, refit."""
