@@ -57,12 +57,15 @@ class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
     expert: float = assumed(0.20, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.22, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
-    laggy: float = assumed(0.18, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
-    delayed: float = assumed(0.12, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
-    early: float = assumed(0.10, "the first two checkpoints", ge=0.0, le=1.0)
+    noisy: float = assumed(0.14, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.13, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    delayed: float = assumed(0.15, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    early: float = assumed(0.07, "the first two checkpoints", ge=0.0, le=1.0)
     bursts: float = assumed(0.10, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
+    careless: float = assumed(
+        0.15, "repetition with probability 0.9 or 0.95; without it 1.5 % of the steps in FormulaOne1 cost", ge=0.0, le=1.0
+    )
+    random: float = assumed(0.06, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> MixtureConfig:
