@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from wasp_cli.learning.policies import save_skills
-from wasp_cli.learning.world_model import save_world_model
+from wasp_cli.learning.trained import save_world_model
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble

@@ -14,15 +14,22 @@ from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
 from wasp_cli.learning.denoiser import demonstrations
 from wasp_cli.learning.draws import generator
 from wasp_cli.learning.lagrangian import MultiplierRule
+from wasp_cli.learning.latents import encode
+from wasp_cli.learning.refit import refit_heads
 from wasp_cli.learning.replay import Replay, cost_sources, read_replay, write_shard
-from wasp_cli.learning.world_model import Windows, build, encode, open_loop, refit_heads, train
+from wasp_cli.learning.windows import Context, Windows
+from wasp_cli.learning.world_model import build, train
+from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.models.world_model import Ahead, Batch
 
 TINY = WorldModelConfig(
     deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, batch=3, length=6, updates=8, warmup=2, refit_updates=3, refit_horizon=4,
-    checkpoint_every=4,
+    checkpoint_every=4, ahead_starts=5, ahead_horizon=3,
 )  # fmt: skip
 SOURCES = ("hazards", "static geoms, contact")
+
+ROWS = np.arange(36)
 
 
 def replay(lengths: tuple[int, ...] = (12, 9, 15), seed: int = 0) -> Replay:
@@ -91,15 +98,65 @@ def test_sampled_sequences_begin_without_a_past_and_hold_costs() -> None:
     data = replay((200, 200))
     data.cost[:] = 0
     data.cost[137] = 1
-    batch = Windows(data, 10, 0.5).sample(8, generator(0))
-    assert batch.pixels.shape == (8, 10, 6, 64, 64)
-    assert (batch.first[:, 0] == 1).all()
-    assert (batch.cost[:4].sum(1) == 1).all()
+    window = Windows(data, np.arange(400), 10, 0.5).sample(8, generator(0))
+    assert window.batch.pixels.shape == (8, 10, 6, 64, 64)
+    assert (window.batch.cost[:4].sum(1) == 1).all()
+    assert (window.rows == window.rows[:, :1] + torch.arange(10)).all()
+    assert np.array_equal(window.batch.first.numpy(), data.first[window.rows.numpy()])
+
+
+def test_sequences_keep_out_of_rows_that_may_not_be_learned_from() -> None:
+    data = replay((200, 50, 200))
+    allowed = np.flatnonzero(data.episode != 1)
+    rows = torch.cat([Windows(data, allowed, 10, 0.5).sample(8, generator(seed)).rows.flatten() for seed in range(40)])
+    assert set(data.episode[rows.numpy()]) == {0, 2}
+    crossing = Windows(data, allowed, 10, 0.0)
+    batch = next(w for seed in range(200) if 250 in (w := crossing.sample(1, generator(seed))).rows[0, 1:])
+    # A sequence that leaps over the excluded episode is told of a new start there.
+    assert batch.batch.first[0, batch.rows[0] == 250] == 1
+
+
+def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
+    data = replay((30, 30))
+    context, windows = Context(60, 4, 3), Windows(data, np.arange(60), 5, 0.0)
+    window = windows.sample(1, generator(0))
+    begin = int(window.rows[0, 0])
+    assert begin % 30 > 0, "the test needs a sequence from within an episode"
+    batch, before = context.enter(window, 2)
+    assert batch.first[0, 0] == 1, "nothing is known yet"
+    z = torch.nn.functional.one_hot(torch.tensor([1, 0, 1]), 2).flatten().float().expand(1, 5, 6)
+    context.keep(window._replace(rows=window.rows - 1), Latent(torch.arange(20.0).reshape(1, 5, 4), z))
+    batch, before = context.enter(window, 2)
+    assert torch.equal(batch.first, window.batch.first)
+    assert torch.equal(before.h, torch.arange(4.0).reshape(1, 4))
+    assert torch.equal(before.z, z[:, 0])
+
+
+def test_imagined_steps_after_a_reset_do_not_count() -> None:
+    torch.manual_seed(0)
+    model = build(TINY, 2)
+    source = generator(0)
+    window = Windows(replay((4, 30)), np.arange(34), 6, 0.0).sample(40, source)
+    row = int(torch.argmax((window.rows[:, 0] == 1).float()))
+    assert window.rows[row, 0] == 1, "the test needs a sequence whose fourth step is a reset"
+    assert window.batch.first[row].tolist() == [0, 0, 0, 1, 0, 0]
+    ahead = Ahead(torch.tensor([row]), torch.tensor([0]), torch.randn(5, 1, 12, generator=source))
+    noise = torch.randn(40, 6, 3, 4, generator=source)
+
+    def terms(batch: Batch) -> tuple[float, float]:
+        losses, _ = model.losses(batch, noise, torch.tensor([0]), 1.0, ahead=ahead)
+        return losses["ahead_r"].item(), losses["ahead_c"].item()
+
+    before, after = window.batch.reward.clone(), window.batch.reward.clone()
+    after[row, 3:] += 7.0
+    before[row, 2] += 7.0
+    assert terms(window.batch._replace(reward=after)) == terms(window.batch)
+    assert terms(window.batch._replace(reward=before))[0] != terms(window.batch)[0]
 
 
 def test_a_dataset_that_is_too_small_says_so() -> None:
     with pytest.raises(TrainingError, match="fewer than one sequence"):
-        Windows(replay((3,)), 10, 0.0)
+        Windows(replay((3,)), np.arange(3), 10, 0.0)
 
 
 def test_training_resumes_bit_for_bit(tmp_path: Path) -> None:
@@ -111,7 +168,7 @@ def test_training_resumes_bit_for_bit(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
     whole = fresh()
-    train(whole, data, TINY, 5, tmp_path / "a", silent)  # type: ignore[arg-type]
+    train(whole, data, ROWS, TINY, TINY.updates, 5, tmp_path / "a", silent)  # type: ignore[arg-type]
 
     class Interrupted(Exception):
         pass
@@ -122,9 +179,9 @@ def test_training_resumes_bit_for_bit(tmp_path: Path) -> None:
 
     partial = fresh()
     with pytest.raises(Interrupted):
-        train(partial, data, TINY, 5, tmp_path / "b", interrupt)  # type: ignore[arg-type]
+        train(partial, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", interrupt)  # type: ignore[arg-type]
     again = fresh()
-    train(again, data, TINY, 5, tmp_path / "b", silent)  # type: ignore[arg-type]
+    train(again, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", silent)  # type: ignore[arg-type]
     for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
 
@@ -148,7 +205,27 @@ def test_a_non_finite_loss_is_skipped_then_stops_with_a_clear_message(tmp_path: 
     data = replay()
     data.reward[:] = np.nan
     with pytest.raises(TrainingError, match=r"non-finite loss.*beta_r nan"):
-        train(build(TINY, 2), data, TINY, 0, tmp_path, lambda share, text: None)
+        train(build(TINY, 2), data, ROWS, TINY, TINY.updates, 0, tmp_path, lambda share, text: None)
+
+
+def test_a_bad_update_is_left_out_and_counted(tmp_path: Path) -> None:
+    data = replay((60, 60))
+    data.reward[30] = np.inf
+    torch.manual_seed(0)
+    model = build(TINY, 2)
+    curves = train(model, data, np.arange(120), TINY, 24, 3, tmp_path, lambda share, text: None)
+    assert 1 <= curves["skipped"][-1] <= 5
+    assert all(torch.isfinite(value).all() for value in model.state_dict().values())
+
+
+def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path: Path) -> None:
+    data = replay()
+    train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)
+    good = (tmp_path / "training.safetensors").read_bytes()
+    data.reward[:] = np.nan
+    with pytest.raises(TrainingError, match="6 updates had a non-finite loss"):
+        train(build(TINY, 2), data, ROWS, TINY, 40, 5, tmp_path, lambda share, text: None)
+    assert (tmp_path / "training.safetensors").read_bytes() == good
 
 
 def test_the_refit_moves_only_reward_and_cost_heads() -> None:
@@ -158,12 +235,9 @@ def test_the_refit_moves_only_reward_and_cost_heads() -> None:
     latents = encode(model, data, lambda share, text: None)
     assert latents.h.shape == (36, 16)
     before = {name: value.clone() for name, value in model.state_dict().items()}
-    model.reward_head.requires_grad_(True)
-    model.cost_head.requires_grad_(True)
-    refit_heads(model, data, latents, TINY, 0, lambda share, text: None)
+    refit_heads(model, data, latents, data.episode < 2, TINY, 0, lambda share, text: None)
     moved = {name.split(".")[0] for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
     assert moved == {"reward_head", "cost_head"}
-    assert [row["k"] for row in open_loop(model, data, latents, 4, 0)] == [1, 2, 3, 4]
 
 
 def test_encoding_is_what_the_closed_loop_filters() -> None:

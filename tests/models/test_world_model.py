@@ -36,7 +36,7 @@ def test_centring_by_linearity_is_centring() -> None:
 
 def test_the_terms_of_equation_6_all_reach_the_encoder() -> None:
     world = model()
-    losses = world.losses(batch(), torch.randn(2, 3, 3, 4), torch.tensor([0, 2]), free_nats=0.0)
+    losses, _ = world.losses(batch(), torch.randn(2, 3, 3, 4), torch.tensor([0, 2]), free_nats=0.0)
     assert set(losses) == {"alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n"}
     parameter = world.rssm.posterior_o.weight
     for name, loss in losses.items():

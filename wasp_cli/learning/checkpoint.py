@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from safetensors.torch import save_file
@@ -14,20 +14,37 @@ from torch import nn
 from wasp_cli.models.weights import read_tensors
 
 
+class HasTensors(Protocol):
+    """Further state of a training."""
+
+    def tensors(self) -> dict[str, torch.Tensor]: ...
+
+    def load(self, tensors: dict[str, torch.Tensor]) -> None: ...
+
+
 def save_training(
-    folder: Path, module: nn.Module, optimizer: torch.optim.Optimizer, source: torch.Generator, counters: dict[str, Any]
+    folder: Path,
+    module: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    source: torch.Generator,
+    counters: dict[str, Any],
+    further: HasTensors | None = None,
 ) -> None:
     """Replace the checkpoint in `folder` atomically."""
     tensors = {f"model/{name}": tensor.contiguous() for name, tensor in module.state_dict().items()}
     for i, state in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer/{i}/{name}": torch.as_tensor(value).contiguous() for name, value in state.items()}
     tensors["generator"] = source.get_state()
+    if further is not None:
+        tensors |= {f"further/{name}": tensor for name, tensor in further.tensors().items()}
     partial = folder / "training.partial"
     save_file(tensors, partial, metadata={"counters": json.dumps(counters)})
     os.replace(partial, folder / "training.safetensors")
 
 
-def restore_training(folder: Path, module: nn.Module, optimizer: torch.optim.Optimizer, source: torch.Generator) -> dict[str, Any] | None:
+def restore_training(
+    folder: Path, module: nn.Module, optimizer: torch.optim.Optimizer, source: torch.Generator, further: HasTensors | None = None
+) -> dict[str, Any] | None:
     """Load the checkpoint of `folder` into its owners and return its counters; None when there is none."""
     path = folder / "training.safetensors"
     if not path.exists():
@@ -45,4 +62,6 @@ def restore_training(folder: Path, module: nn.Module, optimizer: torch.optim.Opt
             state.setdefault(int(index), {})[key] = tensor
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
     source.set_state(tensors["generator"])
+    if further is not None:
+        further.load({name.removeprefix("further/"): t for name, t in tensors.items() if name.startswith("further/")})
     return counters

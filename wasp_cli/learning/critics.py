@@ -10,8 +10,8 @@ import torch
 
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.draws import generator, gumbel
+from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.replay import Replay
-from wasp_cli.learning.world_model import Latents
 from wasp_cli.methods.wasp.returns import td_lambda_all
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.learning.draws import generator
+from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.replay import Replay
-from wasp_cli.learning.world_model import Latents
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 
-def generator(seed: int, device: str = "cpu") -> torch.Generator:
+def generator(seed: int, device: str | torch.device = "cpu") -> torch.Generator:
     """A seeded generator."""
     return torch.Generator(device).manual_seed(seed)
 

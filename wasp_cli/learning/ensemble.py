@@ -10,8 +10,8 @@ import torch
 
 from wasp_cli.learning.configs import EnsembleConfig
 from wasp_cli.learning.draws import generator
+from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.replay import Replay
-from wasp_cli.learning.world_model import Latents
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.policy import Skills
 

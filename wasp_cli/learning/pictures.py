@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
+from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.replay import Replay
-from wasp_cli.learning.world_model import Latents
 from wasp_cli.models.world_model import SafetyWorldModel
 
 

@@ -10,8 +10,8 @@ from torch.nn import functional as F
 
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.draws import generator
+from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.replay import Replay
-from wasp_cli.learning.world_model import Latents
 from wasp_cli.models.policy import PrivilegedPolicy, Skills
 from wasp_cli.models.weights import load_weights, read_arguments, save_weights
 

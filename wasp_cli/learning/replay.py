@@ -23,6 +23,8 @@ PIXELS = (6, CAMERA_SIZE, CAMERA_SIZE)
 _BYTES = int(np.prod(PIXELS))
 _SOURCES = b"wasp.cost_sources"
 """Key of the schema metadata that holds the names of the columns of `sources`, as JSON."""
+HELD_OUT = 0.1
+"""Share of the episodes of a dataset that no gradient sees."""
 
 
 def _schema(action: int, privileged: int, sources: Sequence[str]) -> pa.Schema:

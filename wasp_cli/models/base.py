@@ -23,6 +23,10 @@ class Latent(NamedTuple):
         """[..., D + Z]"""
         return torch.cat([self.h, self.z], -1)
 
+    def to(self, device: torch.device) -> Latent:
+        """On another device."""
+        return Latent(self.h.to(device), self.z.to(device))
+
     def rows(self, index: Tensor) -> Latent:
         """Select along the first dimension."""
         return Latent(self.h[index], self.z[index])

@@ -48,6 +48,17 @@ class Batch(NamedTuple):
     """[B, T] in {0, 1}"""
 
 
+class Ahead(NamedTuple):
+    """Where imagination starts within a batch of sequences, and what it draws."""
+
+    row: Tensor
+    """[N] sequence of each start"""
+    step: Tensor
+    """[N] its step; K more follow it in the sequence"""
+    noise: Tensor
+    """[K, N, S * C] standard Gumbel draws"""
+
+
 class SafetyWorldModel(nn.Module):
     """Implements `models.base.WorldModel`; also its own losses."""
 
@@ -122,36 +133,67 @@ class SafetyWorldModel(nn.Module):
 
     # -- losses of Eq. 6 ----------------------------------------------------------------------------------------
 
-    def observe(self, batch: Batch, noise: Tensor) -> Observed:
-        """Filter a batch of sequences; `noise` are Gumbel draws [B, T, S, C]."""
+    def observe(self, batch: Batch, noise: Tensor, start: Latent | None = None) -> Observed:
+        """Filter a batch of sequences; `noise` are Gumbel draws [B, T, S, C], `start` is the latent before their first step."""
         projected = self.embed(batch.pixels.flatten(0, 1)).unflatten(0, batch.action.shape[:2])
-        return self.rssm.observe(projected, batch.action, batch.first, noise)
+        return self.rssm.observe(projected, batch.action, batch.first, noise, start)
 
-    def losses(self, batch: Batch, noise: Tensor, decode_steps: Tensor, free_nats: float) -> dict[str, Tensor]:
-        """The terms of Eq. 6 by name, unweighted means over steps.
+    def losses(
+        self,
+        batch: Batch,
+        noise: Tensor,
+        decode_steps: Tensor,
+        free_nats: float,
+        *,
+        start: Latent | None = None,
+        ahead: Ahead | None = None,
+    ) -> tuple[dict[str, Tensor], Latent]:
+        """The terms of Eq. 6 by the weight that multiplies them, unweighted means over steps, and the filtered latents [B, T, .].
 
         Args:
             batch: B sequences of T steps.
             noise: Gumbel draws [B, T, S, C].
             decode_steps: indices of the steps whose image is decoded (a random share saves a third of the time).
             free_nats: see `balanced_kl`.
+            start: the latent before the sequences; zeros by default.
+            ahead: starts from which reward and cost are also scored on imagined latents (terms `ahead_r` and `ahead_c`, not in Eq. 6).
         """
-        seen = self.observe(batch, noise)
+        seen = self.observe(batch, noise, start)
         features = seen.latent.features  # [B, T, F]
         representation, prediction = balanced_kl(seen.posterior, seen.prior, free_nats)
         target = self.centred(batch.pixels[:, decode_steps].flatten(0, 1))
-        image = (self.decoder(features[:, decode_steps].flatten(0, 1)) - target).square().sum((1, 2, 3)).mean()
+        # The sum over 24,576 pixel values needs float32, whatever the autocast.
+        image = (self.decoder(features[:, decode_steps].flatten(0, 1)).float() - target).square().sum((1, 2, 3)).mean()
         reward, cost = self.head_losses(features, batch.reward, batch.cost)
-        carry_on = F.binary_cross_entropy_with_logits(self.continue_head(features).squeeze(-1), 1.0 - batch.terminal)
-        return {
+        carry_on = F.binary_cross_entropy_with_logits(self.continue_head(features).squeeze(-1).float(), 1.0 - batch.terminal)
+        terms = {
             "alpha_q": representation, "alpha_p": prediction, "beta_o": image,
             "beta_r": reward, "beta_c": cost, "beta_n": carry_on,
         }  # fmt: skip
+        if ahead is not None:
+            terms["ahead_r"], terms["ahead_c"] = self._ahead_losses(seen.latent, batch, ahead)
+        return terms, seen.latent
 
-    def head_losses(self, features: Tensor, reward: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
-        """Squared error of the scaled reward, and weighted BCE of the cost, both means."""
+    def _ahead_losses(self, latent: Latent, batch: Batch, ahead: Ahead) -> tuple[Tensor, Tensor]:
+        """Reward and cost losses along imagined rollouts under the recorded actions, up to the end of the episode."""
+        rows = ahead.row[:, None]
+        steps = ahead.step[:, None] + 1 + torch.arange(len(ahead.noise), device=rows.device)  # [N, K]
+        action = batch.action[rows, steps]
+        current = Latent(latent.h[ahead.row, ahead.step], latent.z[ahead.row, ahead.step])
+        imagined = []
+        for k, noise in enumerate(ahead.noise):
+            current = self.imagine(current, action[:, k], noise)
+            imagined.append(current.features)
+        within = (1.0 - batch.first[rows, steps]).cumprod(1)  # what follows a reset cannot be imagined
+        return self.head_losses(torch.stack(imagined, 1), batch.reward[rows, steps], batch.cost[rows, steps], within)
+
+    def head_losses(self, features: Tensor, reward: Tensor, cost: Tensor, counts: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Squared error of the scaled reward, and weighted BCE of the cost: means over the steps that `counts` [...] marks with 1."""
         sizes = self.sizes
-        reward_loss = (self.reward_head(features).squeeze(-1) - sizes.reward_scale * reward).square().mean()
-        weight = torch.as_tensor(sizes.cost_weight, dtype=features.dtype, device=features.device)
-        cost_loss = F.binary_cross_entropy_with_logits(self.cost_head(features).squeeze(-1), cost, pos_weight=weight)
-        return reward_loss, cost_loss
+        counts = torch.ones_like(reward) if counts is None else counts
+        total = counts.sum().clamp(min=1.0)
+        error = (self.reward_head(features).squeeze(-1).float() - sizes.reward_scale * reward).square()
+        weight = torch.as_tensor(sizes.cost_weight, dtype=cost.dtype, device=cost.device)
+        logit = self.cost_head(features).squeeze(-1).float()
+        surprise = F.binary_cross_entropy_with_logits(logit, cost, pos_weight=weight, reduction="none")
+        return (error * counts).sum() / total, (surprise * counts).sum() / total

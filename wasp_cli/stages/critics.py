@@ -25,9 +25,10 @@ class CriticsStage:
         import torch
 
         from wasp_cli.learning.critics import rank_agreement, train_critics
+        from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.world_model import load_latents, load_world_model
+        from wasp_cli.learning.trained import load_world_model
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 

@@ -26,8 +26,8 @@ class DenoiserStage:
 
         from wasp_cli.learning.denoiser import train_denoiser
         from wasp_cli.learning.expert import load_skill
+        from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.world_model import load_latents
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 

@@ -25,7 +25,7 @@ class HeldoutStage:
         from wasp_cli.learning.closed_loop import expert_episodes
         from wasp_cli.learning.heldout import heldout_rows, save_heldout
         from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.world_model import load_world_model
+        from wasp_cli.learning.trained import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 

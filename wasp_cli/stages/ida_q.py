@@ -25,9 +25,9 @@ class IDAQStage:
         import torch
 
         from wasp_cli.learning.ensemble import train_ensemble
+        from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.world_model import load_latents
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 

@@ -27,9 +27,10 @@ class PoliciesStage:
 
         from wasp_cli.learning.closed_loop import expert_episodes
         from wasp_cli.learning.expert import load_skill
+        from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.policies import distil, save_skills
         from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.world_model import load_latents, load_world_model
+        from wasp_cli.learning.trained import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 

@@ -25,7 +25,7 @@ class ResidualStage:
         """Train and store the mean residual."""
         from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.residual import train_residual
-        from wasp_cli.learning.world_model import load_world_model
+        from wasp_cli.learning.trained import load_world_model
         from wasp_cli.models.weights import save_weights
         from wasp_cli.tasks.make import make_task
 

@@ -1,25 +1,23 @@
 """World model: Eq. 6 on sequences, refit of the heads on prior latents, latents of the whole dataset.
 
 Artifact: `world_model.safetensors` (+ .json sizes), `latents.safetensors` (h float16, z class indices, one row per recorded row),
-`open_loop.json` (held-out quality per imagined step), `curves.json`, `reconstruction.png`.
+`curves.json`. What the model is worth is said by the stage `diagnostics`.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.stages.base import Job
 
 TERMS = {
     "alpha_q": "kl_representation", "alpha_p": "kl_prediction", "beta_o": "image_loss", "beta_r": "reward_loss", "beta_c": "cost_loss",
-    "beta_n": "continuation_loss",
+    "beta_n": "continuation_loss", "ahead_r": "imagined_reward_loss", "ahead_c": "imagined_cost_loss",
 }  # fmt: skip
-"""The terms of Eq. 6 by the weight that multiplies them, named for people."""
-HELD_OUT = 0.1
-"""Share of the episodes that no gradient sees."""
+"""The terms of the loss by the weight that multiplies them, named for people."""
 
 
 class WorldModelStage:
@@ -29,44 +27,49 @@ class WorldModelStage:
     config = WorldModelConfig
     settings = ("action_repeat",)
     needs: tuple[str, ...] = ("dataset",)
+    previous: ClassVar[str] = "world_model"
+    """A later round of data starts from the weights of the round before, under the input name `previous`."""
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train, encode, refit, judge."""
+        """Train, encode, refit."""
+        import time
+
+        import numpy as np
         import torch
 
         from wasp_cli.learning import world_model as learning
-        from wasp_cli.learning.pictures import reconstruction_sheet
-        from wasp_cli.learning.replay import read_replay
+        from wasp_cli.learning.device import training_device
+        from wasp_cli.learning.latents import encode, save_latents
+        from wasp_cli.learning.refit import refit_heads
+        from wasp_cli.learning.replay import HELD_OUT, read_replay
+        from wasp_cli.learning.trained import load_world_model, save_world_model
         from wasp_cli.seeds import derive
 
         config = cast(WorldModelConfig, job.config)
         replay = read_replay(job.inputs["dataset"])
-        held = replay.held_out(HELD_OUT)
-        seen = replay.rows(~held)
-        torch.manual_seed(derive("world-model-weights", job.task, job.seed))
-        model = learning.build(config, replay.action.shape[1])
+        learned = ~replay.held_out(HELD_OUT)
+        names = (job.task, job.seed, *((job.axes["round"],) if "round" in job.axes else ()))
+        if "previous" in job.inputs:
+            model, updates = load_world_model(job.inputs["previous"]).requires_grad_(True), config.later_updates
+        else:
+            torch.manual_seed(derive("world-model-weights", *names))
+            model, updates = learning.build(config, replay.action.shape[1]), config.updates
+            model.mean_image.copy_(learning.mean_image(replay))
+        model.to(training_device())
 
         def during(low: float, high: float) -> learning.Report:
             return lambda share, text: job.progress(low + (high - low) * share, text)
 
-        curves = learning.train(model, seen, config, derive("world-model", job.task, job.seed), job.work_dir, during(0.0, 0.8))
+        begun = time.perf_counter()
+        rows, seed = np.flatnonzero(learned), derive("world-model", *names)
+        curves = learning.train(model, replay, rows, config, updates, seed, job.work_dir, during(0.0, 0.85))
+        seconds = time.perf_counter() - begun
         model.requires_grad_(False)
-        latents = learning.encode(model, replay, during(0.8, 0.92))
-        model.reward_head.requires_grad_(True)
-        model.cost_head.requires_grad_(True)
-        rows = torch.from_numpy(~held)
-        own = learning.Latents(latents.h[rows], latents.z[rows], latents.classes)
-        learning.refit_heads(model, seen, own, config, derive("world-model-refit", job.task, job.seed), during(0.92, 0.98))
-        model.requires_grad_(False)
-
-        learning.save_world_model(model, job.out_dir)
-        learning.save_latents(latents, job.out_dir)
-        rows = torch.from_numpy(held)
-        test = learning.Latents(latents.h[rows], latents.z[rows], latents.classes)
-        quality = learning.open_loop(model, replay.rows(held), test, config.refit_horizon, derive("world-model-judge", job.task, job.seed))
-        (job.out_dir / "open_loop.json").write_text(json.dumps(quality, indent=1))
+        latents = encode(model, replay, during(0.85, 0.95))
+        refit_heads(model, replay, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
+        model.cpu()
+        save_world_model(model, job.out_dir)
+        save_latents(latents, job.out_dir)
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
-        reconstruction_sheet(model, replay.rows(held), test, job.out_dir / "reconstruction.png")
-        shown = ("auprc", "persistence", "predicted_over_base", "reward_r2")
-        summary = {f"{name}@{row['k']}": round(row[name], 3) for row in quality if row["k"] in (5, 1, 15) for name in shown}
-        return summary | {f"final_{TERMS[name]}": round(values[-1], 4) for name, values in curves.items() if values}
+        summary = {f"final_{TERMS[name]}": round(values[-1], 4) for name, values in curves.items() if values and name in TERMS}
+        return {**summary, "skipped": int(curves["skipped"][-1]), "training_seconds": round(seconds, 1)}

@@ -1,0 +1,96 @@
+"""Training sequences of a recorded dataset, and the latents from which they go on."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from wasp_cli.errors import TrainingError
+from wasp_cli.learning.replay import Replay
+from wasp_cli.models.base import Latent
+from wasp_cli.models.world_model import Batch
+
+
+class Window(NamedTuple):
+    """B sequences of T steps, and which rows of the dataset they are."""
+
+    batch: Batch
+    rows: Tensor
+    """[B, T] rows of the replay"""
+
+
+class Windows:
+    """Random sequences of those rows of a replay that may be learned from; a share of them contains a costly step.
+
+    Everything lies on `device` (uint8 images included), so that a batch is one gather. On the CPU the replay's own memory is used.
+    """
+
+    def __init__(self, replay: Replay, rows: NDArray[np.int64], length: int, cost_share: float, device: torch.device | None = None) -> None:
+        self.length, self._share = length, cost_share
+        self._starts = len(rows) - length + 1
+        if self._starts < 1:
+            raise TrainingError(f"the dataset has {len(rows)} rows, fewer than one sequence of {length}", "collect more steps")
+        place = torch.device("cpu") if device is None else device
+
+        def there(values: NDArray[Any]) -> Tensor:
+            return torch.from_numpy(values).to(place)
+
+        self._rows = there(rows)
+        self._costly = there(np.flatnonzero(replay.cost[rows] > 0))
+        self._pixels, self._action = there(replay.pixels), there(replay.action)
+        self._reward, self._cost, self._terminal, self._first = map(there, (replay.reward, replay.cost, replay.terminal, replay.first))
+
+    def sample(self, batch: int, source: torch.Generator) -> Window:
+        """B sequences; episodes may change within one (`first` marks it)."""
+        device = self._rows.device
+        start = torch.randint(self._starts, (batch,), generator=source, device=device)
+        wanted = round(self._share * batch)
+        if wanted and len(self._costly):
+            picked = self._costly[torch.randint(len(self._costly), (wanted,), generator=source, device=device)]
+            back = torch.randint(self.length, (wanted,), generator=source, device=device)
+            start[:wanted] = (picked - back).clamp(0, self._starts - 1)
+        rows = self._rows[start[:, None] + torch.arange(self.length, device=device)]  # [B, T]
+        fields = (self._pixels, self._action, self._reward, self._cost, self._terminal, self._first)
+        return Window(Batch(*(values[rows] for values in fields)), rows)
+
+
+class Context:
+    """What training last inferred at every row of a replay: a sequence that begins within an episode goes on from there.
+
+    Without it a sequence that begins inside a hazard could not know of it, because the camera does not see the ground below the robot. The
+    latents are as old as the last visit of their row; no gradient flows into them.
+    """
+
+    def __init__(self, rows: int, deter: int, variables: int, device: torch.device | None = None) -> None:
+        self.h = torch.zeros(rows, deter, dtype=torch.float16, device=device)
+        self.z = torch.zeros(rows, variables, dtype=torch.uint8, device=device)
+        self.known = torch.zeros(rows, dtype=torch.bool, device=device)
+
+    def enter(self, window: Window, classes: int) -> tuple[Batch, Latent]:
+        """The batch with `first` set where nothing is known of what came before, and the latents [B, .] before its first step."""
+        before = (window.rows[:, 0] - 1).clamp(min=0)
+        first = window.batch.first.clone()
+        first[:, 0] = torch.where(self.known[before], first[:, 0], 1.0)
+        z = torch.nn.functional.one_hot(self.z[before].long(), classes).to(torch.float32)
+        return window.batch._replace(first=first), Latent(self.h[before].float(), z.flatten(-2))
+
+    def keep(self, window: Window, latent: Latent) -> None:
+        """Remember the latents [B, T, .] of a batch."""
+        variables = self.z.shape[1]
+        self.h[window.rows] = latent.h.detach().to(torch.float16)
+        self.z[window.rows] = latent.z.detach().unflatten(-1, (variables, -1)).argmax(-1).to(torch.uint8)
+        self.known[window.rows] = True
+
+    def tensors(self) -> dict[str, Tensor]:
+        """For a checkpoint; `load` takes them back."""
+        return {"h": self.h, "z": self.z, "known": self.known.to(torch.uint8)}
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Take back what `tensors` gave."""
+        self.h.copy_(tensors["h"])
+        self.z.copy_(tensors["z"])
+        self.known.copy_(tensors["known"].bool())
