@@ -122,6 +122,17 @@ class WorldModelConfig(Config):
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
 
 
+class DiagnosticsConfig(Config):
+    """What the world model is worth on episodes that it was not trained on."""
+
+    episodes: int = assumed(16, "fresh episodes under operators that are not in the dataset", ge=1)
+    horizon: int = from_paper(15, "H", ge=1)
+    starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
+    samples: int = assumed(4, "imagined futures that are averaged", ge=1)
+    image_starts: int = assumed(128, "moments from which images are imagined", ge=1)
+    threshold: float = assumed(0.3, "expected costly steps within the horizon from which a cost counts as foreseen, as tau_c", ge=0.0)
+
+
 class PoliciesConfig(Config):
     """Latent actors distilled from the expert checkpoints."""
 

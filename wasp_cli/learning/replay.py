@@ -134,6 +134,18 @@ def read_replay(folder: Path, columns: Sequence[str] | None = None) -> Replay:
     return Replay(**{name: found.get(name, empty) for name in Replay._fields})
 
 
+def read_rows(folder: Path, mask: NDArray[np.bool_]) -> Replay:
+    """The rows of a mask over a dataset artifact (whole episodes), read shard after shard: the other images are never in memory at once."""
+    parts, begin = [], 0
+    for file in shards(folder):
+        here = mask[begin : begin + pq.read_metadata(file).num_rows]
+        begin += len(here)
+        if here.any():
+            table = pq.read_table(file).filter(pa.array(here)).combine_chunks()
+            parts.append(Replay(**{name: _to_numpy(table.column(name)) for name in Replay._fields}))
+    return Replay(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+
+
 def cost_sources(folder: Path) -> tuple[str, ...]:
     """Names of the columns of `sources` of a dataset artifact."""
     return tuple(json.loads(pq.read_schema(shards(folder)[0]).metadata[_SOURCES]))
