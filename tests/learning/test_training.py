@@ -16,7 +16,7 @@ from wasp_cli.learning.draws import generator
 from wasp_cli.learning.lagrangian import MultiplierRule
 from wasp_cli.learning.latents import encode
 from wasp_cli.learning.refit import refit_heads
-from wasp_cli.learning.replay import Replay, read_replay, write_shard
+from wasp_cli.learning.replay import Replay, cost_sources, read_replay, write_shard
 from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build, train
 from wasp_cli.models.base import Latent
@@ -27,6 +27,7 @@ TINY = WorldModelConfig(
     deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, batch=3, length=6, updates=8, warmup=2, refit_updates=3, refit_horizon=4,
     checkpoint_every=4, ahead_starts=5, ahead_horizon=3,
 )  # fmt: skip
+SOURCES = ("hazards", "static geoms, contact")
 
 ROWS = np.arange(36)
 
@@ -39,7 +40,8 @@ def replay(lengths: tuple[int, ...] = (12, 9, 15), seed: int = 0) -> Replay:
     return Replay(
         pixels=random.integers(0, 256, (rows, 6, 64, 64), dtype=np.uint8), action=random.uniform(-1, 1, (rows, 2)).astype(np.float32),
         cost_env=np.zeros(rows, np.float32), reward=random.normal(size=rows).astype(np.float32),
-        cost=(random.random(rows) < 0.2).astype(np.float32),
+        cost=(random.random(rows) < 0.2).astype(np.float32), sources=random.integers(0, 5, (rows, 2)).astype(np.int16),
+        goals=random.integers(0, 2, rows).astype(np.int16),
         terminal=np.zeros(rows, np.float32), first=first, privileged=random.normal(size=(rows, 5)).astype(np.float32),
         episode=np.repeat(np.arange(len(lengths), dtype=np.int32), lengths),
         behaviour=np.repeat([("expert", "noisy")[i % 2] for i in range(len(lengths))], lengths),
@@ -49,11 +51,32 @@ def replay(lengths: tuple[int, ...] = (12, 9, 15), seed: int = 0) -> Replay:
 def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
     whole = replay()
     for number in (0, 1):
-        write_shard(tmp_path / f"shard-{number:04d}.parquet", whole.rows(whole.episode < 2 if number == 0 else whole.episode == 2))
+        write_shard(tmp_path / f"shard-{number:04d}.parquet", whole.rows(whole.episode < 2 if number == 0 else whole.episode == 2), SOURCES)
     again = read_replay(tmp_path)
     for name, value in whole._asdict().items():
         assert np.array_equal(getattr(again, name), value), name
     assert read_replay(tmp_path, ["reward"]).pixels.size == 0
+    assert cost_sources(tmp_path) == SOURCES
+
+
+def test_a_task_without_cost_sources_has_shards_too(tmp_path: Path) -> None:
+    whole = replay()
+    write_shard(tmp_path / "shard-0000.parquet", whole._replace(sources=whole.sources[:, :0]), ())
+    assert read_replay(tmp_path).sources.shape == (36, 0)
+    assert cost_sources(tmp_path) == ()
+
+
+def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended() -> None:
+    data = replay((2,) * 37)
+    chosen = data.held_out(0.1)
+    assert set(data.episode[chosen]) == {9, 19, 29}
+    fewer = data.rows(data.episode < 25)
+    np.testing.assert_array_equal(fewer.held_out(0.1), chosen[:50])
+    few = data.rows(data.episode < 4)
+    assert set(few.episode[few.held_out(0.1)]) == {3}, "with too few episodes the last one is held out"
+    light = data._replace(pixels=np.zeros(0, np.uint8)).rows(chosen)
+    assert light.pixels.size == 0
+    assert len(light.reward) == 6
 
 
 def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
@@ -242,7 +265,7 @@ def test_behaviours_follow_their_shares() -> None:
     chosen = behaviours(MixtureConfig().model_dump(), 50, 4, np.random.default_rng(0))
     assert len(chosen) == 50
     counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
-    assert counts == {"expert": 10, "noisy": 11, "laggy": 9, "delayed": 6, "early": 5, "bursts": 5, "random": 4}
+    assert counts == {"expert": 9, "noisy": 5, "laggy": 6, "delayed": 7, "early": 3, "bursts": 4, "careless": 12, "random": 4}
     assert {b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))} == {-1, 0}
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.metrics.ranking import average_precision
+from wasp_cli.metrics.ranking import average_precision, recall_at
 from wasp_cli.metrics.windows import sums_ahead
 
 
@@ -24,6 +24,24 @@ def test_average_precision_is_the_step_sum(rows: list[tuple[bool, int]]) -> None
     event, score = zip(*rows, strict=True)
     found = average_precision(np.array(event), np.array(score, float))
     assert found == pytest.approx(brute_force(list(event), list(score)))
+
+
+@given(
+    st.lists(st.tuples(st.booleans(), st.integers(0, 6)), min_size=1, max_size=40).filter(lambda rows: any(e for e, _ in rows)),
+    st.sampled_from([0.0, 0.1, 0.3]),
+)
+def test_recall_is_the_best_of_all_thresholds_with_so_few_false_alarms(rows: list[tuple[bool, int]], share: float) -> None:
+    best, quiet = 0.0, [s for e, s in rows if not e]
+    for threshold in range(8):
+        if sum(s >= threshold for s in quiet) <= share * len(quiet):
+            best = max(best, sum(e and s >= threshold for e, s in rows) / sum(e for e, _ in rows))
+    event, score = zip(*rows, strict=True)
+    assert recall_at(np.array(event), np.array(score, float), share) == pytest.approx(best)
+
+
+def test_recall_of_a_constant_score_is_none_and_of_no_event_undefined() -> None:
+    assert recall_at(np.array([True, False, False]), np.zeros(3)) == 0.0
+    assert np.isnan(recall_at(np.zeros(3, bool), np.arange(3.0)))
 
 
 def test_a_constant_score_has_the_base_rate_and_no_event_has_none() -> None:

@@ -32,6 +32,14 @@ class Behaviour:
     """Decision steps between what is seen and the command for it."""
     burst: float = 0.0
     """Probability that a random command begins and is held for 2-11 steps."""
+    drift: float = 0.0
+    """Constant that is added to the last component: the turning of the point, one wheel of the car."""
+    sticky: float = 0.0
+    """Standard deviation of noise that persists from step to step (see STICKY)."""
+
+
+STICKY = 0.9
+"""Correlation of persistent noise between one decision step and the next."""
 
 
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
@@ -43,6 +51,7 @@ def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np
         "delayed": [Behaviour("delayed", delay=d) for d in (2, 3, 5)],
         "early": [Behaviour("early", skill=k, gaussian=0.1) for k in range(min(2, skills))],
         "bursts": [Behaviour("bursts", burst=0.08)],
+        "careless": [Behaviour("careless", repeat=p) for p in (0.9, 0.95)],
         "random": [Behaviour("random", replace=1.0)],
     }
     # Largest remainders: the counts follow the shares as closely as whole episodes can.
@@ -61,6 +70,7 @@ class Commander:
         self._skills, self._rows, self._random = skills, rows, random
         self._last = np.zeros((len(rows), action), np.float32)
         self._held = np.zeros(len(rows), int)
+        self._noise = np.zeros_like(self._last)
         self._seen: list[NDArray[np.float32]] = []
         """Intended commands [B, A] of the episode so far."""
 
@@ -75,6 +85,11 @@ class Commander:
         neutral = np.zeros_like(self._last[0])
         action = np.stack([self._seen[now - b.delay][i] if now >= b.delay else neutral for i, b in enumerate(rows)])
         action = action + np.array([b.gaussian for b in rows], np.float32)[:, None] * random.standard_normal(action.shape, np.float32)
+        fresh = random.standard_normal(action.shape, np.float32)
+        # A stationary first-order process: its standard deviation is 1 from the first step on.
+        self._noise = fresh if now == 0 else STICKY * self._noise + (1 - STICKY**2) ** 0.5 * fresh
+        action = action + np.array([b.sticky for b in rows], np.float32)[:, None] * self._noise
+        action[:, -1] += [b.drift for b in rows]
         uniform = random.uniform(-1, 1, action.shape).astype(np.float32)
         replaced = random.random(len(rows)) < [b.replace for b in rows]
         begins = (random.random(len(rows)) < [b.burst for b in rows]) & (self._held == 0)
@@ -101,17 +116,18 @@ def record(
         number: index of the first episode in the dataset.
     """
     seen = task.reset(seeds)
-    batch = task.batch
+    batch, kinds = task.batch, task.cost_sources
     assert seen.pixels is not None
     assert seen.privileged is not None
     zeros = np.zeros(batch, np.float32)
     steps: list[dict[str, NDArray[Any]]] = [
         {
             "pixels": seen.pixels, "action": np.zeros((batch, task.action_size), np.float32), "reward": zeros,
-            "cost": zeros, "cost_env": zeros,
-            "terminal": zeros, "first": zeros + 1, "privileged": seen.privileged, "alive": np.ones(batch, bool),
+            "cost": zeros, "cost_env": zeros, "sources": np.zeros((batch, len(kinds)), np.int16), "goals": np.zeros(batch, np.int16),
+            "terminal": zeros, "first": zeros + 1, "privileged": seen.privileged,
         }
     ]  # fmt: skip
+    alive = [np.ones(batch, bool)]
     ended = np.zeros(batch, bool)
     for _ in range(task.max_decisions):
         assert seen.privileged is not None
@@ -120,21 +136,23 @@ def record(
         seen = step.observation
         assert seen.pixels is not None
         assert seen.privileged is not None
+        costs = [step.sources[kind].astype(np.int16) for kind in kinds]
         steps.append(
             {
                 "pixels": seen.pixels, "action": action, "reward": step.reward.astype(np.float32), "cost": step.cost.astype(np.float32),
                 "cost_env": step.cost_env.astype(np.float32),
-                "terminal": (step.terminated & ~ended).astype(np.float32), "first": zeros, "privileged": seen.privileged, "alive": ~ended,
+                "sources": np.stack(costs, 1) if costs else np.zeros((batch, 0), np.int16), "goals": step.goals.astype(np.int16),
+                "terminal": (step.terminated & ~ended).astype(np.float32), "first": zeros, "privileged": seen.privileged,
             }
         )  # fmt: skip
+        alive.append(~ended)
         ended = step.ended.copy()
         if ended.all():
             break
-    alive = np.stack([s.pop("alive") for s in steps], 1)  # [B, T + 1]
-    fields = {name: np.stack([s[name] for s in steps], 1) for name in steps[0]}
-    rows = [np.flatnonzero(alive[b]) for b in range(batch)]
-    flat = {name: np.concatenate([value[b, rows[b]] for b in range(batch)]) for name, value in fields.items()}
-    lengths = [len(r) for r in rows]
+    kept = np.stack(alive, 1)  # [B, T + 1]
+    lengths = kept.sum(1)
+    # Field by field, each taken out of the steps on the way, so that the images of a shard are in memory at most twice.
+    flat = {name: np.stack([s.pop(name) for s in steps], 1)[kept] for name in list(steps[0])}
     return Replay(
         episode=np.repeat(np.arange(number, number + batch, dtype=np.int32), lengths),
         behaviour=np.repeat(np.array(list(names), dtype=object), lengths),

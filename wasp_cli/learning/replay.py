@@ -1,11 +1,12 @@
 """Recorded episodes with images: compressed Parquet shards on disk, flat arrays in memory.
 
 Rows are by arrival: row t holds o_t and what came with it (a_{t-1}, r_t, c_t), so an episode of T decisions has T + 1 rows and its
-first row is marked `first` with zero action, reward and cost.
+first row is marked `first` with zero action, reward and cost. The names of the cost sources are in the metadata of each shard.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,11 +21,13 @@ from wasp_cli.tasks.base import CAMERA_SIZE
 
 PIXELS = (6, CAMERA_SIZE, CAMERA_SIZE)
 _BYTES = int(np.prod(PIXELS))
+_SOURCES = b"wasp.cost_sources"
+"""Key of the schema metadata that holds the names of the columns of `sources`, as JSON."""
 HELD_OUT = 0.1
 """Share of the episodes of a dataset that no gradient sees."""
 
 
-def _schema(action: int, privileged: int) -> pa.Schema:
+def _schema(action: int, privileged: int, sources: Sequence[str]) -> pa.Schema:
     return pa.schema(
         [
             ("pixels", pa.binary(_BYTES)),
@@ -32,12 +35,15 @@ def _schema(action: int, privileged: int) -> pa.Schema:
             ("reward", pa.float32()),
             ("cost", pa.float32()),
             ("cost_env", pa.float32()),
+            ("sources", pa.list_(pa.int16())),
+            ("goals", pa.int16()),
             ("terminal", pa.float32()),
             ("first", pa.float32()),
             ("privileged", pa.list_(pa.float32(), privileged)),
             ("episode", pa.int32()),
             ("behaviour", pa.string()),
-        ]
+        ],
+        metadata={_SOURCES: json.dumps(list(sources)).encode()},
     )
 
 
@@ -53,6 +59,10 @@ class Replay(NamedTuple):
     """[N] in {0, 1}: the decision step cost"""
     cost_env: NDArray[np.float32]
     """[N] env steps of it that cost"""
+    sources: NDArray[np.int16]
+    """[N, S] env steps of it in which each cost source cost"""
+    goals: NDArray[np.int16]
+    """[N] goals reached in the decision step"""
     terminal: NDArray[np.float32]
     first: NDArray[np.float32]
     privileged: NDArray[np.float32]
@@ -68,27 +78,44 @@ class Replay(NamedTuple):
         return whole
 
     def held_out(self, share: float) -> NDArray[np.bool_]:
-        """[N] rows of the last `share` of the episodes, which no training sees."""
-        episodes = int(self.episode.max()) + 1
-        return self.episode >= episodes - max(1, round(share * episodes))
+        """[N] rows of the episodes that no training sees: at a share of 0.1 those numbered 9, 19, 29, ...
+
+        By number and not by place, so that an episode stays on its side when later rounds append others, and these are held out
+        too. Where there are too few episodes for that, it is the last one.
+        """
+        period = max(1, round(1 / share))
+        chosen: NDArray[np.bool_] = self.episode % period == period - 1
+        return chosen if chosen.any() else self.episode == self.episode.max()
 
     def rows(self, mask: NDArray[np.bool_]) -> Replay:
-        """The rows of a mask (whole episodes)."""
-        fields: dict[str, Any] = {name: value[mask] for name, value in self._asdict().items()}
+        """The rows of a mask (whole episodes). Columns that were not read stay empty."""
+        fields: dict[str, Any] = {name: value[mask] if len(value) else value for name, value in self._asdict().items()}
         return Replay(**fields)
 
 
-def write_shard(path: Path, replay: Replay) -> None:
-    """Write whole episodes to one file."""
+def write_shard(path: Path, replay: Replay, sources: Sequence[str]) -> None:
+    """Write whole episodes to one file; `sources` names the columns of `replay.sources`."""
     images = np.ascontiguousarray(replay.pixels)
     arrays = [
         pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(replay.first), [None, pa.py_buffer(images)]),
-        _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.cost_env), pa.array(replay.terminal),
-        pa.array(replay.first),
+        _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.cost_env), _counts(replay.sources),
+        pa.array(replay.goals), pa.array(replay.terminal), pa.array(replay.first),
         _lists(replay.privileged), pa.array(replay.episode), pa.array(replay.behaviour.tolist(), pa.string()),
     ]  # fmt: skip
-    schema = _schema(replay.action.shape[1], replay.privileged.shape[1])
+    schema = _schema(replay.action.shape[1], replay.privileged.shape[1], sources)
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd", compression_level=3, use_dictionary=["behaviour"])
+
+
+def shards(folder: Path) -> list[Path]:
+    """The files of a dataset artifact, in order.
+
+    Raises:
+        ArtifactError: there is none.
+    """
+    found = sorted(folder.glob("shard-*.parquet"))
+    if not found:
+        raise ArtifactError(f"no shards in {folder}", "remove the artifact's folder and run again")
+    return found
 
 
 def read_replay(folder: Path, columns: Sequence[str] | None = None) -> Replay:
@@ -97,16 +124,37 @@ def read_replay(folder: Path, columns: Sequence[str] | None = None) -> Replay:
     Raises:
         ArtifactError: there is no shard, or one is damaged.
     """
-    shards = sorted(folder.glob("shard-*.parquet"))
-    if not shards:
-        raise ArtifactError(f"no shards in {folder}", "remove the artifact's folder and run again")
+    files = shards(folder)
     try:
-        table = pa.concat_tables([pq.read_table(shard, columns=list(columns) if columns else None) for shard in shards]).combine_chunks()
+        table = pa.concat_tables([pq.read_table(file, columns=list(columns) if columns else None) for file in files]).combine_chunks()
     except (OSError, pa.ArrowInvalid) as error:
         raise ArtifactError(f"cannot read {folder}: {error}", "remove the artifact's folder and run again") from error
     empty = np.zeros(0)
     found = {name: _to_numpy(table.column(name)) for name in table.column_names}
     return Replay(**{name: found.get(name, empty) for name in Replay._fields})
+
+
+def read_rows(folder: Path, mask: NDArray[np.bool_]) -> Replay:
+    """The rows of a mask over a dataset artifact (whole episodes), read shard after shard: the other images are never in memory at once."""
+    parts, begin = [], 0
+    for file in shards(folder):
+        here = mask[begin : begin + pq.read_metadata(file).num_rows]
+        begin += len(here)
+        if here.any():
+            table = pq.read_table(file).filter(pa.array(here)).combine_chunks()
+            parts.append(Replay(**{name: _to_numpy(table.column(name)) for name in Replay._fields}))
+    return Replay(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+
+
+def cost_sources(folder: Path) -> tuple[str, ...]:
+    """Names of the columns of `sources` of a dataset artifact."""
+    return tuple(json.loads(pq.read_schema(shards(folder)[0]).metadata[_SOURCES]))
+
+
+def _counts(values: NDArray[np.int16]) -> pa.Array:
+    # Not of a fixed size: a task may have no cost source, and Parquet cannot hold lists of the fixed size 0.
+    ends = pa.array(np.arange(len(values) + 1, dtype=np.int32) * values.shape[1])
+    return pa.ListArray.from_arrays(ends, pa.array(np.ascontiguousarray(values, np.int16).ravel()))
 
 
 def _lists(values: NDArray[np.float32]) -> pa.Array:
@@ -121,7 +169,7 @@ def _to_numpy(column: pa.ChunkedArray) -> NDArray[Any]:
         if pa.types.is_fixed_size_binary(kind):
             data = np.frombuffer(chunk.buffers()[1], np.uint8).reshape(-1, *PIXELS)
             parts.append(data[chunk.offset : chunk.offset + len(chunk)])
-        elif pa.types.is_fixed_size_list(kind):
+        elif pa.types.is_fixed_size_list(kind) or pa.types.is_list(kind):
             parts.append(chunk.flatten().to_numpy(zero_copy_only=False).reshape(len(chunk), -1))
         else:
             parts.append(chunk.to_numpy(zero_copy_only=False))

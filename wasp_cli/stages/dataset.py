@@ -1,12 +1,16 @@
 """Dataset: episodes with images from a mixture of behaviours.
 
-Artifact: `shard-NNNN.parquet` (see `learning.replay`), `contents.json` (per behaviour: episodes, steps, return, cost).
+Artifact: `shard-NNNN.parquet` (see `learning.replay`), `contents.json` and `contents.md` (what there is per behaviour, see
+`learning.contents`), `contact_sheet.png` (frames of every behaviour).
 """
 
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, cast
 
 from wasp_cli.learning.configs import DatasetConfig
@@ -23,13 +27,13 @@ class DatasetStage:
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Collect shard after shard until there are enough decision steps."""
-        import shutil
-
         import numpy as np
 
+        from wasp_cli.learning.contact_sheet import contact_sheet
+        from wasp_cli.learning.contents import ALL, contents_markdown, contents_of, unseen_sources, warnings
         from wasp_cli.learning.dataset import Commander, behaviours, record
         from wasp_cli.learning.expert import load_skill
-        from wasp_cli.learning.replay import read_replay, write_shard
+        from wasp_cli.learning.replay import write_shard
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
@@ -47,6 +51,7 @@ class DatasetStage:
             len(skills),
             np.random.default_rng(derive("dataset-mixture", job.task, job.seed)),
         )
+        files = []
         while steps < config.steps:
             path = job.work_dir / f"shard-{shard:04d}.parquet"
             rows = [schedule[(shard * config.envs + i) % len(schedule)] for i in range(config.envs)]
@@ -56,17 +61,23 @@ class DatasetStage:
                 seeds = [derive("dataset-episode", job.task, job.seed, shard * config.envs + i) for i in range(config.envs)]
                 replay = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
                 partial = path.with_suffix(".partial")
-                write_shard(partial, replay)
+                write_shard(partial, replay, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
+            files.append(path)
             steps += _rows(path) - config.envs
             shard += 1
             job.progress(min(1.0, steps / config.steps), f"{steps} of {config.steps} decision steps")
-        for path in sorted(job.work_dir.glob("shard-*.parquet")):
-            shutil.copy2(path, job.out_dir / path.name)
-        contents = _contents(read_replay(job.out_dir, ["reward", "cost", "first", "behaviour"]))
+        for path in files:
+            _hand_over(path, job.out_dir / path.name)
+        contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
-        size = sum(path.stat().st_size for path in job.out_dir.glob("shard-*.parquet"))
-        return {"steps": steps, "costly_share": contents["all"]["costly_share"], "megabytes": round(size / 2**20, 1)}
+        (job.out_dir / "contents.md").write_text(contents_markdown(contents))
+        contact_sheet(job.out_dir, job.out_dir / "contact_sheet.png")
+        whole, unseen = contents[ALL], unseen_sources(contents)
+        summary: dict[str, Any] = {"steps": steps, "episodes": whole["episodes"], "costly_share": round(whole["costly_share"], 4)}
+        summary |= {"sources_not_seen": len(unseen), "return": round(whole["return_per_episode"], 2)}
+        summary |= {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}
+        return summary | ({"warning": "; ".join(warnings(contents))} if warnings(contents) else {})
 
 
 def _checkpoints(job: Job) -> list[float]:
@@ -74,21 +85,15 @@ def _checkpoints(job: Job) -> list[float]:
     return sorted(float(fraction) for fraction in found)
 
 
-def _rows(path: Any) -> int:
+def _rows(path: Path) -> int:
     import pyarrow.parquet as pq
 
     return int(pq.read_metadata(path).num_rows)
 
 
-def _contents(replay: Any) -> dict[str, dict[str, float]]:
-    """Per behaviour and in all: what the dataset holds."""
-    table = {}
-    for name in ["all", *sorted(set(replay.behaviour.tolist()))]:
-        mask = (replay.behaviour == name) | (name == "all")
-        episodes = float(replay.first[mask].sum())
-        steps = float(mask.sum()) - episodes
-        table[name] = {
-            "episodes": episodes, "steps": steps, "return_per_episode": float(replay.reward[mask].sum()) / episodes,
-            "costly_share": float(replay.cost[mask].sum()) / max(1.0, steps),
-        }  # fmt: skip
-    return table
+def _hand_over(path: Path, target: Path) -> None:
+    """Give a shard to the artifact and keep it for an interrupted stage: as a second name of the same file where that is possible."""
+    try:
+        os.link(path, target)
+    except OSError:  # another file system, or one without links
+        shutil.copy2(path, target)

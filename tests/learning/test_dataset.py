@@ -1,0 +1,210 @@
+"""The dataset stage on a real task: it goes on after a kill, and says what it collected."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from tests.learning.test_training import SOURCES, commander, replay
+from wasp_cli.learning.configs import DatasetConfig
+from wasp_cli.learning.contact_sheet import _COSTLY, EDGE, FRAME, FRAMES, GAP, TITLE, contact_sheet
+from wasp_cli.learning.contents import ALL, contents, contents_markdown, contents_of, unseen_sources, warnings
+from wasp_cli.learning.dataset import STICKY, Behaviour, record
+from wasp_cli.learning.expert import checkpoint_name
+from wasp_cli.learning.replay import cost_sources, read_replay, write_shard
+from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.models.weights import save_weights
+from wasp_cli.stages import dataset as stage
+from wasp_cli.stages.base import Job
+from wasp_cli.tasks.make import make_task
+
+TASK = "race1"  # its episodes of 125 decisions are the shortest
+ENVS, SHARDS = 3, 2
+
+
+def job(root: Path, name: str, progress: Any = lambda share, text: None, work: str | None = None) -> Job:
+    folders = [root / name, root / (work or f"{name}-work")]
+    for folder in folders:
+        folder.mkdir(exist_ok=True)
+    config = DatasetConfig(steps=ENVS * SHARDS * 125 - 40, envs=ENVS)
+    return Job("dataset", TASK, 1, config, {"action_repeat": 4}, {}, {"expert": root / "expert"}, *folders, progress)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An untrained expert, and the dataset of an undisturbed run in `whole`."""
+    folder = tmp_path_factory.mktemp("dataset")
+    (folder / "expert").mkdir()
+    torch.manual_seed(0)
+    size = {"inputs": make_task(TASK, 1).privileged_size, "hidden": [4], "action": 2}
+    for fraction in (0.5, 1.0):
+        save_weights(PrivilegedPolicy(**size), folder / "expert" / checkpoint_name(fraction), **size)
+    (folder / "expert" / "evaluation.json").write_text(json.dumps({"0.5": {}, "1": {}}))
+    summary = stage.DatasetStage().run(job(folder, "whole"))
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from tests.learning.test_dataset import job, stage
+
+def kill(share, text):
+    (Path(sys.argv[1]) / "killed-work" / "shard-0001.partial").write_bytes(b"half a sha")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+stage.DatasetStage().run(job(Path(sys.argv[1]), "killed", kill))
+"""
+
+
+def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_bytes(root: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", KILLED, str(root)], timeout=120, check=False)
+    assert done.returncode == -signal.SIGKILL
+    kept = root / "killed-work" / "shard-0000.parquet"
+    stamp = kept.stat().st_mtime_ns
+    stage.DatasetStage().run(job(root, "resumed", work="killed-work"))
+    assert kept.stat().st_mtime_ns == stamp, "the finished shard was not collected again"
+    assert files(root / "resumed") == files(root / "whole")
+    assert set(files(root / "whole")) == {
+        "shard-0000.parquet", "shard-0001.parquet", "contents.json", "contents.md", "contact_sheet.png",
+    }  # fmt: skip
+
+
+def test_shards_are_linked_or_where_that_fails_copied(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert (root / "whole" / "shard-0000.parquet").stat().st_nlink == 2
+
+    def refused(*_: Any) -> None:
+        raise OSError("no links here")
+
+    shutil.copytree(root / "whole-work", root / "copied-work")
+    monkeypatch.setattr(os, "link", refused)
+    stage.DatasetStage().run(job(root, "copied"))
+    assert files(root / "copied") == files(root / "whole")
+
+
+def test_the_stage_says_what_it_collected(root: Path) -> None:
+    table = json.loads((root / "whole" / "contents.json").read_text())
+    summary = json.loads((root / "summary.json").read_text())
+    data = read_replay(root / "whole")
+    assert cost_sources(root / "whole") == make_task(TASK, 1).cost_sources
+    assert summary["episodes"] == table[ALL]["episodes"] == ENVS * SHARDS
+    assert summary["steps"] == len(data.first) - ENVS * SHARDS
+    assert summary["costly_share"] == pytest.approx(data.cost.sum() / summary["steps"], abs=1e-4)
+    assert ((data.sources > 0).any(1) == (data.cost > 0)).all(), "whatever costs has a source"
+    assert (data.sources.max(1) <= data.cost_env).all()
+    assert (data.cost_env <= data.sources.sum(1)).all()
+    assert summary.get("warning", "") == "; ".join(warnings(table))
+
+
+def test_the_table_is_what_can_be_counted_by_hand() -> None:
+    data = replay()  # episodes of 12, 9 and 15 rows: expert, noisy, expert
+    table = contents(data, SOURCES)
+    assert table[ALL]["episodes"] == 3
+    assert table[ALL]["steps"] == 33
+    assert set(table) == {ALL, "expert", "noisy"}
+    mine = [row for row in range(36) if data.episode[row] in (0, 2)]
+    expert = table["expert"]
+    assert expert["steps"] == 25
+    assert expert["share"] == pytest.approx(2 / 3)
+    assert expert["return_per_episode"] == pytest.approx(sum(float(data.reward[row]) for row in mine) / 2, rel=1e-5)
+    assert expert["goals_per_episode"] == sum(int(data.goals[row]) for row in mine) / 2
+    assert expert["costly_share"] == pytest.approx(sum(float(data.cost[row]) for row in mine) / 25)
+    assert expert["sources"][SOURCES[1]] == sum(data.sources[row, 1] > 0 for row in mine) / 25
+    assert contents(data._replace(goals=0 * data.goals), SOURCES)[ALL]["with_goal"] == 0
+    terminal = data.terminal.copy()
+    terminal[11] = 1
+    table = contents(data._replace(terminal=terminal), SOURCES)
+    assert (table["expert"]["terminal"], table["noisy"]["terminal"]) == (0.5, 0.0)
+    assert "| noisy | 1 (33%) | 8 |" in contents_markdown(table)
+
+
+def test_datasets_without_enough_costs_or_a_source_are_warned_of() -> None:
+    data = replay()
+    data.cost[:] = np.arange(36) % 12 == 5
+    data.sources[:, 1] = 0
+    table = contents(data, SOURCES)
+    assert unseen_sources(table) == [SOURCES[1]]
+    assert warnings(table) == [f"no step costs by {SOURCES[1]}"]
+    assert f"Warning: no step costs by {SOURCES[1]}." in contents_markdown(table)
+    many = contents(data._replace(cost=data.cost * 0 + 1, sources=data.sources * 0 + 1), SOURCES)
+    assert warnings(many) == ["109.1% of the steps cost, not 3% to 15%"]  # first rows never cost in a real dataset
+    few = contents(data._replace(cost=data.cost * 0, sources=data.sources * 0 + 1), SOURCES)
+    assert warnings(few) == ["0.0% of the steps cost, not 3% to 15%"]
+    assert warnings(contents(data._replace(sources=data.sources[:, :0]), ())) == [], "nothing can cost in such a task"
+
+
+def test_the_sheet_shows_the_frames_and_marks_the_costly_ones(tmp_path: Path) -> None:
+    data = replay()
+    data.cost[:], data.sources[:] = 0, 0
+    data.cost[[4, 30]], data.sources[4, 0], data.sources[30, 1] = 1, 4, 1
+    for number in (0, 1):
+        write_shard(tmp_path / f"shard-{number:04d}.parquet", data.rows((data.episode == 2) == (number == 1)), SOURCES)
+    contact_sheet(tmp_path, tmp_path / "sheet.png")
+    sheet = np.asarray(Image.open(tmp_path / "sheet.png"))
+    pitch = FRAME + 2 * EDGE + GAP
+    assert sheet.shape[1] == GAP + 2 * FRAMES * pitch
+
+    def frame(column: int, camera: int) -> np.ndarray[Any, Any]:
+        top, left = GAP + TITLE + EDGE + camera * (FRAME + EDGE), GAP + column * pitch + EDGE
+        return sheet[top : top + FRAME : 2, left : left + FRAME : 2]
+
+    # The first behaviour by name is the expert: four frames spread over its steps, then the costly ones from both sources.
+    for column, row in ((FRAMES, 4), (FRAMES + 1, 30)):
+        for camera in range(2):
+            np.testing.assert_array_equal(frame(column, camera), data.pixels[row, 3 * camera : 3 * camera + 3].transpose(1, 2, 0))
+    edges = [tuple(sheet[GAP + TITLE + 1, GAP + column * pitch + 1].tolist()) for column in range(FRAMES + 3)]
+    assert [edge == _COSTLY for edge in edges] == [False] * FRAMES + [True, True, False]
+    assert contents_of(tmp_path)[ALL]["steps"] == 33
+
+
+def test_recording_counts_what_the_task_says(root: Path) -> None:
+    """Rows against the task's own steps, goals and sources included."""
+    task, steps = make_task(TASK, 2, observe=("pixels", "privileged")), []
+    stepped = task.step
+
+    def seen(action: Any) -> Any:
+        steps.append(stepped(action))
+        return steps[-1]
+
+    task.step = seen  # type: ignore[method-assign]
+    random = np.random.default_rng(3)
+    data = record(task, [3, 4], lambda privileged: random.uniform(0.4, 1, (2, 2)).astype(np.float32), ["a", "b"], 0)
+    for row in range(2):
+        mine = data.rows(data.episode == row)
+        count = len(mine.first) - 1
+        assert mine.sources.shape == (count + 1, len(task.cost_sources))
+        np.testing.assert_array_equal(mine.goals[1:], [step.goals[row] for step in steps[:count]])
+        for i, kind in enumerate(task.cost_sources):
+            np.testing.assert_array_equal(mine.sources[1:, i], [step.sources[kind][row] for step in steps[:count]])
+    assert data.sources.sum() > 0
+
+
+def test_drift_and_sticky_noise_add_what_they_say() -> None:
+    rows = (Behaviour("plain"), Behaviour("drift", drift=-0.3), *(Behaviour("sticky", sticky=0.2) for _ in range(400)))
+    driver = commander(*rows)
+    for skill in driver._skills:
+        for parameter in skill.parameters():
+            parameter.data.zero_()
+    issued = np.stack([driver.command(np.zeros((len(rows), 5), np.float32)) for _ in range(6)])
+    assert (issued[:, 0] == 0).all()
+    np.testing.assert_allclose(issued[:, 1], np.tile([0, -0.3], (6, 1)), rtol=1e-6)
+    noise = issued[:, 2:]
+    np.testing.assert_allclose(noise.std((1, 2)), 0.2, rtol=0.1)
+    lagged = [np.corrcoef(noise[t].ravel(), noise[t + 1].ravel())[0, 1] for t in range(5)]
+    np.testing.assert_allclose(lagged, STICKY, atol=0.04)

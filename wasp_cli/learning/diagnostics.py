@@ -1,0 +1,188 @@
+"""What imagined costs, rewards and images are worth on recorded episodes, per imagined step k = 1..H and over the whole window.
+
+Everything starts at the filtered latent of a recorded row and follows the prior under the true actions; what is read at step k is compared
+with what arrived k rows later. K = starts, H = horizon, S = cost sources.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from wasp_cli.learning.draws import generator
+from wasp_cli.learning.latents import Latents, roll_prior
+from wasp_cli.learning.replay import Replay
+from wasp_cli.metrics.ranking import average_precision, recall_at
+from wasp_cli.metrics.reliability import calibration_error, reliability
+from wasp_cli.models.world_model import SafetyWorldModel
+
+FALSE_ALARMS = 0.1
+"""Share of the moments without a cost at which a recall is read."""
+CHUNK = 256
+"""Starts that are imagined, or images that are decoded, together."""
+
+Floats = NDArray[Any]
+Row = dict[str, Any]
+
+
+class Forecast(NamedTuple):
+    """Imagined costs and rewards, means over samples of the prior."""
+
+    starts: NDArray[np.int64]
+    """[K] rows of the replay"""
+    cost: Floats
+    """[K, H] probability of a cost at the arrived state"""
+    reward: Floats
+    """[K, H]"""
+
+    @property
+    def follow(self) -> NDArray[np.int64]:
+        """[K, H] rows that really followed."""
+        ahead: NDArray[np.int64] = self.starts[:, None] + 1 + np.arange(self.cost.shape[1])
+        return ahead
+
+
+def spread_starts(replay: Replay, horizon: int, count: int) -> NDArray[np.int64]:
+    """At most `count` rows, evenly spread over those from which `horizon` rows follow within their episode."""
+    starts = replay.window_starts(horizon + 1)
+    if len(starts) <= count:
+        return starts
+    chosen: NDArray[np.int64] = starts[np.linspace(0, len(starts) - 1, count).round().astype(int)]
+    return chosen
+
+
+@torch.inference_mode()
+def forecast(
+    model: SafetyWorldModel, replay: Replay, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
+) -> Forecast:
+    """Imagine from `starts` [K] under the true actions."""
+    source = generator(seed)
+    cost, reward = torch.zeros(len(starts), horizon), torch.zeros(len(starts), horizon)
+    for begin in range(0, len(starts), CHUNK):
+        here = slice(begin, begin + CHUNK)
+        index = torch.from_numpy(starts[here])
+        actions = torch.from_numpy(replay.action[starts[here, None] + 1 + np.arange(horizon)])
+        for _ in range(samples):
+            arrived = roll_prior(model, latents.at(index), actions, source)
+            cost[here] += model.cost(arrived) / samples
+            reward[here] += model.reward(arrived) / samples
+    return Forecast(starts, cost.numpy(), reward.numpy())
+
+
+def judged_steps(replay: Replay, seen: Forecast, threshold: float, sources: Sequence[str]) -> list[Row]:
+    """A row per imagined step.
+
+    `base` is the share of costly steps and `auprc` that of c-hat; `persistence` is that of "cost stays what it is at the start". `recall`
+    is read at FALSE_ALARMS. `foreseen` is the share of the costs before which the alarm was up: the expected costly steps of the whole
+    window above the threshold. With `onset_` only starts count that do not cost themselves. `reliability` has a row per bin.
+
+    Args:
+        replay: the recorded episodes.
+        seen: what was imagined on them.
+        threshold: expected costly steps within the horizon from which a cost counts as foreseen.
+        sources: names of the cost sources.
+    """
+    now = replay.cost[seen.starts]
+    alarm = seen.cost.sum(1) > threshold
+    calm = now == 0
+    rows = []
+    for k, (follow, cost, reward) in enumerate(zip(seen.follow.T, seen.cost.T, seen.reward.T, strict=True), 1):
+        event, true_reward = replay.cost[follow] > 0, replay.reward[follow]
+        base, bins = _mean(event), reliability(event, cost)
+        error, variance = float(((reward - true_reward) ** 2).mean()), float(true_reward.var())
+        by = {kind: replay.sources[follow, i] > 0 for i, kind in enumerate(sources)}
+        rows.append(
+            {
+                "k": k, "base": base, "auprc": average_precision(event, cost), "persistence": average_precision(event, now),
+                "onset_base": _mean(event[calm]), "onset_auprc": average_precision(event[calm], cost[calm]),
+                "recall": recall_at(event, cost, FALSE_ALARMS), "onset_recall": recall_at(event[calm], cost[calm], FALSE_ALARMS),
+                "foreseen": _mean(alarm[event]), "onset_foreseen": _mean(alarm[event & calm]),
+                "foreseen_by_source": {kind: _mean(alarm[costs]) for kind, costs in by.items()},
+                "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
+                "calibration_error": calibration_error(bins), "reliability": [row._asdict() for row in bins],
+                "reward_r2": 1.0 - error / variance if variance else float("nan"),
+                "reward_error": error, "reward_variance": variance,
+            }
+        )  # fmt: skip
+    return rows
+
+
+def judged_window(replay: Replay, seen: Forecast, threshold: float) -> Row:
+    """Over the whole window: the sum of costs, and whether there is any (its score is 1 - prod(1 - c-hat) over the steps)."""
+    costs = replay.cost[seen.follow]  # [K, H]
+    event, calm = costs.sum(1) > 0, replay.cost[seen.starts] == 0
+    score, alarm = 1.0 - np.prod(1.0 - seen.cost.astype(np.float64), 1), seen.cost.sum(1) > threshold
+    table: Row = {"cost_correlation": _correlation(seen.cost.sum(1), costs.sum(1)), "threshold": threshold}
+    for prefix, rows in (("", np.ones(len(event), bool)), ("onset_", calm)):
+        table |= {
+            f"{prefix}base": _mean(event[rows]), f"{prefix}auprc": average_precision(event[rows], score[rows]),
+            f"{prefix}recall": recall_at(event[rows], score[rows], FALSE_ALARMS),
+            f"{prefix}foreseen": _mean(alarm[rows & event]), f"{prefix}false_alarms": _mean(alarm[rows & ~event]),
+        }  # fmt: skip
+    return table | {"persistence": average_precision(event, replay.cost[seen.starts])}
+
+
+@torch.inference_mode()
+def judged_filter(model: SafetyWorldModel, replay: Replay, latents: Latents, images: int) -> Row:
+    """The filtered state itself (k = 0): its cost, and how well it shows its own image."""
+    index = torch.from_numpy(np.flatnonzero(replay.first == 0))  # nothing can cost before the first decision
+    cost = torch.cat([model.cost(latents.at(part)) for part in index.split(CHUNK)]).numpy()
+    event = replay.cost[index.numpy()] > 0
+    base = _mean(event)
+    chosen = np.linspace(0, len(replay.first) - 1, min(images, len(replay.first))).round().astype(int)
+    true = replay.pixels[chosen].astype(np.float32) / 255.0
+    decoded = torch.cat([model.decode(latents.at(part)) for part in torch.from_numpy(chosen).split(CHUNK)]).numpy()
+    return {
+        "base": base, "auprc": average_precision(event, cost), "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
+        "image_error": float(((decoded - true) ** 2).mean()),
+        "image_variance": float(((model.mean_image.numpy() - true) ** 2).mean()),
+    }  # fmt: skip
+
+
+@torch.inference_mode()
+def imagined_images(
+    model: SafetyWorldModel, replay: Replay, latents: Latents, starts: NDArray[np.int64], horizon: int, source: torch.Generator
+) -> Floats:
+    """Images of one imagined future per start: float32 [K, H, 6, 64, 64] in [0, 1]."""
+    actions = torch.from_numpy(replay.action[starts[:, None] + 1 + np.arange(horizon)])
+    arrived = roll_prior(model, latents.at(torch.from_numpy(starts)), actions, source)
+    flat = type(arrived)(arrived.h.flatten(0, 1), arrived.z.flatten(0, 1))
+    parts = [model.decode(flat.rows(part)) for part in torch.arange(len(flat.h)).split(CHUNK)]
+    images: Floats = torch.cat(parts).unflatten(0, (len(starts), horizon)).numpy()
+    return images
+
+
+def judged_images(
+    model: SafetyWorldModel, replay: Replay, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
+) -> list[Row]:
+    """Per imagined step: squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image.
+
+    `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of the change that is explained.
+    """
+    source, error, copy = generator(seed), np.zeros(horizon), np.zeros(horizon)
+    for part in np.array_split(starts, max(1, len(starts) // 8)):
+        imagined = sum(imagined_images(model, replay, latents, part, horizon, source) for _ in range(samples)) / samples
+        true = replay.pixels[part[:, None] + 1 + np.arange(horizon)].astype(np.float32) / 255.0
+        last = replay.pixels[part].astype(np.float32)[:, None] / 255.0
+        error += ((imagined - true) ** 2).mean((2, 3, 4)).sum(0)
+        copy += ((last - true) ** 2).mean((2, 3, 4)).sum(0)
+    count = max(1, len(starts))
+    rows = []
+    for mine, theirs in zip((error / count).tolist(), (copy / count).tolist(), strict=True):
+        ratio = mine / theirs if theirs else float("nan")
+        rows.append({"image_error": mine, "copy_error": theirs, "image_over_copy": ratio, "image_explained": 1.0 - ratio})
+    return rows
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    if len(a) < 2 or a.std() == 0 or b.std() == 0:
+        return float("nan")
+    return float(np.corrcoef(a, b)[0, 1])

@@ -1,0 +1,38 @@
+"""Whether predicted probabilities are what is seen."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+BINS = 10
+"""Bins of equal width over [0, 1]."""
+
+
+class Bin(NamedTuple):
+    """The rows whose predicted probability lies in one bin."""
+
+    predicted: float
+    """Their mean predicted probability; NaN where there are none."""
+    seen: float
+    """The share of them with the event; NaN where there are none."""
+    size: int
+
+
+def reliability(event: NDArray[np.bool_], probability: NDArray[Any]) -> list[Bin]:
+    """Ten bins of equal width; 1.0 belongs to the last."""
+    index = np.minimum((probability * BINS).astype(int), BINS - 1)
+    rows = []
+    for number in range(BINS):
+        here = index == number
+        size = int(here.sum())
+        rows.append(Bin(float(probability[here].mean()), float(event[here].mean()), size) if size else Bin(np.nan, np.nan, 0))
+    return rows
+
+
+def calibration_error(bins: list[Bin]) -> float:
+    """ECE: the mean distance of predicted and seen over the bins, weighted by their rows."""
+    total = sum(row.size for row in bins)
+    return sum(abs(row.predicted - row.seen) * row.size for row in bins if row.size) / total

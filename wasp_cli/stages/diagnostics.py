@@ -1,0 +1,111 @@
+"""Diagnostics: what the world model is worth on held-out episodes, and under operators that are not in the dataset.
+
+Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `open_loop.md` (a table with the trivial baselines),
+`reliability.png`, `horizon.png`, `reconstruction.png`, `open_loop.png` and `open_loop.gif` (true and imagined images).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+from wasp_cli.learning.configs import DiagnosticsConfig
+from wasp_cli.stages.base import Job
+
+SHOWN = (1, 5, 10, 15)
+"""Imagined steps that the summary and the pictures of reliability show."""
+
+
+class DiagnosticsStage:
+    """See the module."""
+
+    kind = "diagnostics"
+    config = DiagnosticsConfig
+    settings = ("action_repeat",)
+    needs: tuple[str, ...] = ("expert", "dataset", "world_model")
+
+    def run(self, job: Job) -> Mapping[str, Any]:
+        """Judge both sets of episodes, then draw."""
+        import numpy as np
+
+        from wasp_cli.learning import diagnostics as judge
+        from wasp_cli.learning import pictures
+        from wasp_cli.learning.diagnostics_table import open_loop_markdown
+        from wasp_cli.learning.expert import load_skill
+        from wasp_cli.learning.latents import encode
+        from wasp_cli.learning.replay import HELD_OUT, Replay, cost_sources, read_replay, read_rows
+        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.unseen import unseen_episodes
+        from wasp_cli.seeds import derive
+        from wasp_cli.tasks.make import make_task
+
+        config = cast(DiagnosticsConfig, job.config)
+        model = load_world_model(job.inputs["world_model"])
+        folder = job.inputs["dataset"]
+        held = read_replay(folder, ["episode"]).held_out(HELD_OUT)
+        observe = ("pixels", "privileged")
+        task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
+        fractions = sorted(map(float, json.loads((job.inputs["expert"] / "evaluation.json").read_text())))
+        job.progress(0.0, "driving fresh episodes")
+        replays: dict[str, Replay] = {
+            "unseen": unseen_episodes(task, [load_skill(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
+            "held_out": read_rows(folder, held),
+        }
+        sets: dict[str, dict[str, Any]] = {}
+        for part, (name, replay) in enumerate(reversed(replays.items())):
+
+            def during(share: float, text: str, begun: float = 0.2 + 0.4 * part, name: str = name) -> None:
+                job.progress(begun + 0.2 * share, f"{name}: {text}")
+
+            latents = encode(model, replay, during)
+            seed = derive("diagnostics", job.task, job.seed, name)
+            starts = judge.spread_starts(replay, config.horizon, config.starts)
+            during(1.0, "imagining")
+            seen = judge.forecast(model, replay, latents, starts, config.horizon, config.samples, seed)
+            few = judge.spread_starts(replay, config.horizon, config.image_starts)
+            steps = judge.judged_steps(replay, seen, config.threshold, cost_sources(folder))
+            images = judge.judged_images(model, replay, latents, few, config.horizon, config.samples, seed)
+            kinds, counts = np.unique(replay.behaviour[replay.first > 0].astype(str), return_counts=True)
+            sets[name] = {
+                "episodes": dict(zip(kinds.tolist(), counts.tolist(), strict=True)), "starts": len(starts),
+                "steps": [row | image for row, image in zip(steps, images, strict=True)],
+                "window": judge.judged_window(replay, seen, config.threshold),
+                "filter": judge.judged_filter(model, replay, latents, config.image_starts),
+            }  # fmt: skip
+            if name == "held_out":
+                pictures.reconstruction_sheet(model, replay, latents, job.out_dir / "reconstruction.png")
+                if len(starts):
+                    windows = pictures.shown_windows(replay, seen)
+                    strips = pictures.strips(model, replay, latents, seen, windows, seed)
+                    pictures.open_loop_sheet(strips, job.out_dir / "open_loop.png")
+                    pictures.open_loop_film(strips, job.out_dir / "open_loop.gif")
+        pictures.reliability_figure(sets, SHOWN, job.out_dir / "reliability.png")
+        pictures.horizon_figure(sets, job.out_dir / "horizon.png")
+        (job.out_dir / "diagnostics.json").write_text(json.dumps(_json(sets), indent=1, allow_nan=False))
+        (job.out_dir / "open_loop.md").write_text(open_loop_markdown(sets))
+        return _summary(sets)
+
+
+def _summary(sets: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The numbers of the shown steps that people ask for first."""
+    summary: dict[str, Any] = {}
+    for prefix, name, keys in (
+        ("", "held_out", ("auprc", "persistence", "base", "predicted_over_base", "recall", "reward_r2")),
+        ("unseen_", "unseen", ("auprc",)),
+    ):
+        steps = {row["k"]: row for row in sets[name]["steps"]}
+        summary |= {f"{prefix}{key}@{k}": round(steps[k][key], 3) for key in keys for k in SHOWN if k in steps}
+        summary[f"{prefix}auprc_any"] = round(sets[name]["window"]["auprc"], 3)
+    last = sets["held_out"]["steps"][-1]
+    return summary | {f"image_over_copy@{last['k']}": round(last["image_over_copy"], 3)}
+
+
+def _json(value: Any) -> Any:
+    """JSON has no number that is not finite: null."""
+    if isinstance(value, Mapping):
+        return {name: _json(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_json(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
