@@ -17,8 +17,8 @@ from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.closed_loop import human, run_episodes
 from wasp_cli.learning.configs import ReturnsConfig, RolloutsConfig
 from wasp_cli.learning.dataset import record
-from wasp_cli.learning.replay import Replay, read_replay, write_shard
-from wasp_cli.learning.rollouts import assisted_episodes, in_turn, link
+from wasp_cli.learning.replay import Replay, hand_over, read_replay, write_shard
+from wasp_cli.learning.rollouts import assisted_episodes, in_turn
 from wasp_cli.methods.base import Parts
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.limited import LimitedSkillOperator
@@ -44,7 +44,7 @@ def artifacts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folders["dataset"].mkdir()
     for shard in range(2):
         still = record(short_task(2), [shard, 5], lambda seen: np.zeros((2, 2), np.float32), ["expert", "noisy"], 2 * shard)
-        write_shard(folders["dataset"] / f"shard-{shard:04d}.parquet", still)
+        write_shard(folders["dataset"] / f"shard-{shard:04d}.parquet", still, ("hazards",))
     return folders
 
 
@@ -152,5 +152,5 @@ def test_a_file_system_without_links_gets_copies(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(os, "link", refuse)
     (tmp_path / "a").write_bytes(b"shard")
-    link(tmp_path / "a", tmp_path / "b")
+    hand_over(tmp_path / "a", tmp_path / "b")
     assert (tmp_path / "b").read_bytes() == b"shard"

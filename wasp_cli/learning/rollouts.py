@@ -5,10 +5,7 @@ B = episodes side by side, A = action size, T = decision steps.
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -87,11 +84,3 @@ class Playback:
         now: NDArray[np.float32] = self._action[min(self._now, len(self._action) - 1)]
         self._now += 1
         return now
-
-
-def link(path: Path, target: Path) -> None:
-    """A second name for a file; a copy where the file system has no such names."""
-    try:
-        os.link(path, target)
-    except OSError:
-        shutil.copy2(path, target)

@@ -35,11 +35,12 @@ class RolloutsStage:
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.closed_loop import human
-        from wasp_cli.learning.replay import read_replay, write_shard
-        from wasp_cli.learning.rollouts import assisted_episodes, in_turn, link
+        from wasp_cli.learning.contact_sheet import contact_sheet
+        from wasp_cli.learning.contents import ALL, contents_markdown, contents_of
+        from wasp_cli.learning.replay import count_rows, hand_over, read_replay, shards, write_shard
+        from wasp_cli.learning.rollouts import assisted_episodes, in_turn
         from wasp_cli.operators.noise import EpisodeNoise
         from wasp_cli.seeds import derive
-        from wasp_cli.stages.dataset import _contents, _rows
         from wasp_cli.tasks.make import make_task
 
         config = cast(RolloutsConfig, job.config)
@@ -48,7 +49,7 @@ class RolloutsStage:
         parts = load_parts(job.inputs, job.settings["returns"])
         assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
         owner = human(parts.skills, task.decision_seconds, task.action_size)
-        known = sorted(job.inputs["dataset"].glob("shard-*.parquet"))
+        known = shards(job.inputs["dataset"])
         recorded = int(np.max(read_replay(job.inputs["dataset"], ["episode"]).episode)) + 1
 
         def streams(role: str, first: int) -> list[int]:
@@ -69,18 +70,20 @@ class RolloutsStage:
                 seeds = streams("episode", first), streams("method", first)
                 replay = assisted_episodes(task, parts.world_model, operator, assistant, *seeds, BEHAVIOUR, recorded + first, tell)
                 partial = path.with_suffix(".partial")
-                write_shard(partial, replay)
+                write_shard(partial, replay, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
             new.append(path)
-            steps += _rows(path) - config.envs
+            steps += count_rows(path) - config.envs
         for path in [*known, *new]:
-            link(path, job.out_dir / path.name)
-        contents = _contents(read_replay(job.out_dir, ["reward", "cost", "first", "behaviour"]))
+            hand_over(path, job.out_dir / path.name)
+        contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
+        (job.out_dir / "contents.md").write_text(contents_markdown(contents))
+        contact_sheet(job.out_dir, job.out_dir / "contact_sheet.png")
         size = sum(path.stat().st_size for path in job.out_dir.glob("shard-*.parquet"))
         own = contents[BEHAVIOUR]
         return {
-            "steps": int(contents["all"]["steps"]), "costly_share": contents["all"]["costly_share"],
+            "steps": int(contents[ALL]["steps"]), "costly_share": contents[ALL]["costly_share"],
             "own_steps": int(own["steps"]), "own_costly_share": own["costly_share"], "own_return": own["return_per_episode"],
             "megabytes": round(size / 2**20, 1),
         }  # fmt: skip
