@@ -26,23 +26,25 @@ class ReturnsConfig(Config):
 class ExpertConfig(Config):
     """PPO with an adaptive Lagrange multiplier on privileged observations."""
 
-    interactions: int = assumed(500_000, "decision steps; the returns of all three tasks have levelled off by then", ge=1)
+    interactions: int = assumed(600_000, "decision steps", ge=1)
     envs: int = assumed(32, "episodes side by side", ge=1)
-    rollout: int = assumed(128, "decision steps per environment and update", ge=1)
+    rollout: int = assumed(64, "decision steps per environment and update", ge=1)
     epochs: int = assumed(8, "passes over a rollout", ge=1)
     batch: int = assumed(1024, "minibatch", ge=2)
     learning_rate: float = assumed(4e-4, "decays linearly to a tenth", gt=0.0)
     gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
     gae_lambda: float = assumed(0.95, "GAE", gt=0.0, le=1.0)
     hidden: Layers = assumed((128, 128), "layers of actor and value network")
-    entropy: float = assumed(0.001, "entropy bonus", ge=0.0)
+    entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
     cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
     multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
-    multiplier_lr: float = assumed(0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_lr: float = assumed(0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
     multiplier_min: float = assumed(
-        0.1, "bound of the multiplier from below: untrained policies cost little, and would lower it to nothing before it is needed", ge=0.0
+        0.05,
+        "bound of the multiplier from below: untrained policies cost little, and would lower it to nothing before it is needed",
+        ge=0.0,
     )
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
     checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")

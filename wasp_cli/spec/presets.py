@@ -40,9 +40,7 @@ _SMOKE: Document = {
 _QUICK: Document = {
     "episodes": 10,
     "rounds": 1,
-    "expert": {
-        "interactions": 320_000, "rollout": 64, "gamma": 0.97, "entropy": 0.0, "multiplier_init": 0.2, "evaluation_episodes": 10,
-    },
+    "expert": {"interactions": 320_000, "gamma": 0.97, "multiplier_init": 0.2, "multiplier_lr": 0.02, "evaluation_episodes": 10},
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {
         "deter": 192, "hidden": 128, "variables": 12, "classes": 12, "depth": 8, "head": 96,
@@ -62,7 +60,7 @@ _QUICK: Document = {
 # Sizes for a large GPU: the critics and the planner imagine thousands of rollouts at once. This version still computes on the CPU, where
 # they take very long.
 _GPU: Document = {
-    "expert": {"interactions": 1_000_000},
+    "expert": {"interactions": 1_200_000},
     "dataset": {"steps": 200_000},
     "world_model": {
         "deter": 512, "hidden": 256, "variables": 32, "classes": 16, "depth": 32, "head": 256,
@@ -77,7 +75,7 @@ _GPU: Document = {
 # The paper's planner with M = 5 rollouts a candidate, over models that have seen more than `cpu` gives them.
 # Budgets of training are not in the paper; these are about four times `cpu`.
 _PAPER: Document = {
-    "expert": {"interactions": 2_000_000},
+    "expert": {"interactions": 2_400_000},
     "dataset": {"steps": 200_000},
     "world_model": {"updates": 8000, "refit_updates": 1500},
     "policies": {"updates": 4000, "evaluation_episodes": 20},
