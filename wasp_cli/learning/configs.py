@@ -115,7 +115,7 @@ class WorldModelConfig(Config):
     cost_weight: float = assumed(5.0, "weight of costly steps; its logarithm is removed from the logit at inference", ge=1.0)
     cost_windows: float = assumed(1 / 3, "share of sequences that contain a costly step", ge=0.0, le=1.0)
     context: bool = assumed(True, "sequences within an episode go on from the latent that training last inferred before them")
-    ahead: float = assumed(1.0, "weight of reward and cost on imagined steps, relative to beta_r and beta_c; not in Eq. 6", ge=0.0)
+    ahead: float = assumed(1.0, "weight of reward, cost and image on imagined steps, relative to their betas; not in Eq. 6", ge=0.0)
     ahead_starts: int = assumed(64, "imagined rollouts per update for that; 0 leaves it out", ge=0)
     ahead_horizon: int = assumed(15, "their length in decision steps", ge=1)
     decode_share: float = assumed(0.25, "share of the steps whose image is decoded", gt=0.0, le=1.0)

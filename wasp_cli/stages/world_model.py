@@ -16,6 +16,7 @@ from wasp_cli.stages.base import Job
 TERMS = {
     "alpha_q": "kl_representation", "alpha_p": "kl_prediction", "beta_o": "image_loss", "beta_r": "reward_loss", "beta_c": "cost_loss",
     "beta_n": "continuation_loss", "ahead_r": "imagined_reward_loss", "ahead_c": "imagined_cost_loss",
+    "ahead_o": "imagined_image_loss",
 }  # fmt: skip
 """The terms of the loss by the weight that multiplies them, named for people."""
 
