@@ -158,7 +158,7 @@ class SafetyWorldModel(nn.Module):
             decode_steps: indices of the steps whose image is decoded (a random share saves a third of the time).
             free_nats: see `balanced_kl`.
             start: the latent before the sequences; zeros by default.
-            ahead: starts from which reward cost and image are also scored on imagined latents (terms `ahead_r`, `ahead_c`, `ahead_o`, not in Eq. 6).
+            ahead: starts from which imagined latents are scored too (terms `ahead_r`, `ahead_c` and `ahead_o`, not in Eq. 6).
         """
         seen = self.observe(batch, noise, start)
         features = seen.latent.features  # [B, T, F]
