@@ -48,9 +48,9 @@ _QUICK: Document = {
         "batch": 8, "length": 16, "updates": 2400, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25, "refit_updates": 300,
     },
     "policies": {
-        "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 2, "labelling_episodes": 12, "labelling_updates": 500,
+        "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 1, "labelling_episodes": 12, "labelling_updates": 500,
     },
-    "critics": {"updates": 300, "starts": 128},
+    "critics": {"updates": 500, "starts": 128, "slow": 0.3},
     "heldout": {"episodes": 16},
     "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128], "target_rate": 0.02},
     "denoiser": {"updates": 3000, "batch": 256},
