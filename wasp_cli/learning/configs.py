@@ -139,24 +139,43 @@ class DiagnosticsConfig(Config):
 
 
 class PoliciesConfig(Config):
-    """Latent actors distilled from the expert checkpoints."""
+    """Latent actors distilled from the expert checkpoints, and rounds in which they drive and the checkpoints label what they meet."""
 
     hidden: Layers = assumed((128, 128), "layers of a latent actor")
-    updates: int = assumed(1500, "gradient steps per skill", ge=1)
+    updates: int = assumed(1500, "gradient steps of the distillation", ge=1)
     batch: int = assumed(512, "latents per update", ge=1)
     learning_rate: float = assumed(1e-3, "Adam, linear decay", gt=0.0)
-    evaluation_episodes: int = assumed(10, "episodes of the latent expert in the real task", ge=1)
+    imagined_share: float = assumed(
+        0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
+    )
+    imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
+    labelling_rounds: int = assumed(4, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_episodes: int = assumed(24, "episodes per round", ge=1)
+    labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
+    labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
+    driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
+    return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
+    cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
+    cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
+    evaluation_episodes: int = assumed(20, "episodes that judge a round, and others that evaluate each skill", ge=1)
 
 
 class CriticsConfig(Config):
     """V_r and V_c on imagined rollouts of the nominal expert."""
 
     hidden: Layers = assumed((128, 128), "layers of a critic")
-    updates: int = assumed(1000, "gradient steps", ge=1)
+    updates: int = assumed(1000, "gradient steps; curve.json shows whether V_r has converged", ge=1)
     starts: int = assumed(256, "imagined rollouts per update", ge=1)
+    cost_starts: float = assumed(
+        0.0, "share of the rollouts that begin where a cost followed within H recorded steps; 0.3 ranked no better", ge=0.0, le=1.0
+    )
     horizon: int = from_paper(15, "H", ge=1)
-    learning_rate: float = assumed(5e-4, "Adam", gt=0.0)
-    slow: float = assumed(0.02, "share of the online critic that enters the target critic per update", gt=0.0, le=1.0)
+    bins: int = assumed(63, "values as distributions over bins spaced evenly in symlog; odd", ge=3)
+    reach: float = assumed(1000.0, "largest value that the bins can say", gt=0.0)
+    learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    slow: float = assumed(
+        0.2, "share of the online critic that enters the target critic per update; at 0.02 V_r takes thousands", gt=0.0, le=1.0
+    )
 
 
 class HeldoutConfig(Config):
