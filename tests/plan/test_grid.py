@@ -145,8 +145,15 @@ def test_named_stages_are_trained_once_for_each_task_and_chain() -> None:
 
 
 def test_stages_that_methods_need_add_nothing_to_a_grid() -> None:
-    assert keys(grid(stages=["expert", "critics"])) == keys(grid())
-    assert {node.kind for node in grid(stages=["denoiser"]).nodes} - {node.kind for node in grid().nodes} == {"denoiser"}
+    without = grid(stages=[])
+    assert keys(grid(stages=["expert", "critics"])) == keys(without)
+    assert {node.kind for node in grid(stages=["denoiser"]).nodes} - {node.kind for node in without.nodes} == {"denoiser"}
+
+
+def test_every_world_model_is_judged_unless_the_spec_says_otherwise() -> None:
+    assert keys(grid()) == keys(grid(stages=["diagnostics"]))
+    judged = [node for node in grid(rounds=2).nodes if node.kind == "diagnostics"]
+    assert [(node.seed, node.axes["round"], node.needs["world_model"].axes["round"]) for node in judged] == [(0, 2, 2), (1, 2, 2)]
 
 
 def test_the_first_round_is_the_same_however_many_follow() -> None:
@@ -170,8 +177,9 @@ def test_a_further_round_trains_again_on_what_the_assistant_met() -> None:
     assert nodes["goal1 s0 policies, round 2"].needs == {"expert": nodes["goal1 s0 expert"], "dataset": rollouts, "world_model": second}
     counted = [(node.kind, node.axes.get("round", 1)) for node in nodes.values() if node.kind != "evaluate"]
     assert sorted(counted) == [
-        ("calibration", 2), ("calibration", 2), ("critics", 1), ("critics", 2), ("dataset", 1), ("expert", 1), ("heldout", 2), ("ida_q", 2),
-        ("policies", 1), ("policies", 2), ("rollouts", 2), ("world_model", 1), ("world_model", 2),
+        ("calibration", 2), ("calibration", 2), ("critics", 1), ("critics", 2), ("dataset", 1), ("diagnostics", 2), ("expert", 1),
+        ("heldout", 1), ("heldout", 2), ("ida_q", 2), ("policies", 1), ("policies", 2), ("rollouts", 2), ("world_model", 1),
+        ("world_model", 2),
     ]  # fmt: skip
 
 
@@ -194,7 +202,7 @@ def test_each_round_completes_the_dataset_of_the_one_before() -> None:
 def test_the_planner_moves_what_follows_its_rollouts_and_nothing_before() -> None:
     before, after = by_label(grid(rounds=2)), by_label(grid(rounds=2, wasp={"candidates": 9}))
     still = {node.kind for label, node in before.items() if after[label].key == node.key}
-    assert still == {"expert", "dataset", "world_model", "policies", "critics"}
+    assert still == {"expert", "dataset", "world_model", "policies", "heldout", "critics"}
     assert {node.axes.get("round", 1) for label, node in before.items() if after[label].key == node.key} == {1}
 
 
@@ -209,7 +217,7 @@ def test_stages_are_named_for_the_last_round() -> None:
 def test_parts_are_what_is_trained() -> None:
     laid_out = grid()
     named = {(part.task, part.kind, part.seed) for part, _ in laid_out.parts}
-    kinds = ("expert", "dataset", "world_model", "policies", "critics", "heldout", "ida_q")
+    kinds = ("expert", "dataset", "world_model", "policies", "critics", "heldout", "ida_q", "diagnostics")
     assert named == {("goal1", kind, seed) for kind in kinds for seed in (0, 1)}
 
 

@@ -37,7 +37,7 @@ Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 """Where, what, and the value that is wrong."""
-DEFAULT_STAGES: tuple[str, ...] = ()
+DEFAULT_STAGES: tuple[str, ...] = ("diagnostics",)
 """What every spec trains besides what its methods need."""
 MIXING = ("residual", "rollouts")
 """Stages that drive the task with operators of their own choice."""
