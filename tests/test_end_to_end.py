@@ -30,7 +30,7 @@ wasp: {tau_c: 0.05, tau_r: 0.0}      # untrained models see little: gates that f
 
 
 def wasp(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=600, check=False)
+    return subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=1200, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -29,9 +29,10 @@ COLUMNS = (
 MEASURES = (
     Column("auprc", "Cost AUPRC"),
     Column("persistence", "Cost AUPRC, persistence"),
-    Column("base_rate", "Cost base rate"),
+    Column("unseen_auprc", "Cost AUPRC, operators not in the data"),
+    Column("base", "Cost base rate"),
     Column("predicted_over_base", "Cost predicted / base rate"),
-    Column("recall", "Cost recall at 10 % false alarms"),
+    Column("recall", "Cost recall"),
     Column("reward_r2", "Reward R²"),
 )
 """Numbers of `diagnostics`, or of `world_model` where it has them, each for some imagined steps: `auprc@5`."""
