@@ -109,6 +109,25 @@ def test_plan_as_json_is_json_alone() -> None:
     assert {node["state"] for node in record["nodes"]} == {"missing"}
 
 
+def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fakes, tmp_path: Path) -> None:
+    spec, results = (
+        spec_with(tmp_path, "methods: [human, ida, diffusion, saferl, wasp, expert]", "methods: []\nstages: [critics]"),
+        tmp_path / "out",
+    )
+    assert wasp("check", spec).stdout == f"{spec}: ok, training only\n"
+    assert "nothing to evaluate" in wasp("plan", spec, "--results", results).stdout
+    done = wasp("run", spec, "--results", results, "-j", "0", fake=True)
+    assert (done.returncode, "9 computed" in done.stderr) == (0, True), done.stderr
+    shown = wasp("report", results)
+    assert shown.returncode == 0, shown.stderr
+    assert "Main results" not in shown.stdout
+    page = (results / "reports" / "smoke" / "report.md").read_text(encoding="utf-8")
+    assert "- Training only: the spec lists no methods." in page
+    assert page.count("| Goal1 | 0 | ") == 9
+    assert "| world_model, round 2 | " in page
+    assert not (results / "reports" / "smoke" / "table1.md").exists()
+
+
 def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
     bad = spec_with(tmp_path, "[goal1]", "[goal7]")
     done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
@@ -210,7 +229,7 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
     monkeypatch.setattr(Report, "terminal", gone)
     with pytest.raises(BrokenPipeError):
-        _show_report(layout, loaded.spec, cells_with_keys(plan.grid))
+        _show_report(layout, loaded.spec, cells_with_keys(plan.grid), [])
     assert (layout.reports("small") / "report.md").is_file()
 
 

@@ -78,6 +78,29 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
         assert rates[name] > 0, f"{name} never acted"
 
 
+def of_round(results: Path, kind: str, number: int) -> Path:
+    """The artifact of a stage in a round."""
+    (found,) = [
+        path.parent
+        for path in (results / "store" / kind).glob("*/manifest.json")
+        if json.loads(path.read_text())["axes"].get("round", 1) == number
+    ]
+    return found
+
+
+def test_the_second_round_trains_on_the_first_and_on_what_wasp_did(results: Path) -> None:
+    before, after = of_round(results, "dataset", 1), of_round(results, "rollouts", 2)
+    shards = sorted(path.name for path in before.glob("shard-*.parquet"))
+    assert all((after / name).read_bytes() == (before / name).read_bytes() for name in shards)
+    told = json.loads((after / "contents.json").read_text())
+    assert told["wasp"]["steps"] > 0
+    upstream = json.loads((of_round(results, "world_model", 2) / "manifest.json").read_text())["upstream"]
+    assert upstream == {"dataset": after.name, "previous": of_round(results, "world_model", 1).name}
+    for kind in ("policies", "critics", "heldout", "ida_q", "denoiser", "residual"):
+        read = json.loads((of_round(results, kind, 2) / "manifest.json").read_text())["upstream"]
+        assert read["world_model"] == of_round(results, "world_model", 2).name
+
+
 def test_no_two_methods_have_the_same_rows(results: Path) -> None:
     # Ablations of an untrained model may coincide, and an untrained IDA may always choose the expert's action.
     compared = {name: path for (name, variant), path in cells(results).items() if variant == "full" and name != "expert"}
@@ -125,6 +148,8 @@ def test_report_needs_the_results_folder_alone(results: Path) -> None:
     assert shown.returncode == 0, shown.stderr
     for info in METHODS.values():
         assert info.title in shown.stdout
+    assert "Trained parts" in shown.stdout
+    assert "World model, imagined steps ahead" in shown.stdout
 
 
 def test_one_worker_gives_the_same_rows_as_two(results: Path, tmp_path: Path) -> None:

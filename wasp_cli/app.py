@@ -15,6 +15,7 @@ from wasp_cli import __version__
 
 if TYPE_CHECKING:
     from wasp_cli.plan.cell import Cell
+    from wasp_cli.plan.part import Part
     from wasp_cli.report.summarize import Report
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
@@ -190,7 +191,8 @@ def check(
             problems.append(error.message)
             continue
         cells = len(list(cells_of(spec)))
-        out().print(f"{path}: ok, {cells} cell{'s' if cells != 1 else ''}", markup=False, soft_wrap=True)
+        what = f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
+        out().print(f"{path}: ok, {what}", markup=False, soft_wrap=True)
     if problems:
         raise SpecError("\n".join(problems))
 
@@ -218,7 +220,7 @@ def report(
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
-                damaged += _show_report(layout, recorded.spec, recorded.cells).damaged
+                damaged += _show_report(layout, recorded.spec, recorded.cells, recorded.parts).damaged
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
     if damaged:
@@ -319,12 +321,13 @@ def doctor(results: ResultsOption = Path("results")) -> None:
 
 
 def _run_and_report(loaded: Loaded, results: Path, jobs: int | None) -> None:
-    from wasp_cli.plan.plan import cells_with_keys
+    from wasp_cli.plan.plan import cells_with_keys, parts_with_keys
     from wasp_cli.run.session import cores, run_spec
 
     session = run_spec(loaded, results, cores() if jobs is None else jobs)
     # Also after failures: what is there is worth seeing, and the report names what is not.
-    report = _show_report(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
+    grid = session.plan.grid
+    report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid))
     session.require_complete()
     _require_cells(report)
 
@@ -339,11 +342,11 @@ def _require_cells(report: Report | None) -> None:
         raise CellsFailed(f"{len(report.missing)} cells cannot be read:\n{named}{more}")
 
 
-def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]]) -> Report:
+def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]]) -> Report:
     from wasp_cli.console import out
     from wasp_cli.report.summarize import report_run
 
-    report = report_run(layout.root, spec, cells)
+    report = report_run(layout.root, spec, cells, parts)
     # Written first: a terminal that goes away costs no file.
     page, *_ = report.write(layout.reports(spec.name))
     report.terminal(out())

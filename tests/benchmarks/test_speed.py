@@ -14,6 +14,8 @@ from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ReturnsConfig, WorldModelConfig
+from wasp_cli.learning.draws import generator
+from wasp_cli.learning.latents import roll_prior
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.world_model import Batch
 from wasp_cli.operators.build import build_operator
@@ -39,11 +41,15 @@ def matrix_rate() -> float:
     return 2 * 640 * 512 * 512 / seconds(lambda: a @ b, 20)
 
 
-@pytest.mark.parametrize("preset", ["quick", "cpu"])
+SIZES: dict[str, dict[str, int]] = {"quick": {"deter": 192, "variables": 12, "classes": 12, "depth": 8, "head": 96}, "cpu": {}}
+
+
+@pytest.mark.parametrize("preset", SIZES)
 def test_world_model_update(benchmark: Any, preset: str) -> None:
-    sizes = {"quick": {"deter": 192, "variables": 12, "classes": 12, "depth": 8, "head": 96}, "cpu": {}}[preset]
-    config = WorldModelConfig(**sizes)
+    """A whole training step of 16 sequences of 32 steps, a quarter of them decoded, beside its images alone."""
+    config = WorldModelConfig(**SIZES[preset])
     model = build(config, 2)
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-4, fused=True)
     rows, steps = 16, 32
     flags = torch.zeros(rows, steps)
     pixels = torch.randint(0, 256, (rows, steps, 6, 64, 64), dtype=torch.uint8)
@@ -52,11 +58,49 @@ def test_world_model_update(benchmark: Any, preset: str) -> None:
     decoded = torch.arange(0, steps, 4)
 
     def update() -> None:
-        model.zero_grad()
+        optimizer.zero_grad(set_to_none=True)
         torch.stack(list(model.losses(batch, noise, decoded, 1.0)[0].values())).sum().backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
+        optimizer.step()
 
-    benchmark(update)
+    features = torch.randn(rows * len(decoded), model.feature_size)
+
+    def images() -> None:
+        optimizer.zero_grad(set_to_none=True)
+        (model.embed(pixels.flatten(0, 1)).sum() + model.decoder(features).square().sum()).backward()
+
+    benchmark.pedantic(update, rounds=5, warmup_rounds=1)
     benchmark.extra_info["frames_per_s"] = rows * steps / benchmark.stats.stats.min
+    benchmark.extra_info["share_of_images"] = seconds(images, 3) / benchmark.stats.stats.min
+
+
+@pytest.mark.parametrize("batch", [1, 10])
+def test_filter_step(benchmark: Any, batch: int) -> None:
+    """What a decision waits for before anything is decided, beside its image encoder alone."""
+    model = build(WorldModelConfig(), 2)
+    pixels = torch.randint(0, 256, (batch, 6, 64, 64), dtype=torch.uint8)
+    action, first = torch.zeros(batch, 2), torch.zeros(batch)
+    with torch.inference_mode():
+        latent = model.initial(batch)
+        benchmark.pedantic(model.filter, (latent, action, pixels, first), rounds=30, warmup_rounds=3)
+        benchmark.extra_info["ms"] = 1000 * benchmark.stats.stats.min
+        benchmark.extra_info["share_of_encoder"] = seconds(lambda: model.embed(pixels), 20) / benchmark.stats.stats.min
+
+
+@pytest.mark.parametrize("batch", [300, 4096])
+def test_imagination(benchmark: Any, batch: int) -> None:
+    """Fifteen prior steps under given actions, as a share of what plain matrix products reach."""
+    config, horizon = WorldModelConfig(), 15
+    model = build(config, 2)
+    z, hidden, deter = config.variables * config.classes, config.hidden, config.deter
+    products = 2 * ((z + 2) * hidden + 3 * deter * (hidden + deter) + deter * hidden + hidden * z)
+    actions, source = torch.randn(batch, horizon, 2), generator(0)
+    with torch.inference_mode():
+        start = model.initial(batch)
+        benchmark.pedantic(roll_prior, (model, start, actions, source), rounds=3, warmup_rounds=1)
+    rate = batch * horizon / benchmark.stats.stats.min
+    benchmark.extra_info["steps_per_s"] = rate
+    benchmark.extra_info["share_of_matrix_products"] = rate * products / matrix_rate()
 
 
 def test_decision_against_matrix_products(benchmark: Any, tmp_path: Path) -> None:

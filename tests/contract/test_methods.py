@@ -107,7 +107,7 @@ def test_calibration_gives_finite_thresholds(parts: Parts, name: str) -> None:
     rows = 30
     latent = latents(parts, rows, 0)
     zeros = torch.zeros(rows)
-    heldout = Heldout(latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long())
+    heldout = Heldout(latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long(), zeros)
     who = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * rows), rows)
     with torch.inference_mode():
         thresholds = assistant(parts, name, "full").calibrate(heldout, zeros, who, 3)  # type: ignore[attr-defined]

@@ -43,7 +43,12 @@ def test_losses_in_bfloat16_are_float32_sums_close_to_those_in_float32() -> None
     cost = (torch.rand(3, 8, generator=source) < 0.3).float()
     batch = Batch(pixels, torch.randn(3, 8, 2, generator=source), torch.randn(3, 8, generator=source), cost, flags, flags)
     noise = torch.randn(3, 8, 4, 4, generator=source)
-    ahead = Ahead(torch.tensor([0, 1, 2, 0, 1, 2]), torch.tensor([0, 1, 2, 3, 4, 0]), torch.randn(3, 6, 16, generator=source))
+    ahead = Ahead(
+        torch.tensor([0, 1, 2, 0, 1, 2]),
+        torch.tensor([0, 1, 2, 3, 4, 0]),
+        torch.randn(3, 6, 16, generator=source),
+        torch.tensor([0, 1, 2, 0, 1, 2]),
+    )
     found = []
     for mixed in (False, True):
         model.zero_grad()

@@ -140,18 +140,22 @@ def test_imagined_steps_after_a_reset_do_not_count() -> None:
     row = int(torch.argmax((window.rows[:, 0] == 1).float()))
     assert window.rows[row, 0] == 1, "the test needs a sequence whose fourth step is a reset"
     assert window.batch.first[row].tolist() == [0, 0, 0, 1, 0, 0]
-    ahead = Ahead(torch.tensor([row]), torch.tensor([0]), torch.randn(5, 1, 12, generator=source))
+    ahead = Ahead(torch.tensor([row]), torch.tensor([0]), torch.randn(5, 1, 12, generator=source), torch.tensor([3]))
     noise = torch.randn(40, 6, 3, 4, generator=source)
 
     def terms(batch: Batch) -> tuple[float, float]:
         losses, _ = model.losses(batch, noise, torch.tensor([0]), 1.0, ahead=ahead)
-        return losses["ahead_r"].item(), losses["ahead_c"].item()
+        return losses["ahead_r"].item(), losses["ahead_o"].item()
 
     before, after = window.batch.reward.clone(), window.batch.reward.clone()
     after[row, 3:] += 7.0
     before[row, 2] += 7.0
     assert terms(window.batch._replace(reward=after)) == terms(window.batch)
     assert terms(window.batch._replace(reward=before))[0] != terms(window.batch)[0]
+    assert terms(window.batch)[1] == 0, "its only image lies after the reset"
+    seen = Ahead(ahead.row, ahead.step, ahead.noise, torch.tensor([1]))
+    latents = model.observe(window.batch, noise).latent
+    assert model._ahead_losses(latents, window.batch, seen)["ahead_o"].item() > 0
 
 
 def test_a_dataset_that_is_too_small_says_so() -> None:
@@ -258,6 +262,7 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
     assert rule.next(0.3, 0.0) == pytest.approx(0.2)
     assert rule.next(0.05, 0.0) == 0.0
     assert rule.next(0.55, 500.0) == 0.6
+    assert MultiplierRule(initial=0.3, rate=0.1, bound=0.6, limit=25.0, floor=0.1).next(0.15, 0.0) == 0.1
 
 
 def test_behaviours_follow_their_shares() -> None:

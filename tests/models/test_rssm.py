@@ -48,6 +48,28 @@ def test_free_nats_clip_the_sum_and_stop_the_gradient() -> None:
     assert (q.grad == 0).all()
 
 
+def test_free_nats_clip_every_step_by_itself_by_hand() -> None:
+    """Two steps, one variable: the one below a free nat counts as 1, the one above as it is, alone in the gradient."""
+    q = torch.tensor([[[0.5, 0.5]], [[0.99, 0.01]]], dtype=torch.float64).log().requires_grad_()
+    p = torch.tensor([[[0.9, 0.1]], [[0.1, 0.9]]], dtype=torch.float64).log().requires_grad_()
+    below = 0.5 * math.log(0.5 / 0.9) + 0.5 * math.log(0.5 / 0.1)
+    above = 0.99 * math.log(0.99 / 0.1) + 0.01 * math.log(0.01 / 0.9)
+    assert below < 1.0 < above
+    representation, prediction = balanced_kl(q, p, 1.0)
+    assert representation.item() == pytest.approx((1.0 + above) / 2)
+    assert prediction.item() == pytest.approx((1.0 + above) / 2)
+    (0.1 * representation + prediction).backward()
+    assert q.grad is not None
+    assert p.grad is not None
+    assert (q.grad[0] == 0).all()
+    assert (p.grad[0] == 0).all()
+    # d/d log p_i of sum q (log q - log p) is -q_i; half of it for the mean over two steps.
+    torch.testing.assert_close(p.grad[1, 0], torch.tensor([-0.99, -0.01], dtype=torch.float64) / 2)
+    # d/d log q_i is q_i (log q_i - log p_i + 1); a tenth of it is the weight of the representation term.
+    by_hand = [0.1 * 0.5 * x * (math.log(x / y) + 1) for x, y in ((0.99, 0.1), (0.01, 0.9))]
+    torch.testing.assert_close(q.grad[1, 0], torch.tensor(by_hand, dtype=torch.float64))
+
+
 def test_unimix_leaves_no_class_impossible() -> None:
     rssm = small()
     probs = rssm.prior(1e4 * torch.randn(10, 8)).exp()

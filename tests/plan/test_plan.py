@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -17,6 +18,10 @@ def text_of(plan: Plan, workers: int = 2) -> str:
     console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     show(plan, console, workers)
     return console.export_text()
+
+
+def evaluated(record: dict[str, Any]) -> set[str]:
+    return {node["key"] for node in record["nodes"] if node["kind"] in ("evaluate", "calibration")}
 
 
 def test_each_node_has_a_state_and_a_reason() -> None:
@@ -55,11 +60,18 @@ def test_the_plan_reads_well() -> None:
     assert "nothing to run" in text_of(done)
 
 
+def test_a_plan_without_methods_says_so() -> None:
+    text = text_of(make_plan(grid(methods=[], stages=["world_model"], operators={}), {}, {}))
+    assert "nothing to evaluate: the spec lists no methods" in text
+    assert "cells" not in text
+
+
 def test_the_plan_as_json_names_every_cell_and_node() -> None:
     laid_out = grid()
     record = json.loads(json.dumps(make_plan(laid_out, {}, {}).as_json()))
     keys = {node["key"] for node in record["nodes"]}
     assert {cell["key"] for cell in record["cells"]} <= keys
+    assert {part["key"] for part in record["parts"]} == {node["key"] for node in record["nodes"]} - evaluated(record)
     assert all(set(node["needs"].values()) <= keys for node in record["nodes"])
     assert record["counts"] == {"missing": len(keys)}
 

@@ -10,11 +10,12 @@ from rich.console import Console
 from tests.report.invented import SKILL, invent, write
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import cells_of, lay_out
+from wasp_cli.plan.part import Part
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.frame import Frame
 from wasp_cli.report.summarize import TABLES, Report, report_run
-from wasp_cli.report.trained_table import duration, numbers_text
+from wasp_cli.report.trained_table import duration, numbers_text, trained_artifacts
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
@@ -59,9 +60,20 @@ def cells(spec: Spec, tmp_path: Path) -> Cells:
         manifest(layout, "evaluate", name, cell.seed, upstream, {"method": cell.method})
     for seed in spec.seeds:
         manifest(layout, "expert", key("expert", seed), seed, {})
-        manifest(layout, "world_model", key("world_model", seed), seed, {"expert": key("expert", seed)}, summary={"cost_auprc": 0.51234})
+        manifest(
+            layout,
+            "world_model",
+            key("world_model", seed),
+            seed,
+            {"expert": key("expert", seed)},
+            summary={"cost_auprc": 0.51234, "auprc@5": 0.4},
+        )
         manifest(layout, "calibration", key("calibration", seed), seed, {"world_model": key("world_model", seed)}, {"method": "wasp"})
     return numbered
+
+
+def parts(spec: Spec) -> list[tuple[Part, str]]:
+    return [(Part("goal1", kind, seed), key(kind, seed)) for seed in spec.seeds for kind in ("expert", "world_model", "critics")]
 
 
 def manifest(layout: Layout, kind: str, name: str, seed: int, upstream: dict[str, str], axes: Any = (), summary: Any = ()) -> None:
@@ -96,6 +108,37 @@ def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     text = terminal(report)
     assert "Human-only" in text
     assert "missing" not in text
+
+
+def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    layout = Layout(tmp_path)
+    write_record(layout.failure(key("critics", 1)), {"message": "no data", "log": "x.log"})
+    report = report_run(tmp_path, spec, [], parts(spec))
+    assert (report.missing, [table.name for table in report.tables]) == ((), ["training", "world_model"])
+    assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2
+    page, text = report.markdown(), terminal(report)
+    assert "- Training only: the spec lists no methods." in page
+    for shown in (
+        "Goal1",
+        "1 [2 of 4 parts]",
+        "2 of 6 parts are missing: goal1 s1 critics (failed: no data (log: x.log)), goal1 s0 critics",
+    ):
+        assert shown in page
+        assert shown in text
+    assert "Main results" not in page
+    names = {path.name for path in report.write(tmp_path / "out")}
+    assert names == {"report.md", "training.md", "training.csv", "world_model.md", "world_model.csv"}
+
+
+def test_artifacts_are_found_under_the_name_by_which_a_stage_reads_them(tmp_path: Path) -> None:
+    layout = Layout(tmp_path)
+    record = {"task": "goal1", "seed": 0, "axes": {}, "summary": {}, "provenance": {}}
+    write_record(layout.manifest("rollouts", key("rollouts", 0)), {**record, "upstream": {}, "axes": {"round": 2, "method": "wasp"}})
+    names = {"upstream": {"dataset": key("rollouts", 0)}, "upstream_kinds": {"dataset": "rollouts"}}
+    write_record(layout.manifest("critics", key("critics", 0)), {**record, **names, "axes": {"round": 2}})
+    found, damaged = trained_artifacts(layout, [("critics", key("critics", 0))])
+    assert [artifact.stage for artifact in found] == ["rollouts of WASP, round 2", "critics, round 2"]
+    assert not damaged
 
 
 def test_the_same_store_gives_the_same_files(spec: Spec, cells: Cells, tmp_path: Path) -> None:
@@ -172,7 +215,8 @@ def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells,
 def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, tmp_path: Path, frame: Frame) -> None:
     ablations = ablation_table(frame)
     assert ablations is not None
-    names = {table.name for table in report_run(tmp_path, spec, cells).tables} | {ablations.name}
+    tables = report_run(tmp_path, spec, cells, parts(spec)).tables
+    names = {table.name for table in tables} | {ablations.name}
     assert names == set(TABLES)
 
 

@@ -67,7 +67,13 @@ def misbehave(behaviour: str, once: Path) -> None:
 
 def _fake(kind: str) -> type[Fake]:
     real = STAGES.load(kind)
-    body = {"kind": kind, "settings": real.settings, "needs": real.needs, "config": real.config}
+    body = {
+        "kind": kind,
+        "settings": real.settings,
+        "needs": real.needs,
+        "config": real.config,
+        "previous": getattr(real, "previous", False),
+    }
     return type(f"Fake_{kind}", (Fake,), body)
 
 

@@ -13,5 +13,5 @@ if __name__ == "__main__":
     from wasp_cli.console import out
 
     fake_stages.install()
-    wasp_cli.app._show_report = lambda layout, spec, cells: out().print(f"{len(cells)} cells")  # type: ignore[assignment]
+    wasp_cli.app._show_report = lambda layout, spec, cells, parts: out().print(f"{len(cells)} cells")  # type: ignore[assignment]
     wasp_cli.app.main()

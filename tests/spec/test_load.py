@@ -91,7 +91,7 @@ def test_counts_may_be_written_like_people_do() -> None:
         ("variants: [no-case]\n", (8, 12), "unknown assistant variant 'no-case'", "did you mean 'no-case2'?"),
         ("returns: {gamma_c: .nan}\n", (8, 20), "should be a finite number, not nan", None),
         ("expert: {hidden: [64, x]}\n", (8, 23), "should be an integer, not 'x'", None),
-        ("dataset: {mixture: {expert: 0.9}}\n", (8, 11), "the shares sum to 1.7, not 1", None),
+        ("dataset: {mixture: {expert: 0.9}}\n", (8, 11), "the shares sum to 1.72, not 1", None),
         ("training_seed: -1\n", (8, 16), "should be greater than or equal to 0, not -1", None),
     ],
 )  # fmt: skip
@@ -119,6 +119,18 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
          "letters, digits, dot, dash and underscore, beginning with a letter or a digit"),
         ("smoke", "smok", (2, 9), "should be 'smoke', 'quick', 'cpu', 'gpu' or 'paper', not 'smok'", "did you mean 'smoke'?"),
         ("operators:\n  noisy: {mild: 0.2}\n", "", (1, 1), "the listed methods assist an operator; name at least one variant", None),
+        ("[human, wasp]", "[]", (4, 10), "neither methods nor stages are listed", "name a method, or under `stages` what is to be trained"),
+        ("[human, wasp]", "[]\nstages: [critics]\nvariants: [no-case2]", (6, 12), "unknown variant of the listed methods 'no-case2'",
+         "known: full"),
+        ("[human, wasp]", "[]\nstages: [world-model]", (5, 10), "unknown stage 'world-model'", "did you mean 'world_model'?"),
+        ("[human, wasp]", "[human]\nstages: [expert, evaluate]", (5, 18),
+         "'evaluate' runs for a method", "list its method under `methods`"),
+        ("[human, wasp]", "[human]\nstages: [calibration]", (5, 10), "'calibration' runs for a method", "list its method under `methods`"),
+        ("[human, wasp]", "[human]\nstages: [rollouts]", (5, 10), "'rollouts' begins a further round", "say how many with `rounds`"),
+        ("[human, wasp]", "[human]\nrounds: 0", (5, 9), "should be greater than or equal to 1, not 0", None),
+        ("[human, wasp]", "[human]\nrounds: two", (5, 9), "should be an integer, not 'two'", None),
+        ("[human, wasp]", "[human]\nstages: [expert, expert]", (5, 9), "'expert' is listed twice", None),
+        ("[human, wasp]", "[human]\nstages: expert", (5, 9), "should be a list, not 'expert'", None),
         ("[human, wasp]", "[human]\nvariants: [no-case2]", (5, 12), "unknown variant of the listed methods 'no-case2'", "known: full"),
     ],
 )  # fmt: skip
@@ -134,13 +146,25 @@ def test_operators_may_be_absent_when_nobody_is_impaired() -> None:
     assert read("name: x\ntasks: [goal1]\nmethods: [expert]\nseeds: [0]\n").spec.operators == {}
 
 
+def test_a_spec_may_train_and_evaluate_nothing() -> None:
+    spec = read("name: x\ntasks: [goal1]\nmethods: []\nstages: [critics, heldout]\nseeds: [0]\n").spec
+    assert (spec.methods, spec.stages, spec.operators) == ((), ("critics", "heldout"), {})
+
+
 def test_all_problems_come_at_once_in_file_order() -> None:
     text = GOOD.replace("goal1", "goal7").replace("0.2", "7").replace("[0]", "[0, 0]") + "extra: 1\nwasp: {alpha: x}\n"
     assert [at(problem) for problem in problems(text)] == [(3, 9), (6, 17), (7, 8), (8, 1), (9, 15)]
 
 
-def test_the_residual_mixes_known_operators_at_known_values() -> None:
-    text = GOOD + "residual: {operators: {nosy: [0.1], noisy: [2], limited-skill: [0.3]}}\n"
+def test_rounds_come_from_the_preset_unless_the_file_has_them() -> None:
+    wanted = {"smoke": 2, "quick": 1, "cpu": 2, "gpu": 2, "paper": 2}
+    assert {preset: read(GOOD.replace("preset: smoke", f"preset: {preset}")).spec.rounds for preset in wanted} == wanted
+    assert read(GOOD + "rounds: 3\n").spec.rounds == 3
+
+
+@pytest.mark.parametrize("section", ["residual", "rollouts"])
+def test_stages_mix_known_operators_at_known_values(section: str) -> None:
+    text = GOOD + f"{section}: {{operators: {{nosy: [0.1], noisy: [2], limited-skill: [0.3]}}}}\n"
     assert [problem.message.split(",")[0] for problem in problems(text)] == [
         "unknown operator variant 'nosy'",
         "should lie between 0 and 1 (probability of a uniform action)",

@@ -33,6 +33,8 @@ class Loop(NamedTuple):
     goals: Array
     alive: Array
     """[T, B] the episode was still going when the decision was made"""
+    terminated: Array
+    """[T, B] the decision ended the episode by the task's own rule"""
     a_h: Array
     """[T, B, A] the operator's command within the bounds"""
     action: Array
@@ -98,7 +100,8 @@ def run_episodes(
     filter_ = Filter(model, batch)
     first = torch.ones(batch)
     assistant.reset(torch.ones(batch, dtype=torch.bool), method_seeds)
-    rows: dict[str, list[Array]] = {n: [] for n in ("reward", "cost", "cost_env", "env_steps", "goals", "alive", "a_h", "action")}
+    names = ("reward", "cost", "cost_env", "env_steps", "goals", "alive", "terminated", "a_h", "action")
+    rows: dict[str, list[Array]] = {name: [] for name in names}
     records: list[Record] = []
     times: list[float] = []
     kept: list[Latent] = []
@@ -115,7 +118,8 @@ def run_episodes(
         step = task.step(action.numpy())
         for name, value in (
             ("reward", step.reward), ("cost", step.cost), ("cost_env", step.cost_env), ("env_steps", step.env_steps),
-            ("goals", step.goals), ("alive", ~ended), ("a_h", a_h.numpy()), ("action", action.numpy()),
+            ("goals", step.goals), ("alive", ~ended), ("terminated", step.terminated & ~ended),
+            ("a_h", a_h.numpy()), ("action", action.numpy()),
         ):  # fmt: skip
             rows[name].append(np.array(value))
         records.append(decision.record)

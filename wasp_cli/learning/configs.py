@@ -26,24 +26,29 @@ class ReturnsConfig(Config):
 class ExpertConfig(Config):
     """PPO with an adaptive Lagrange multiplier on privileged observations."""
 
-    interactions: int = assumed(1_500_000, "decision steps", ge=1)
+    interactions: int = assumed(600_000, "decision steps", ge=1)
     envs: int = assumed(32, "episodes side by side", ge=1)
-    rollout: int = assumed(128, "decision steps per environment and update", ge=1)
+    rollout: int = assumed(64, "decision steps per environment and update", ge=1)
     epochs: int = assumed(8, "passes over a rollout", ge=1)
     batch: int = assumed(1024, "minibatch", ge=2)
     learning_rate: float = assumed(4e-4, "decays linearly to a tenth", gt=0.0)
     gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
     gae_lambda: float = assumed(0.95, "GAE", gt=0.0, le=1.0)
     hidden: Layers = assumed((128, 128), "layers of actor and value network")
-    entropy: float = assumed(0.003, "entropy bonus", ge=0.0)
+    entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
     cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
     multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
-    multiplier_lr: float = assumed(0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_lr: float = assumed(0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_min: float = assumed(
+        0.05,
+        "bound of the multiplier from below: untrained policies cost little, and would lower it to nothing before it is needed",
+        ge=0.0,
+    )
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
     checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
-    evaluation_episodes: int = assumed(20, "episodes of the final evaluation of each checkpoint", ge=1)
+    evaluation_episodes: int = assumed(64, "episodes of the final evaluation of each checkpoint", ge=1)
 
     @model_validator(mode="after")
     def _checkpoints_rise_to_one(self) -> ExpertConfig:
@@ -110,7 +115,7 @@ class WorldModelConfig(Config):
     cost_weight: float = assumed(5.0, "weight of costly steps; its logarithm is removed from the logit at inference", ge=1.0)
     cost_windows: float = assumed(1 / 3, "share of sequences that contain a costly step", ge=0.0, le=1.0)
     context: bool = assumed(True, "sequences within an episode go on from the latent that training last inferred before them")
-    ahead: float = assumed(1.0, "weight of reward and cost on imagined steps, relative to beta_r and beta_c; not in Eq. 6", ge=0.0)
+    ahead: float = assumed(1.0, "weight of reward, cost and image on imagined steps, relative to their betas; not in Eq. 6", ge=0.0)
     ahead_starts: int = assumed(64, "imagined rollouts per update for that; 0 leaves it out", ge=0)
     ahead_horizon: int = assumed(15, "their length in decision steps", ge=1)
     decode_share: float = assumed(0.25, "share of the steps whose image is decoded", gt=0.0, le=1.0)
@@ -134,24 +139,43 @@ class DiagnosticsConfig(Config):
 
 
 class PoliciesConfig(Config):
-    """Latent actors distilled from the expert checkpoints."""
+    """Latent actors distilled from the expert checkpoints, and rounds in which they drive and the checkpoints label what they meet."""
 
     hidden: Layers = assumed((128, 128), "layers of a latent actor")
-    updates: int = assumed(1500, "gradient steps per skill", ge=1)
+    updates: int = assumed(1500, "gradient steps of the distillation", ge=1)
     batch: int = assumed(512, "latents per update", ge=1)
     learning_rate: float = assumed(1e-3, "Adam, linear decay", gt=0.0)
-    evaluation_episodes: int = assumed(10, "episodes of the latent expert in the real task", ge=1)
+    imagined_share: float = assumed(
+        0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
+    )
+    imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
+    labelling_rounds: int = assumed(4, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_episodes: int = assumed(24, "episodes per round", ge=1)
+    labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
+    labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
+    driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
+    return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
+    cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
+    cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
+    evaluation_episodes: int = assumed(20, "episodes that judge a round, and others that evaluate each skill", ge=1)
 
 
 class CriticsConfig(Config):
     """V_r and V_c on imagined rollouts of the nominal expert."""
 
     hidden: Layers = assumed((128, 128), "layers of a critic")
-    updates: int = assumed(1000, "gradient steps", ge=1)
+    updates: int = assumed(1000, "gradient steps; curve.json shows whether V_r has converged", ge=1)
     starts: int = assumed(256, "imagined rollouts per update", ge=1)
+    cost_starts: float = assumed(
+        0.0, "share of the rollouts that begin where a cost followed within H recorded steps; 0.3 ranked no better", ge=0.0, le=1.0
+    )
     horizon: int = from_paper(15, "H", ge=1)
-    learning_rate: float = assumed(5e-4, "Adam", gt=0.0)
-    slow: float = assumed(0.02, "share of the online critic that enters the target critic per update", gt=0.0, le=1.0)
+    bins: int = assumed(63, "values as distributions over bins spaced evenly in symlog; odd", ge=3)
+    reach: float = assumed(1000.0, "largest value that the bins can say", gt=0.0)
+    learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    slow: float = assumed(
+        0.2, "share of the online critic that enters the target critic per update; at 0.02 V_r takes thousands", gt=0.0, le=1.0
+    )
 
 
 class HeldoutConfig(Config):
@@ -222,6 +246,16 @@ class ResidualConfig(Config):
     multiplier_lr: float = assumed(0.05, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
     operators: dict[str, tuple[float, ...]] = assumed(LADDER, "operators mixed per episode", min_length=1)
+
+
+class RolloutsConfig(Config):
+    """Data of a further round: full WASP assists the operators in the real task, with thresholds that nobody has calibrated yet."""
+
+    steps: int = assumed(20_000, "decision steps that a round adds to the dataset", ge=1)
+    envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    operators: dict[str, tuple[float, ...]] = assumed(
+        LADDER, "operators, one per episode in turn; the unimpaired one comes first", min_length=1
+    )
 
 
 class EvaluateConfig(Config):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.draws import generator, gumbel
@@ -19,98 +21,117 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
 
 
+class Starts:
+    """Recorded rows from which imagination begins: never after an episode's own end, a share of them shortly before a cost."""
+
+    def __init__(self, replay: Replay, share: float, horizon: int) -> None:
+        goes_on = replay.terminal == 0
+        # Entry t counts the costly rows before t; a cost in rows t+1 .. t+horizon of the same episode makes row t a risky one.
+        before = np.concatenate([[0], np.cumsum(replay.cost > 0)])
+        rows = np.arange(len(goes_on))
+        ends = np.searchsorted(replay.episode, replay.episode, side="right")
+        risky = before[np.minimum(rows + 1 + horizon, ends)] > before[rows + 1]
+        self.every = torch.from_numpy(np.flatnonzero(goes_on))
+        self.risky = torch.from_numpy(np.flatnonzero(goes_on & risky))
+        self._share = share
+
+    def sample(self, count: int, source: torch.Generator) -> Tensor:
+        """Indices [count] of rows."""
+        index = self.every[torch.randint(len(self.every), (count,), generator=source)]
+        wanted = round(self._share * count)
+        if wanted and len(self.risky):
+            index[:wanted] = self.risky[torch.randint(len(self.risky), (wanted,), generator=source)]
+        return index
+
+
+class Rollout(NamedTuple):
+    """H imagined steps of B rows under the expert."""
+
+    features: Tensor
+    """[H, B, F] where each step began"""
+    arrived: Latent
+    """fields [H, B, .]"""
+    reward: Tensor
+    """[H, B] at the arrived states, as the next two"""
+    cost: Tensor
+    keep: Tensor
+    """probability that the episode goes on"""
+
+    def weight(self) -> Tensor:
+        """[H, B] probability that the episode had not ended before the step began."""
+        return torch.cat([torch.ones_like(self.keep[:1]), self.keep[:-1]]).cumprod(0)
+
+
 def train_critics(
     model: SafetyWorldModel,
     skills: Skills,
+    replay: Replay,
     latents: Latents,
     config: CriticsConfig,
     returns: ReturnsConfig,
     seed: int,
     report: Callable[[float, str], None],
-) -> LatentCritics:
-    """Evaluate the expert in imagination from recorded states; model and policy stay fixed."""
-    critics = LatentCritics(model.feature_size, config.hidden)
+) -> tuple[LatentCritics, list[dict[str, float]]]:
+    """Evaluate the expert in imagination from recorded states; model and policy stay fixed.
+
+    Args:
+        model: the frozen world model.
+        skills: the latent expert among them.
+        replay: terminal, cost and episode of the recorded rows.
+        latents: of the same rows.
+        config: sizes and budget.
+        returns: discounts and lambda.
+        seed: of starts and imagination.
+        report: called every 20 updates.
+
+    Returns:
+        The frozen critics, and a row of the curve per 20 updates: means of the losses and of the targets over these updates.
+    """
+    critics = LatentCritics(model.feature_size, config.hidden, config.bins, config.reach)
     slow = copy.deepcopy(critics).requires_grad_(False)
     optimizer = torch.optim.Adam(critics.parameters(), lr=config.learning_rate)
     source = generator(seed)
+    starts = Starts(replay, config.cost_starts, config.horizon)
+    curve: list[dict[str, float]] = []
+    recent: list[Tensor] = []
     for update in range(config.updates):
-        index = torch.randint(len(latents.h), (config.starts,), generator=source)
         with torch.no_grad():
-            states, reward, cost = _imagine(model, skills, latents.at(index), config.horizon, source)
-            arrived = Latent(states.h[1:], states.z[1:])
-            target_r = td_lambda_all(reward, slow.value_r(arrived), returns.gamma_r, returns.lam)
-            target_c = td_lambda_all(cost, slow.value_c(arrived), returns.gamma_c, returns.lam)
-            features = states.features[:-1]
-        error_r = critics.reward_net(features).squeeze(-1) - target_r
-        error_c = critics.cost_net(features).squeeze(-1) - target_c
-        loss = torch.nn.functional.smooth_l1_loss(error_r, torch.zeros_like(error_r)) + error_c.square().mean()
+            rollout = imagine(model, skills, latents.at(starts.sample(config.starts, source)), config.horizon, source)
+            value_r, value_c = slow.value_r(rollout.arrived), slow.value_c(rollout.arrived)
+            target_r = td_lambda_all(rollout.reward, value_r, returns.gamma_r, returns.lam, rollout.keep)
+            target_c = td_lambda_all(rollout.cost, value_c, returns.gamma_c, returns.lam, rollout.keep)
+            weight = rollout.weight()
+        loss_r, loss_c = ((weight * loss).mean() for loss in critics.losses(rollout.features, target_r, target_c))
+        for group in optimizer.param_groups:
+            # Constant for the first half, then down to a tenth: the noise of single targets averages out at the end.
+            group["lr"] = config.learning_rate * min(1.0, 1.9 - 1.8 * update / config.updates)
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        (loss_r + loss_c).backward()
         torch.nn.utils.clip_grad_norm_(critics.parameters(), 10.0)
         optimizer.step()
         with torch.no_grad():
             for target, online in zip(slow.parameters(), critics.parameters(), strict=True):
                 target.lerp_(online, config.slow)
-        if update % 20 == 0:
-            means = f"V_r {float(target_r.mean()):.2f}, V_c {float(target_c.mean()):.3f}"
-            report(update / config.updates, f"update {update}/{config.updates}, {means}")
+            recent.append(torch.stack([loss_r, loss_c, target_r.mean(), target_c.mean()]))
+        if update % 20 == 19 or update == config.updates - 1:
+            values = torch.stack(recent).mean(0).tolist()
+            recent.clear()
+            curve.append({"update": update + 1, **dict(zip(("loss_r", "loss_c", "target_r", "target_c"), values, strict=True))})
+            means = f"V_r {curve[-1]['target_r']:.2f}, V_c {curve[-1]['target_c']:.3f}"
+            report((update + 1) / config.updates, f"update {update + 1}/{config.updates}, {means}")
     critics.eval().requires_grad_(False)
-    return critics
+    return critics, curve
 
 
-def _imagine(
-    model: SafetyWorldModel, skills: Skills, start: Latent, horizon: int, source: torch.Generator
-) -> tuple[Latent, torch.Tensor, torch.Tensor]:
-    """States 0..H under the expert, [H + 1, B, .], and what the arrived states score, [H, B]."""
+def imagine(model: SafetyWorldModel, skills: Skills, start: Latent, horizon: int, source: torch.Generator) -> Rollout:
+    """H steps under the expert from B latents; the heads read all arrived states at once."""
     noise = gumbel((horizon, len(start.h), model.noise_size), source)
-    hs, zs = [start.h], [start.z]
+    features, hs, zs = [], [], []
     latent = start
     for k in range(horizon):
-        latent = model.imagine(latent, skills.expert(latent.features), noise[k])
+        features.append(latent.features)
+        latent = model.imagine(latent, skills.expert(features[-1]), noise[k])
         hs.append(latent.h)
         zs.append(latent.z)
-    states = Latent(torch.stack(hs), torch.stack(zs))
-    arrived = Latent(states.h[1:], states.z[1:])
-    return states, model.reward(arrived), model.cost(arrived)
-
-
-@torch.inference_mode()
-def rank_agreement(critics: LatentCritics, replay: Replay, latents: Latents, returns: ReturnsConfig) -> dict[str, float]:
-    """Spearman correlation of V_r and V_c with the real discounted sums that followed in the expert-like episodes.
-
-    The last 50 steps of an episode are left out: their sums are cut off by its end.
-    """
-    rows = np.flatnonzero(replay.behaviour == "expert")
-    rows = rows[: 20 * 250]
-    found: dict[str, list[float]] = {"r": [], "c": []}
-    kept: list[int] = []
-    for episode in np.unique(replay.episode[rows]):
-        own = np.flatnonzero(replay.episode == episode)
-        sums = {"r": 0.0, "c": 0.0}
-        back: dict[str, list[float]] = {"r": [], "c": []}
-        for row in own[:0:-1]:
-            sums["r"] = float(replay.reward[row]) + returns.gamma_r * sums["r"]
-            sums["c"] = float(replay.cost[row]) + returns.gamma_c * sums["c"]
-            for name in sums:
-                back[name].append(sums[name])
-        kept += list(own[:-1][:-50])
-        for name in back:
-            found[name] += back[name][::-1][:-50]
-    if len(kept) < 10:
-        return {}
-    states = latents.at(torch.tensor(kept))
-    predicted = {"r": critics.value_r(states).numpy(), "c": critics.value_c(states).numpy()}
-    return {f"rank_{name}": _spearman(predicted[name], np.array(found[name])) for name in predicted}
-
-
-def _spearman(a: np.ndarray, b: np.ndarray) -> float:
-    first, second = (_ranks(x) for x in (a, b))
-    return float(np.corrcoef(first, second)[0, 1])
-
-
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """Average ranks: discounted costs have many exact ties at zero."""
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts).astype(np.float64)
-    average: np.ndarray = (last - (counts - 1) / 2)[inverse]
-    return average
+    arrived = Latent(torch.stack(hs), torch.stack(zs))
+    return Rollout(torch.stack(features), arrived, model.reward(arrived), model.cost(arrived), model.continues(arrived))

@@ -16,7 +16,8 @@ from torch import nn
 
 from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.vec_env import TaskVecEnv, actor_layers, seed_stream
+from wasp_cli.learning.ppo_state import TrainingState
+from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv, actor_layers
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.models.weights import load_weights, read_arguments, save_weights
 from wasp_cli.seeds import derive
@@ -24,11 +25,30 @@ from wasp_cli.tasks.base import VectorTask
 
 
 class EpisodeSums(NamedTuple):
-    """Sums of whole episodes."""
+    """Sums of whole episodes, one entry each."""
 
     returns: np.ndarray[Any, Any]
     costs: np.ndarray[Any, Any]
+    """Env steps that cost."""
+    costly: np.ndarray[Any, Any]
+    """Decision steps that cost."""
     goals: np.ndarray[Any, Any]
+    env_steps: np.ndarray[Any, Any]
+
+    def statistics(self, success_goals: int) -> dict[str, float | None]:
+        """Means and standard deviations over the episodes (undefined for one), and the share with at least `success_goals` goals."""
+        found: dict[str, float | None] = {}
+        for name, values in (("return", self.returns), ("cost", self.costs), ("goals", self.goals)):
+            found |= {name: float(values.mean()), f"{name}_sd": float(values.std(ddof=1)) if len(values) > 1 else None}
+        return found | {
+            "cost_per_1000": float(1000.0 * self.costs.sum() / self.env_steps.sum()),
+            "success": float((self.goals >= success_goals).mean()),
+            "episodes": len(self.goals),
+        }
+
+    def penalised(self, multiplier: float) -> np.ndarray[Any, Any]:
+        """Return minus `multiplier` per costly decision step, one entry per episode: what training maximises without discount."""
+        return self.returns - multiplier * self.costly
 
 
 def checkpoint_name(fraction: float) -> str:
@@ -37,14 +57,14 @@ def checkpoint_name(fraction: float) -> str:
 
 
 def train_expert(
-    task: VectorTask, config: ExpertConfig, out: Path, task_name: str, seed: int, progress: Callable[[float, str], None]
+    task: VectorTask, config: ExpertConfig, work: Path, task_name: str, seed: int, progress: Callable[[float, str], None]
 ) -> list[dict[str, float]]:
-    """Train and store a skill per checkpoint fraction (`skill-F.safetensors`).
+    """Train and store a skill per checkpoint fraction (`skill-F.safetensors`); goes on from its own state in `work`.
 
     Args:
         task: config.envs episodes with privileged observations.
         config: sizes and budgets.
-        out: folder of the skills.
+        work: folder of the skills and of the state of the training itself.
         task_name: names the streams of episode seeds.
         seed: of this training.
         progress: called after every rollout.
@@ -54,7 +74,9 @@ def train_expert(
     """
     torch.manual_seed(derive("expert-weights", task_name, seed))
     low, high = float(task.action_low.min()), float(task.action_high.max())
-    env = TaskVecEnv(task, task.privileged_size, low, high, seed_stream(derive, "expert-episode", task_name, seed))
+    seeds = SeedStream("expert-episode", task_name, seed)
+    env = TaskVecEnv(task, task.privileged_size, low, high, seeds)
+    env.spread = True
     normalised = VecNormalize(env, norm_obs=True, norm_reward=False, clip_obs=10.0)
     model = PPO(
         "MlpPolicy", normalised, device="cpu", seed=derive("expert-ppo", task_name, seed),
@@ -64,13 +86,21 @@ def train_expert(
     )  # fmt: skip
 
     def store(fraction: float) -> None:
-        save_skill(export_actor(model, normalised), out / checkpoint_name(fraction), task, config)
+        save_skill(export_actor(model, normalised), work / checkpoint_name(fraction), task, config)
 
-    rule = MultiplierRule(config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit)
+    state = TrainingState(work / "training.safetensors", model, env, normalised, seeds)
+    rule = MultiplierRule(
+        config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit, floor=config.multiplier_min
+    )
     early = {int(f * config.interactions): functools.partial(store, f) for f in config.checkpoints if f < 1.0}
-    callback = LagrangianCallback(env, rule, config.interactions, progress, log_std_floor=config.log_std_floor, checkpoints=early)
+    callback = LagrangianCallback(
+        env, rule, config.interactions, progress, log_std_floor=config.log_std_floor, checkpoints=early,
+        before_rollout=lambda: state.save(callback.curve),
+    )  # fmt: skip
+    callback.go_on(state.restore())
     model.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
-    model.learn(config.interactions, callback=callback)
+    done = model.num_timesteps
+    model.learn(config.interactions - done, callback=callback, reset_num_timesteps=done == 0)
     store(1.0)
     return callback.curve
 
@@ -108,15 +138,30 @@ def load_skill(folder: Path, fraction: float) -> PrivilegedPolicy:
 def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:
     """One episode per row under the deterministic policy."""
     seen = task.reset(seeds)
-    returns, costs, goals = np.zeros(task.batch), np.zeros(task.batch), np.zeros(task.batch)
+    sums = EpisodeSums(*(np.zeros(task.batch) for _ in EpisodeSums._fields))
     with torch.inference_mode():
         for _ in range(task.max_decisions):
             assert seen.privileged is not None
             step = task.step(policy(torch.from_numpy(seen.privileged)).numpy())
             seen = step.observation
-            returns += step.reward
-            costs += step.cost_env
-            goals += step.goals
+            for total, now in zip(sums, (step.reward, step.cost_env, step.cost, step.goals, step.env_steps), strict=True):
+                total += now
             if step.ended.all():
                 break
-    return EpisodeSums(returns, costs, goals)
+    return sums
+
+
+def best_checkpoint(penalised: dict[float, np.ndarray[Any, Any]]) -> float:
+    """The last checkpoint, unless an earlier one does better beyond chance: by two standard errors of the difference on the same seeds.
+
+    Args:
+        penalised: by fraction, the penalised return [episodes] on the same validation seeds.
+    """
+    last = penalised[max(penalised)]
+    better = {}
+    for fraction, values in penalised.items():
+        difference = values - last
+        error = difference.std(ddof=1) / len(difference) ** 0.5 if len(difference) > 1 else np.inf
+        if difference.mean() > 2.0 * error:
+            better[fraction] = difference.mean()
+    return max(better, key=lambda fraction: better[fraction]) if better else max(penalised)

@@ -27,6 +27,7 @@ def heldout_rows(loop: Loop) -> Heldout:
     return Heldout(
         Latent(rows(loop.h), rows(loop.z)), rows(torch.from_numpy(loop.a_h)), rows(torch.from_numpy(loop.reward.astype(np.float32))),
         rows(torch.from_numpy(loop.cost.astype(np.float32))), episode[alive].clone(),
+        rows(torch.from_numpy(loop.terminated.astype(np.float32))),
     )  # fmt: skip
 
 
@@ -40,4 +41,4 @@ def save_heldout(heldout: Heldout, folder: Path) -> None:
 def load_heldout(folder: Path) -> Heldout:
     """The rows of a held-out artifact."""
     t = read_tensors(folder / "heldout.safetensors")
-    return Heldout(Latent(t["h"], t["z"]), t["a_h"], t["reward"], t["cost"], t["episode"])
+    return Heldout(Latent(t["h"], t["z"]), t["a_h"], t["reward"], t["cost"], t["episode"], t["terminal"])

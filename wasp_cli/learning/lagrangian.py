@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -14,7 +16,7 @@ from wasp_cli.learning.vec_env import TaskVecEnv
 
 @dataclass(frozen=True)
 class MultiplierRule:
-    """lambda <- clip(lambda + rate * (cost / limit - 1), 0, bound), once per rollout, `delay` interactions after the start."""
+    """lambda <- clip(lambda + rate * (cost / limit - 1), floor, bound), once per rollout, `delay` interactions after the start."""
 
     initial: float
     rate: float
@@ -22,15 +24,29 @@ class MultiplierRule:
     limit: float
     """Cost per 1000 env steps."""
     delay: int = 0
+    floor: float = 0.0
 
     def next(self, value: float, cost: float) -> float:
-        """The multiplier after a rollout of that cost per 1000 env steps."""
+        """The multiplier after one of `value`, where the latest cost was that per 1000 env steps."""
         excess = cost / max(self.limit, 1e-9) - 1.0
-        return min(self.bound, max(0.0, value + self.rate * excess))
+        return min(self.bound, max(self.floor, value + self.rate * excess))
 
 
 class LagrangianCallback(BaseCallback):
-    """Moves the multiplier, keeps exploration above a floor, records the learning curve and stores checkpoints."""
+    """Moves the multiplier, keeps exploration above a floor, records the learning curve and stores checkpoints.
+
+    The multiplier follows the mean cost over the latest rollouts that together are as long as an episode. A single one is too noisy, and
+    where the rows are in phase, it is only a part of the episode.
+
+    Args:
+        env: whose multiplier moves.
+        rule: how it moves.
+        total: interactions of the whole training.
+        progress: called after every rollout.
+        log_std_floor: lower bound of the logarithm of the exploration noise.
+        checkpoints: called once each, when that many interactions have been made.
+        before_rollout: called between two rollouts, when the policy has learned from the last one.
+    """
 
     def __init__(
         self,
@@ -41,12 +57,20 @@ class LagrangianCallback(BaseCallback):
         *,
         log_std_floor: float | None = None,
         checkpoints: Mapping[int, Callable[[], None]] | None = None,
+        before_rollout: Callable[[], None] | None = None,
     ) -> None:
         super().__init__()
         self._tasks, self._rule, self._total, self._progress = env, rule, total, progress
         self._floor, self._checkpoints = log_std_floor, dict(checkpoints or {})
+        self._before_rollout = before_rollout
         self.curve: list[dict[str, float]] = []
         env.multiplier = rule.initial
+
+    def go_on(self, curve: list[dict[str, float]]) -> None:
+        """Continue a training with that curve, whose owners have been restored."""
+        self.curve = list(curve)
+        if curve:
+            self._checkpoints = {at: store for at, store in self._checkpoints.items() if at > curve[-1]["interactions"]}
 
     def _on_step(self) -> bool:
         for at in [a for a in self._checkpoints if self.num_timesteps >= a]:
@@ -58,12 +82,20 @@ class LagrangianCallback(BaseCallback):
             log_std: Any = self.model.policy.log_std
             with torch.no_grad():
                 log_std.clamp_(min=self._floor)
+        if self._before_rollout is not None and self.curve:
+            self._before_rollout()
 
     def _on_rollout_end(self) -> None:
         row = self._tasks.curve.take()
         row |= {"interactions": float(self.num_timesteps), "multiplier": self._tasks.multiplier}
         self.curve.append(row)
         if self.num_timesteps >= self._rule.delay:
-            self._tasks.multiplier = self._rule.next(self._tasks.multiplier, row["cost_per_1000"])
+            self._tasks.multiplier = self._rule.next(self._tasks.multiplier, self._average_cost())
         text = f"return {row['return']:.1f}, cost {row['cost']:.1f}, multiplier {row['multiplier']:.2f}"
         self._progress(min(1.0, self.num_timesteps / self._total), text)
+
+    def _average_cost(self) -> float:
+        """Per 1000 env steps, over about the length of an episode; every rollout has the same number of decisions."""
+        model: Any = self.model
+        rollouts = math.ceil(self._tasks.task.max_decisions / model.n_steps)
+        return float(np.mean([row["cost_per_1000"] for row in self.curve[-rollouts:]]))

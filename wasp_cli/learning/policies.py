@@ -1,64 +1,298 @@
-"""Distillation of the expert checkpoints onto latent features."""
+"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 from torch.nn import functional as F
 
+from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
 from wasp_cli.learning.configs import PoliciesConfig
+from wasp_cli.learning.dataset import Behaviour, Commander
 from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.latents import Latents, roll_prior
 from wasp_cli.learning.replay import Replay
+from wasp_cli.methods.human import HumanOnly
+from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy, Skills
 from wasp_cli.models.weights import load_weights, read_arguments, save_weights
+from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.operators.base import Operator
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.tasks.base import VectorTask
+
+Report = Callable[[float, str], None]
 
 
-def distil(
-    experts: Sequence[PrivilegedPolicy],
-    fractions: Sequence[float],
-    replay: Replay,
-    latents: Latents,
-    config: PoliciesConfig,
-    seed: int,
-    report: Callable[[float, str], None],
-) -> tuple[Skills, dict[str, float]]:
-    """Regress every checkpoint's action on the latents of all recorded states.
+class Labelled(NamedTuple):
+    """N states with what every expert checkpoint would do there."""
 
-    Returns:
-        The policies, and per checkpoint the share of the labels' variance that they explain on the last tenth of the rows.
+    filtered: Latents
+    """The posterior's modes, which operators read in the task."""
+    imagined: Latents
+    """Prior samples that should have arrived at the same states, which operators read in imagination."""
+    labels: Tensor
+    """[K, N, A] actions of the K checkpoints"""
+
+    def rows(self, mask: Tensor) -> Labelled:
+        """The states of a mask [N]."""
+        return Labelled(self.filtered.rows(mask), self.imagined.rows(mask), self.labels[:, mask])
+
+    def at(self, index: Tensor, share: float, source: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Features [B, F] and labels [K, B, A] of some rows; a share of the features is imagined."""
+        seen, dreamt = self.filtered.at(index).features, self.imagined.at(index).features
+        mask = torch.rand(len(index), 1, generator=source) < share
+        return torch.where(mask, dreamt, seen), self.labels[:, index]
+
+
+def label(
+    model: SafetyWorldModel, experts: Sequence[PrivilegedPolicy], replay: Replay, latents: Latents, depth: int, seed: int
+) -> Labelled:
+    """Ask every checkpoint about every row.
+
+    Args:
+        model: the frozen world model.
+        experts: the K checkpoints.
+        replay: privileged, action and first of N rows.
+        latents: of the same rows.
+        depth: imagined rows lie 1 to this many prior steps after a recorded latent.
+        seed: of the depths and the prior's samples.
     """
-    features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
-    action = replay.action.shape[1]
-    skills = Skills(fractions, features, config.hidden, action)
-    skills.exploration.copy_(experts[-1].log_std.exp())
     privileged = torch.from_numpy(replay.privileged)
     with torch.no_grad():
-        labels = torch.stack([expert(privileged) for expert in experts])  # [K, N, A]
-    train = int(0.9 * len(privileged))
+        labels = torch.stack([expert(privileged) for expert in experts])
+    imagined = imagine_arrivals(model, latents, torch.from_numpy(replay.action), torch.from_numpy(replay.first), depth, seed)
+    return Labelled(latents, imagined, labels)
+
+
+@torch.no_grad()
+def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, first: Tensor, depth: int, seed: int) -> Latents:
+    """For every row, a prior sample of its latent: imagined 1..depth steps, never across an episode's start, under the recorded actions.
+
+    Args:
+        model: the frozen world model.
+        latents: of N rows, by arrival.
+        action: [N, A] what led to each row.
+        first: [N] in {0, 1}; the first row of an episode stays as it was filtered.
+        depth: most steps.
+        seed: of the depths and the samples.
+    """
+    source = generator(seed)
+    rows = torch.arange(len(first))
+    past = rows - torch.where(first > 0, rows, torch.zeros_like(rows)).cummax(0).values  # rows of the same episode before each
+    steps = torch.minimum(torch.randint(1, depth + 1, (len(first),), generator=source), past)
+    h, z = latents.h.clone(), latents.z.clone()
+    for count in range(1, depth + 1):
+        for index in rows[steps == count].split(4096):
+            led = action[index.unsqueeze(1) - count + 1 + torch.arange(count)]  # [n, count, A]
+            arrived = roll_prior(model, latents.at(index - count), led, source)
+            h[index] = arrived.h[:, -1].to(h.dtype)
+            z[index] = arrived.z[:, -1].unflatten(-1, (-1, latents.classes)).argmax(-1).to(torch.uint8)
+    return Latents(h, z, latents.classes)
+
+
+def new_skills(experts: Sequence[PrivilegedPolicy], fractions: Sequence[float], features: int, config: PoliciesConfig) -> Skills:
+    """Untrained latent policies for the checkpoints of an expert."""
+    skills = Skills(fractions, features, config.hidden, len(experts[-1].log_std))
+    skills.exploration.copy_(experts[-1].log_std.exp())
+    return skills
+
+
+def fit(
+    skills: Skills, recorded: Labelled, visited: Sequence[Labelled], updates: int, config: PoliciesConfig, seed: int, report: Report
+) -> None:
+    """Regress every checkpoint's action on the latents.
+
+    Args:
+        skills: trained in place, frozen afterwards.
+        recorded: labelled rows of the dataset.
+        visited: labelled rows of the rounds so far; together they are `labelled_share` of a batch.
+        updates: gradient steps.
+        config: batch, learning rate and shares.
+        seed: of the batches.
+        report: called every 50 updates.
+    """
+    skills.train().requires_grad_(True)
     optimizer = torch.optim.Adam(skills.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    for update in range(config.updates):
-        index = torch.randint(train, (config.batch,), generator=source)
-        seen = latents.at(index).features
-        loss = torch.stack([F.smooth_l1_loss(skills.at(f).unbounded(seen), labels[k, index]) for k, f in enumerate(fractions)]).sum()
+    later = _joined(visited)
+    fresh = round(config.labelled_share * config.batch) if later is not None else 0
+    for update in range(updates):
+        index = torch.randint(recorded.labels.shape[1], (config.batch - fresh,), generator=source)
+        features, labels = recorded.at(index, config.imagined_share, source)
+        if later is not None and fresh:
+            index = torch.randint(later.labels.shape[1], (fresh,), generator=source)
+            more, wanted = later.at(index, config.imagined_share, source)
+            features, labels = torch.cat([features, more]), torch.cat([labels, wanted], 1)
+        errors = [F.smooth_l1_loss(skills.at(f).unbounded(features), labels[k]) for k, f in enumerate(skills.fractions)]
+        loss = torch.stack(errors).sum()
         for group in optimizer.param_groups:
-            group["lr"] = config.learning_rate * (1 - 0.95 * update / config.updates)
+            group["lr"] = config.learning_rate * (1 - 0.95 * update / updates)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
         if update % 50 == 0:
-            report(update / config.updates, f"update {update}/{config.updates}, loss {float(loss.detach()):.3f}")
+            report(update / updates, f"update {update}/{updates}, loss {float(loss.detach()):.3f}")
     skills.eval().requires_grad_(False)
-    rest = torch.arange(train, len(privileged))
-    seen = latents.at(rest).features
-    explained = {}
-    for k, fraction in enumerate(fractions):
-        error = (skills.at(fraction)(seen) - labels[k, rest]).square().mean()
-        explained[f"{fraction:g}"] = float(1 - error / labels[k, rest].var(0, correction=0).mean().clamp(min=1e-9))
-    return skills, explained
+
+
+def _joined(parts: Sequence[Labelled]) -> Labelled | None:
+    if not parts:
+        return None
+
+    def latents(chosen: Sequence[Latents]) -> Latents:
+        return Latents(torch.cat([part.h for part in chosen]), torch.cat([part.z for part in chosen]), chosen[0].classes)
+
+    return Labelled(
+        latents([part.filtered for part in parts]),
+        latents([part.imagined for part in parts]),
+        torch.cat([part.labels for part in parts], 1),
+    )
+
+
+@torch.no_grad()
+def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
+    """Share of the labels' variance that each checkpoint's policy explains, on filtered and on imagined latents."""
+    found: dict[str, dict[str, float]] = {}
+    for name, latents in (("filtered", states.filtered), ("imagined", states.imagined)):
+        features = latents.at(torch.arange(states.labels.shape[1])).features
+        for k, fraction in enumerate(skills.fractions):
+            error = (skills.at(fraction)(features) - states.labels[k]).square().mean()
+            variance = states.labels[k].var(0, correction=0).mean().clamp(min=1e-9)
+            found.setdefault(f"{fraction:g}", {})[name] = float(1 - error / variance)
+    return found
+
+
+def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
+    """Who drives each episode of a labelling round.
+
+    The latent expert drives `1 - share` of them; the others are driven in turn by the expert with the mistakes of impaired operators and by
+    the earlier skills, whose states operators reach too.
+    """
+    others = [Behaviour("gaussian", gaussian=0.25), Behaviour("noisy", replace=0.3), Behaviour("laggy", repeat=0.7)]
+    others += [Behaviour(f"skill {k}", skill=k) for k in reversed(range(checkpoints - 1))]
+    other = round(share * episodes)
+    return [Behaviour("expert")] * (episodes - other) + [others[i % len(others)] for i in range(other)]
+
+
+@torch.inference_mode()
+def visit(
+    task: VectorTask, model: SafetyWorldModel, skills: Skills, rows: Sequence[Behaviour], seeds: Sequence[int], seed: int, report: Report
+) -> tuple[Replay, Latents]:
+    """Drive one episode per row through the filter and keep every state at which a decision was made.
+
+    Args:
+        task: B episodes with pixels and privileged observations.
+        model: the frozen world model, as the filter.
+        skills: latent policies, which drive.
+        rows: who drives which episode.
+        seeds: of the episodes.
+        seed: of the drivers' mistakes.
+        report: called about every 25 decisions.
+
+    Returns:
+        Rows by arrival, episode after episode (privileged, action, first and episode; the other columns are empty), and their latents.
+    """
+    actors: list[Any] = [skills.at(fraction) for fraction in skills.fractions]
+    commander = Commander(actors, rows, task.action_size, np.random.default_rng(seed))
+    filter_ = Filter(model, task.batch)
+    seen, first = task.reset(seeds), torch.ones(task.batch)
+    led = np.zeros((task.batch, task.action_size), np.float32)
+    ended = np.zeros(task.batch, bool)
+    steps: list[tuple[NDArray[np.float32], NDArray[np.float32], Latent, NDArray[np.bool_]]] = []
+    for t in range(task.max_decisions):
+        assert seen.privileged is not None
+        latent = filter_.see(seen, first)
+        first = torch.zeros(task.batch)
+        steps.append((seen.privileged, led, latent, ~ended))
+        led = commander.command(latent.features.numpy())
+        filter_.executed(torch.from_numpy(led))
+        step = task.step(led)
+        seen, ended = step.observation, step.ended.copy()
+        if t % 25 == 0:
+            report((t + 1) / task.max_decisions, f"decision {t + 1}/{task.max_decisions}")
+        if ended.all():
+            break
+    alive = np.stack([step[3] for step in steps], 1)  # [B, T]
+    kept = torch.from_numpy(alive)
+    h = torch.stack([step[2].h for step in steps], 1)[kept].clone()
+    z = torch.stack([step[2].z for step in steps], 1)[kept]
+    empty: NDArray[np.float32] = np.zeros(0, np.float32)
+    columns = dict.fromkeys(Replay._fields, empty) | {
+        "privileged": np.stack([step[0] for step in steps], 1)[alive],
+        "action": np.stack([step[1] for step in steps], 1)[alive],
+        "first": np.broadcast_to(np.arange(alive.shape[1]) == 0, alive.shape)[alive].astype(np.float32),
+        "episode": np.repeat(np.arange(len(alive), dtype=np.int32), alive.sum(1)),
+    }
+    classes = model.sizes.classes
+    return Replay(**columns), Latents(h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes)
+
+
+def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, fraction: float, seeds: Sequence[int]) -> Loop:
+    """Episodes of one latent skill without mistakes and without assistance."""
+    operator = Operator(skills.at(fraction), task.action_size, EpisodeNoise(seeds), task.batch)
+    return run_episodes(task, model, operator, HumanOnly(), seeds, seeds)
+
+
+class Drive(NamedTuple):
+    """Means over evaluation episodes."""
+
+    return_: float
+    cost: float
+    """Env steps that cost, per episode."""
+    goals: float
+    success: float
+    """Share of the episodes with enough goals."""
+
+    def shown(self) -> dict[str, float]:
+        """By the names that people read."""
+        return {"return": self.return_, "cost": self.cost, "goals": self.goals, "success": self.success}
+
+    @classmethod
+    def of(cls, returns: NDArray[np.floating], costs: NDArray[np.floating], goals: NDArray[np.floating], enough: int) -> Drive:
+        """From the sums [B] of whole episodes; `enough` goals are a success."""
+        return cls(float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean()))
+
+
+class Verdict(NamedTuple):
+    """A latent policy beside the privileged one on the same episodes."""
+
+    return_share: float
+    """Latent return / privileged return; 1 plus the difference in units of its size where the privileged return is not positive."""
+    cost_ratio: float | None
+    """Latent cost / privileged cost; None where the privileged policy cost nothing."""
+    excess_cost: float
+    """Cost per episode beyond what is allowed; 0 within it."""
+    reached: bool
+    """Enough return and no excess cost."""
+
+
+def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps: int) -> Verdict:
+    """Hold a latent policy against the privileged one.
+
+    The allowed cost is `cost_ratio` times the privileged cost, or the privileged cost plus `cost_allowance` per 1000 env steps if that is
+    more: a ratio to almost nothing says nothing. `env_steps` is the time limit of an episode.
+    """
+    size = max(abs(privileged.return_), 1e-9)
+    share = 1.0 + (latent.return_ - privileged.return_) / size
+    allowed = max(config.cost_ratio * privileged.cost, privileged.cost + config.cost_allowance * env_steps / 1000)
+    excess = max(0.0, latent.cost - allowed)
+    ratio = latent.cost / privileged.cost if privileged.cost > 0 else None
+    return Verdict(share, ratio, excess, share >= config.return_share and excess == 0.0)
+
+
+def best_round(verdicts: Sequence[Verdict]) -> int:
+    """The first round that reached both; where none did, the one with the least excess cost and among those the largest return share."""
+    for number, verdict in enumerate(verdicts):
+        if verdict.reached:
+            return number
+    return min(range(len(verdicts)), key=lambda i: (verdicts[i].excess_cost, -verdicts[i].return_share))
 
 
 def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:

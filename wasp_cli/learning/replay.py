@@ -7,6 +7,8 @@ first row is marked `first` with zero action, reward and cost. The names of the 
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -118,32 +120,46 @@ def shards(folder: Path) -> list[Path]:
     return found
 
 
-def read_replay(folder: Path, columns: Sequence[str] | None = None) -> Replay:
-    """All shards of a dataset artifact, in order. Columns that are not asked for are empty.
+def read_replay(folder: Path, columns: Sequence[str] | None = None, mask: NDArray[np.bool_] | None = None) -> Replay:
+    """All rows of a dataset artifact, or those of a mask (whole episodes), in order. Columns that are not asked for are empty.
+
+    Shard after shard into place, so that the images are in memory once (a shard's twice).
 
     Raises:
         ArtifactError: there is no shard, or one is damaged.
     """
     files = shards(folder)
     try:
-        table = pa.concat_tables([pq.read_table(file, columns=list(columns) if columns else None) for file in files]).combine_chunks()
+        counts = [pq.read_metadata(file).num_rows for file in files]
+        ends = np.cumsum(counts)
+        chosen = np.ones(ends[-1], bool) if mask is None else mask
+        found: dict[str, NDArray[Any]] = {}
+        written = 0
+        for file, here in zip(files, np.split(chosen, ends[:-1]), strict=True):
+            if not here.any():
+                continue
+            table = pq.read_table(file, columns=list(columns) if columns else None)
+            for name in table.column_names:
+                part = _to_numpy(table.column(name))[here]
+                whole = found.setdefault(name, np.empty((int(chosen.sum()), *part.shape[1:]), part.dtype))
+                whole[written : written + len(part)] = part
+            written += int(here.sum())
     except (OSError, pa.ArrowInvalid) as error:
         raise ArtifactError(f"cannot read {folder}: {error}", "remove the artifact's folder and run again") from error
-    empty = np.zeros(0)
-    found = {name: _to_numpy(table.column(name)) for name in table.column_names}
-    return Replay(**{name: found.get(name, empty) for name in Replay._fields})
+    return Replay(**{name: found.get(name, np.zeros(0)) for name in Replay._fields})
 
 
-def read_rows(folder: Path, mask: NDArray[np.bool_]) -> Replay:
-    """The rows of a mask over a dataset artifact (whole episodes), read shard after shard: the other images are never in memory at once."""
-    parts, begin = [], 0
-    for file in shards(folder):
-        here = mask[begin : begin + pq.read_metadata(file).num_rows]
-        begin += len(here)
-        if here.any():
-            table = pq.read_table(file).filter(pa.array(here)).combine_chunks()
-            parts.append(Replay(**{name: _to_numpy(table.column(name)) for name in Replay._fields}))
-    return Replay(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+def count_rows(path: Path) -> int:
+    """Rows of a shard."""
+    return int(pq.read_metadata(path).num_rows)
+
+
+def hand_over(path: Path, target: Path) -> None:
+    """Give a shard to another folder and keep it: as a second name of the same file where that is possible."""
+    try:
+        os.link(path, target)
+    except OSError:  # another file system, or one without links
+        shutil.copy2(path, target)
 
 
 def cost_sources(folder: Path) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from torch import nn
 from wasp_cli.learning.closed_loop import Filter, human
 from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.vec_env import Array, TaskVecEnv, actor_layers, seed_stream
+from wasp_cli.learning.vec_env import Array, SeedStream, TaskVecEnv, actor_layers
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
@@ -44,8 +44,8 @@ class AssistedTask(TaskVecEnv):
             for value in values:
                 operators.append(build_operator(variant, value, owner, self._noise, task.batch))
         self._operator = MixedOperator(operators, self._noise, derive("residual-operators", name, seed))
-        self._noise_seed = seed_stream(derive, "residual-noise", name, seed)
-        super().__init__(task, model.feature_size + task.action_size, -2.0, 2.0, seed_stream(derive, "residual-episode", name, seed))
+        self._noise_seed = SeedStream("residual-noise", name, seed)
+        super().__init__(task, model.feature_size + task.action_size, -2.0, 2.0, SeedStream("residual-episode", name, seed))
 
     @torch.no_grad()
     def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
@@ -135,7 +135,7 @@ def train_residual(
     """
     torch.manual_seed(derive("residual-weights", name, seed))
     env = AssistedTask(task, model, skills, config, name, seed)
-    env.normalise = True
+    env.normalise = env.spread = True
     ppo = PPO(
         "MlpPolicy", env, device="cpu", seed=derive("residual-ppo", name, seed),
         n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma, ent_coef=config.entropy,

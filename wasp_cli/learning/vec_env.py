@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import Observation, Step, VectorTask
 
 Array = NDArray[np.float32]
@@ -49,10 +50,13 @@ class TaskVecEnv(VecEnv):
         self.multiplier = 0.0
         self.normalise = False
         """Divide the reward by 1 + multiplier, so that its scale does not grow with it."""
+        self.spread = False
+        """Cut the first episode of row b after (b + 1) / B of the time limit, so that every rollout sees all parts of an episode."""
         self.curve = Curve()
         self._next_seed = next_seed
         self._return = np.zeros(task.batch)
         self._cost = np.zeros(task.batch)
+        self._until_cut = np.full(task.batch, -1)  # decisions; it counts down, and below zero nothing is cut any more
         self._action: NDArray[Any] = np.zeros((task.batch, task.action_size), np.float32)
         box = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         super().__init__(task.batch, box, spaces.Box(low, high, (task.action_size,), np.float32))
@@ -76,6 +80,7 @@ class TaskVecEnv(VecEnv):
         everyone = np.ones(self.num_envs, bool)
         self._return[:] = 0
         self._cost[:] = 0
+        self._until_cut[:] = np.arange(1, self.num_envs + 1) * self.task.max_decisions // self.num_envs if self.spread else -1
         return self.observe(seen, everyone, np.zeros_like(self._action))
 
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -93,18 +98,36 @@ class TaskVecEnv(VecEnv):
         self.curve.costly_env_steps += int(step.cost_env.sum())
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observed = self.observe(step.observation, np.zeros(self.num_envs, bool), executed)
-        ended = step.ended.copy()
+        self._until_cut -= 1
+        ended = step.ended | (self._until_cut == 0)
         if ended.any():
             rows = np.flatnonzero(ended)
             for row in rows:
                 infos[row] = {"terminal_observation": observed[row].copy(), "TimeLimit.truncated": not step.terminated[row]}
-                self.curve.returns.append(float(self._return[row]))
-                self.curve.costs.append(float(self._cost[row]))
+                if step.ended[row]:  # a cut episode is not a whole one
+                    self.curve.returns.append(float(self._return[row]))
+                    self.curve.costs.append(float(self._cost[row]))
             self._return[rows] = 0
             self._cost[rows] = 0
+            self._until_cut[rows] = -1
             seen = self.task.reset([self._next_seed() for _ in rows], ended)
             observed = np.where(ended[:, None], self.observe(seen, ended, np.where(ended[:, None], 0, executed)), observed)
         return observed, reward.astype(np.float32), ended, infos
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """What determines the future of every row, without what a subclass adds; the curve must have been taken.
+
+        Raises:
+            TaskError: the task has no snapshot.
+        """
+        task = {f"task/{name}": array for name, array in self.task.snapshot().items()}
+        return task | {"return": self._return.copy(), "cost": self._cost.copy(), "until_cut": self._until_cut.copy()}
+
+    def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
+        """Return to a snapshot; the last observation is the caller's to keep."""
+        self.task.reset([0] * self.num_envs)  # an environment of somebody else's may refuse everything before its first reset
+        self.task.restore({name.removeprefix("task/"): array for name, array in snapshot.items() if name.startswith("task/")})
+        self._return[:], self._cost[:], self._until_cut[:] = snapshot["return"], snapshot["cost"], snapshot["until_cut"]
 
     def close(self) -> None:
         """Nothing to release."""
@@ -128,16 +151,17 @@ class TaskVecEnv(VecEnv):
         return [False] * self.num_envs
 
 
-def seed_stream(derive: Callable[..., int], *parts: Any) -> Callable[[], int]:
+class SeedStream:
     """An endless, reproducible stream of episode seeds: derive(*parts, 0), derive(*parts, 1), ..."""
-    count = -1
 
-    def following() -> int:
-        nonlocal count
-        count += 1
-        return derive(*parts, count)
+    def __init__(self, *parts: Any) -> None:
+        self._parts = parts
+        self.drawn = 0
 
-    return following
+    def __call__(self) -> int:
+        seed = derive(*self._parts, self.drawn)
+        self.drawn += 1
+        return seed
 
 
 def actor_layers(policy: Any) -> Sequence[Any]:

@@ -38,7 +38,7 @@ def loss_weights(config: WorldModelConfig) -> dict[str, float]:
     """The factor of each term of `SafetyWorldModel.losses`: Eq. 6, and the terms on imagined steps."""
     weights: dict[str, float] = {name: getattr(config, name) for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")}
     if config.ahead_starts:
-        weights |= {"ahead_r": config.ahead * config.beta_r, "ahead_c": config.ahead * config.beta_c}
+        weights |= {f"ahead_{term}": config.ahead * weights[f"beta_{term}"] for term in ("r", "c", "o")}
     return weights
 
 
@@ -123,7 +123,8 @@ def _ahead(config: WorldModelConfig, model: SafetyWorldModel, source: torch.Gene
     horizon = min(config.ahead_horizon, config.length - 1)
     row = torch.randint(config.batch, (config.ahead_starts,), generator=source, device=device)
     step = torch.randint(config.length - horizon, (config.ahead_starts,), generator=source, device=device)
-    return Ahead(row, step, gumbel((horizon, config.ahead_starts, model.noise_size), source))
+    decoded = torch.randint(horizon, (config.ahead_starts,), generator=source, device=device)
+    return Ahead(row, step, gumbel((horizon, config.ahead_starts, model.noise_size), source), decoded)
 
 
 def _skip(counters: dict[str, Any], update: int, losses: dict[str, Tensor]) -> None:

@@ -81,6 +81,8 @@ class Heldout(NamedTuple):
     """[K] in {0, 1}: costly decision"""
     episode: Tensor
     """[K] index of the episode"""
+    terminal: Tensor
+    """[K] in {0, 1}: the decision ended the episode by the task's own rule, not by the time limit"""
 
 
 class Assistant(Protocol):

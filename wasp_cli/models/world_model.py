@@ -57,6 +57,8 @@ class Ahead(NamedTuple):
     """[N] its step; K more follow it in the sequence"""
     noise: Tensor
     """[K, N, S * C] standard Gumbel draws"""
+    decoded: Tensor
+    """[N] in 0..K-1: the imagined step of each whose image is decoded"""
 
 
 class SafetyWorldModel(nn.Module):
@@ -156,14 +158,12 @@ class SafetyWorldModel(nn.Module):
             decode_steps: indices of the steps whose image is decoded (a random share saves a third of the time).
             free_nats: see `balanced_kl`.
             start: the latent before the sequences; zeros by default.
-            ahead: starts from which reward and cost are also scored on imagined latents (terms `ahead_r` and `ahead_c`, not in Eq. 6).
+            ahead: starts from which imagined latents are scored too (terms `ahead_r`, `ahead_c` and `ahead_o`, not in Eq. 6).
         """
         seen = self.observe(batch, noise, start)
         features = seen.latent.features  # [B, T, F]
         representation, prediction = balanced_kl(seen.posterior, seen.prior, free_nats)
-        target = self.centred(batch.pixels[:, decode_steps].flatten(0, 1))
-        # The sum over 24,576 pixel values needs float32, whatever the autocast.
-        image = (self.decoder(features[:, decode_steps].flatten(0, 1)).float() - target).square().sum((1, 2, 3)).mean()
+        image = self._image_errors(features[:, decode_steps].flatten(0, 1), batch.pixels[:, decode_steps].flatten(0, 1)).mean()
         reward, cost = self.head_losses(features, batch.reward, batch.cost)
         carry_on = F.binary_cross_entropy_with_logits(self.continue_head(features).squeeze(-1).float(), 1.0 - batch.terminal)
         terms = {
@@ -171,11 +171,19 @@ class SafetyWorldModel(nn.Module):
             "beta_r": reward, "beta_c": cost, "beta_n": carry_on,
         }  # fmt: skip
         if ahead is not None:
-            terms["ahead_r"], terms["ahead_c"] = self._ahead_losses(seen.latent, batch, ahead)
+            terms |= self._ahead_losses(seen.latent, batch, ahead)
         return terms, seen.latent
 
-    def _ahead_losses(self, latent: Latent, batch: Batch, ahead: Ahead) -> tuple[Tensor, Tensor]:
-        """Reward and cost losses along imagined rollouts under the recorded actions, up to the end of the episode."""
+    def _image_errors(self, features: Tensor, pixels: Tensor) -> Tensor:
+        """Squared errors of decoded images, summed over pixels: [N]. A sum over 24,576 values needs float32, whatever the autocast."""
+        return (self.decoder(features).float() - self.centred(pixels)).square().sum((1, 2, 3))  # type: ignore[no-any-return]
+
+    def _ahead_losses(self, latent: Latent, batch: Batch, ahead: Ahead) -> dict[str, Tensor]:
+        """Losses along imagined rollouts under the recorded actions, up to the end of the episode.
+
+        Eq. 6 trains the prior on single steps, and what it knows of the surroundings blurs within ten. Of the images one per rollout is
+        decoded; together they teach h to carry the surroundings along.
+        """
         rows = ahead.row[:, None]
         steps = ahead.step[:, None] + 1 + torch.arange(len(ahead.noise), device=rows.device)  # [N, K]
         action = batch.action[rows, steps]
@@ -184,8 +192,13 @@ class SafetyWorldModel(nn.Module):
         for k, noise in enumerate(ahead.noise):
             current = self.imagine(current, action[:, k], noise)
             imagined.append(current.features)
+        features = torch.stack(imagined, 1)  # [N, K, F]
         within = (1.0 - batch.first[rows, steps]).cumprod(1)  # what follows a reset cannot be imagined
-        return self.head_losses(torch.stack(imagined, 1), batch.reward[rows, steps], batch.cost[rows, steps], within)
+        reward, cost = self.head_losses(features, batch.reward[rows, steps], batch.cost[rows, steps], within)
+        each = torch.arange(len(ahead.row), device=rows.device)
+        at, counts = steps[each, ahead.decoded], within[each, ahead.decoded]
+        errors = self._image_errors(features[each, ahead.decoded], batch.pixels[ahead.row, at])
+        return {"ahead_r": reward, "ahead_c": cost, "ahead_o": (errors * counts).sum() / counts.sum().clamp(min=1.0)}
 
     def head_losses(self, features: Tensor, reward: Tensor, cost: Tensor, counts: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Squared error of the scaled reward, and weighted BCE of the cost: means over the steps that `counts` [...] marks with 1."""

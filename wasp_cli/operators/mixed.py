@@ -1,4 +1,4 @@
-"""An operator that is a different variant in every episode: what SafeRL-Res trains with."""
+"""An operator that is a different variant in every episode: what SafeRL-Res trains with, and what a further round of data meets."""
 
 from __future__ import annotations
 
@@ -8,22 +8,27 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Operator
+from wasp_cli.operators.base import Memory, Operator
 from wasp_cli.operators.noise import NoiseSource
 
 
-class MixedOperator:
+class MixedOperator(Operator):
     """B rows, each driven by one of several operators (all of batch B), chosen anew at every reset.
 
     All of them share one draw per decision and one evaluation of each distinct policy: only the chosen operator of a row counts.
+    `choice` [B] may also be set: a row then meets the operator of that index until its next reset.
     """
 
     def __init__(self, operators: Sequence[Operator], noise: NoiseSource, seed: int) -> None:
+        first = operators[0]
+        super().__init__(first.policy, first.action_size, noise, first.batch)
         self.operators = list(operators)
-        self.noise = noise
         self._random = np.random.default_rng(seed)
-        self._draws = max(operator.draws for operator in operators)
-        self.choice = torch.zeros(operators[0].batch, dtype=torch.long)
+        self.choice = torch.zeros(first.batch, dtype=torch.long)
+
+    @property
+    def draws(self) -> int:
+        return max(operator.draws for operator in self.operators)
 
     def reset(self, rows: Tensor) -> None:
         """New episodes in `rows` [B] (bool): clear memories and draw their operators."""
@@ -34,7 +39,7 @@ class MixedOperator:
 
     def command(self, features: Tensor) -> Tensor:
         """[B, A]"""
-        uniforms = self.noise.next(self._draws)
+        uniforms = self.noise.next(self.draws)
         intended: dict[int, Tensor] = {}
         issued = []
         for operator in self.operators:
@@ -44,3 +49,25 @@ class MixedOperator:
             command, operator.memory = operator.act(intended[policy], operator.memory, uniforms[:, : operator.draws])
             issued.append(command)
         return torch.stack(issued)[self.choice, torch.arange(len(self.choice))]
+
+    def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> MixedOperator:
+        """Every row keeps its operator in imagination, and operators of no row are left out."""
+        used, choice = torch.unique(self.choice[rows], return_inverse=True)
+        forked = object.__new__(type(self))
+        forked.__dict__.update(self.__dict__)
+        forked.noise, forked.batch = noise, len(rows) * copies
+        forked.operators = [self.operators[i].fork(rows, copies, noise) for i in used.tolist()]
+        forked.choice = choice.repeat_interleave(copies)
+        return forked
+
+    def snapshot(self) -> Memory:
+        """The memories of all operators, by their index, and who drives which row."""
+        memories = {f"{i}.{name}": value.clone() for i, each in enumerate(self.operators) for name, value in each.memory.items()}
+        return {"noise": self.noise.position(), "choice": self.choice.clone(), **memories}
+
+    def restore(self, snapshot: Memory) -> None:
+        """Return to a snapshot."""
+        for i, operator in enumerate(self.operators):
+            operator.memory = {name: snapshot[f"{i}.{name}"].clone() for name in operator.memory}
+        self.choice = snapshot["choice"].clone()
+        self.noise.seek(snapshot["noise"])

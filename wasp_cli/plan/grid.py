@@ -15,19 +15,25 @@ from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import closure_hash
 from wasp_cli.plan.keys import key_of
 from wasp_cli.plan.node import Node, with_upstream
+from wasp_cli.plan.part import Part
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
+from wasp_cli.spec.names import OF_METHODS
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 
 CALIBRATED_VARIANT = "full"
 """Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
+BEFORE_ROUNDS = ("expert", "dataset")
+"""Stages that no round repeats."""
+ROLLOUTS, ASSISTANT = "rollouts", "wasp"
+"""The stage that begins every round after the first, and the method that it runs."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What a spec asks for: its cells, each with its evaluation node, and every node behind them."""
+    """What a spec asks for: its cells, each with its evaluation node, what else it trains, and every node behind them."""
 
     cells: tuple[tuple[Cell, Node], ...]
     nodes: tuple[Node, ...]
@@ -35,14 +41,20 @@ class Grid:
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
 
+    @property
+    def parts(self) -> list[tuple[Part, Node]]:
+        """What is trained, needed parts first."""
+        return [(Part(node.task, node.kind, node.seed, round_of(node)), node) for node in self.nodes if node.kind not in OF_METHODS]
+
 
 def lay_out(spec: Spec) -> Grid:
-    """Every cell of a spec and every node behind it, each node once."""
+    """Every cell of a spec, every stage that it names, and every node behind them, each node once."""
     builder = _Builder(spec)
     cells = tuple((cell, builder.evaluation(cell)) for cell in cells_of(spec))
     severities = sum(len(values) for values in spec.operators.values())
     per_seed = sum(len(spec.variants_of(method)) for method in spec.methods) * max(severities, 1)
-    nodes = with_upstream(node for _, node in cells)
+    named = [builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), spec.stages)]
+    nodes = with_upstream([*(node for _, node in cells), *named])
     return Grid(cells, tuple(nodes), len(spec.tasks) * len(spec.seeds) * per_seed)
 
 
@@ -56,7 +68,11 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
 
 
 class _Builder:
-    """Builds nodes of one spec; what cells share is built once."""
+    """Builds nodes of one spec; what cells share is built once.
+
+    The first round is the chain without any: its nodes carry no round, so that their keys are the same however many follow. Each
+    further round begins with rollouts, which complete the dataset for everything that is trained after them.
+    """
 
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
@@ -65,16 +81,17 @@ class _Builder:
         self.settings = cache(self._settings)
         self.method_config = cache(lambda method, variant: spec.method(method, variant).model_dump(mode="json"))
         self.training = cache(self._training)
+        self.rollouts = cache(self._rollouts)
         self.calibration = cache(self._calibration)
 
     def evaluation(self, cell: Cell) -> Node:
         """The node that computes a cell, from the training chain of its seed."""
         info, chain = METHODS[cell.method], self.spec.chain_seed(cell.seed)
-        needs = self._inputs("evaluate", cell.task, chain, info.needs)
+        needs = self._inputs("evaluate", cell.task, chain, self.spec.rounds, info.needs)
         if info.calibrated:
             variant = cell.assistant if cell.assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(cell.task, chain, cell.method, variant)
-        axes = {
+        axes = _round_axis(self.spec.rounds) | {
             "method": cell.method,
             "method_config": self.method_config(cell.method, cell.assistant),
             "variant": cell.operator,
@@ -89,19 +106,39 @@ class _Builder:
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
-        axes = {"method": method, "method_config": self.method_config(method, variant)}
-        needs = self._inputs("calibration", task, seed, info.needs)
+        number = self.spec.rounds
+        axes = _round_axis(number) | {"method": method, "method_config": self.method_config(method, variant)}
+        needs = self._inputs("calibration", task, seed, number, info.needs)
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
-        return self._node("calibration", task, seed, axes, needs, [module_of(info.target)], f"calibration {name}")
+        return self._node("calibration", task, seed, axes, needs, [module_of(info.target)], _in_round(f"calibration {name}", number))
 
-    def _training(self, kind: str, task: str, seed: int) -> Node:
-        # A stage that mixes operators finds them by the names in its section.
-        named = self.config(kind).get("operators", {})
-        roots = [module_of(OPERATORS[name].target) for name in named]
-        return self._node(kind, task, seed, {}, self._inputs(kind, task, seed), roots, kind)
+    def _training(self, kind: str, task: str, seed: int, number: int) -> Node:
+        if kind in BEFORE_ROUNDS and number > 1:
+            return self.training(kind, task, seed, 1)
+        axes, needs = _round_axis(number), self._inputs(kind, task, seed, number)
+        if number > 1 and getattr(stage_class(kind), "previous", False):
+            needs["previous"] = self.training(kind, task, seed, number - 1)
+        return self._node(kind, task, seed, axes, needs, self._operators(kind), _in_round(kind, number))
 
-    def _inputs(self, kind: str, task: str, seed: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
-        return {needed: self.training(needed, task, seed) for needed in dict.fromkeys((*stage_class(kind).needs, *further))}
+    def _rollouts(self, task: str, seed: int, number: int) -> Node:
+        axes = _round_axis(number) | {"method": ASSISTANT, "method_config": self.method_config(ASSISTANT, CALIBRATED_VARIANT)}
+        needs = self._inputs(ROLLOUTS, task, seed, number - 1)
+        roots = [module_of(METHODS[ASSISTANT].target), *self._operators(ROLLOUTS)]
+        return self._node(ROLLOUTS, task, seed, axes, needs, roots, _in_round(ROLLOUTS, number))
+
+    def _inputs(self, kind: str, task: str, seed: int, number: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
+        needed = dict.fromkeys((*stage_class(kind).needs, *further))
+        return {name: self._source(name, task, seed, number) for name in needed}
+
+    def _source(self, name: str, task: str, seed: int, number: int) -> Node:
+        """What the stages of a round read under a name."""
+        if name == "dataset" and number > 1:
+            return self.rollouts(task, seed, number)
+        return self.training(name, task, seed, number)
+
+    def _operators(self, kind: str) -> list[str]:
+        """A stage that mixes operators finds them by the names in its section."""
+        return [module_of(OPERATORS[name].target) for name in self.config(kind).get("operators", {})]
 
     def _settings(self, kind: str) -> dict[str, Any]:
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
@@ -125,6 +162,19 @@ class _Builder:
             }
         )
         return Node(kind, task, seed, axes, config, settings, needs, modules, key, f"{task} s{seed} {label}")
+
+
+def round_of(node: Node) -> int:
+    """The round that a node belongs to."""
+    return int(node.axes.get("round", 1))
+
+
+def _round_axis(number: int) -> dict[str, Any]:
+    return {"round": number} if number > 1 else {}
+
+
+def _in_round(label: str, number: int) -> str:
+    return f"{label}, round {number}" if number > 1 else label
 
 
 @cache

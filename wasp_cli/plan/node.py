@@ -15,13 +15,13 @@ class Node:
     task: str
     seed: int
     axes: Mapping[str, Any]
-    """What else identifies it (evaluate, calibration): method, method_config, operator variant, value."""
+    """What else identifies it: method, method_config, operator variant, value (evaluate, calibration), and the round after the first."""
     config: Mapping[str, Any]
     """The section of its stage, resolved, as JSON values."""
     settings: Mapping[str, Any]
     """The shared settings that its stage named."""
     needs: Mapping[str, Node]
-    """The nodes whose artifacts it reads, by kind."""
+    """The nodes whose artifacts it reads, by the name under which its stage reads them: mostly their kind."""
     modules: tuple[str, ...]
     """Where its code begins; its key covers what these import."""
     key: str

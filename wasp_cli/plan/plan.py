@@ -14,6 +14,7 @@ from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.keys import canonical
 from wasp_cli.plan.node import Node
+from wasp_cli.plan.part import Part
 from wasp_cli.plan.waves import waves
 from wasp_cli.store.artifact import damage, published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
@@ -72,6 +73,7 @@ class Plan:
         return {
             "points": self.grid.points,
             "cells": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.cells],
+            "parts": [{**part.as_json(), "key": node.key} for part, node in self.grid.parts],
             "nodes": [_node_json(step) for step in self.steps],
             "counts": dict(Counter(step.state for step in self.steps)),
         }
@@ -79,7 +81,7 @@ class Plan:
 
 def _node_json(step: Step) -> dict[str, Any]:
     node = step.node
-    needs = {kind: needed.key for kind, needed in node.needs.items()}
+    needs = {name: needed.key for name, needed in node.needs.items()}
     return {"key": node.key, "kind": node.kind, "label": node.label, "state": step.state, "reason": step.reason, "needs": needs}
 
 
@@ -136,12 +138,12 @@ def _cause(path: Path) -> str:
 
 
 def sort_of(node: Node) -> str:
-    """Nodes of a sort take about as long: the same stage and method at the same sizes, whatever the seed and the operator."""
+    """Nodes of a sort take about as long: the same stage, method and round at the same sizes, whatever the seed and the operator."""
     return _sort(node.kind, node.task, node.config, node.axes)
 
 
 def _sort(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
-    return canonical([kind, task, config, axes.get("method"), axes.get("method_config")])
+    return canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
 
 
 def measured(layout: Layout, stored: Mapping[str, Iterable[str]]) -> dict[str, float]:
@@ -161,3 +163,8 @@ def measured(layout: Layout, stored: Mapping[str, Iterable[str]]) -> dict[str, f
 def cells_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
     """Each cell with the key of its artifact, as reports take them."""
     return [(cell, node.key) for cell, node in grid.cells]
+
+
+def parts_with_keys(grid: Grid) -> list[tuple[Part, str]]:
+    """Each trained part with the key of its artifact, as reports take them."""
+    return [(part, node.key) for part, node in grid.parts]

@@ -36,7 +36,7 @@ def show(plan: Plan, console: Console, workers: int) -> None:
     text = f"{plan.grid.points} grid points, {cells} cells to evaluate"
     if cells < plan.grid.points:
         text += " (the unimpaired reference is one cell for all operators)"
-    console.print(text)
+    console.print(text if cells else "nothing to evaluate: the spec lists no methods")
     for step in plan.steps:
         if step.state in ("failed", "damaged"):
             console.print(f"{step.node.label}: {step.reason}", markup=False, soft_wrap=True)

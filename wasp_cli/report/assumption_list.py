@@ -8,7 +8,7 @@ from typing import Any
 
 from wasp_cli.config import assumptions
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.grid import stage_class
+from wasp_cli.plan.grid import ASSISTANT, ROLLOUTS, stage_class
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 
@@ -29,9 +29,14 @@ def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
     for method in spec.methods:
         for kind in ("evaluate", *METHODS[method].needs, *(["calibration"] if METHODS[method].calibrated else [])):
             need(kind)
+    for kind in spec.stages:
+        need(kind)
+    if spec.rounds > 1:
+        need(ROLLOUTS)
+    assistants = {*spec.methods, *([ASSISTANT] if spec.rounds > 1 else [])}
     for name, value, why in assumptions(spec):
         section = name.partition(".")[0] if "." in name else ""
-        idle = section not in kinds if section in STAGES else section in METHODS and section not in spec.methods
+        idle = section not in kinds if section in STAGES else section in METHODS and section not in assistants
         if not idle:
             yield name, value, why
 

@@ -12,6 +12,7 @@ from rich.text import Text
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.part import Part
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import Assumption, assumptions_in_force, assumptions_markdown
 from wasp_cli.report.figure import FIGURES, cost_return_figure
@@ -20,6 +21,7 @@ from wasp_cli.report.main_table import detail_table, main_table, operator_table
 from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
 from wasp_cli.report.threshold_table import threshold_table
 from wasp_cli.report.trained_table import Trained, trained_artifacts, trained_markdown
+from wasp_cli.report.training_table import training_tables
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
@@ -29,7 +31,7 @@ NAMED = 12
 """Missing cells that the terminal names; the report names all."""
 
 
-TABLES = ("table1", "table2", "operators", "details", "thresholds")
+TABLES = ("table1", "table2", "training", "world_model", "operators", "details", "thresholds")
 KNOWN = frozenset({"report.md", *FIGURES, *(f"{name}.{ending}" for name in TABLES for ending in RENDERERS)})
 """Every file that a report can write."""
 
@@ -96,25 +98,28 @@ class Report:
         return "\n".join(parts)
 
 
-def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> Report:
-    """Summarise the cells of a run.
+def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], parts: Sequence[tuple[Part, str]] = ()) -> Report:
+    """Summarise the cells and the trained parts of a run.
 
     Args:
         results: the results folder.
         spec: what the run was asked for.
         cells: its cells, each with the key of its evaluation.
+        parts: what it trains, each with the key of its artifact.
     """
     layout = Layout(results)
     damaged: list[str] = []
-    failures = {key: text for _, key in cells if (text := _failure(layout, key, damaged))}
+    failures = {key: text for _, key in [*cells, *parts] if (text := _failure(layout, key, damaged))}
     blocked = _blocked(layout, spec, damaged)
     frame = read_frame(_wanted(layout, cell, key, failures.get(key), blocked.get(key)) for cell, key in cells)
-    front = [main_table(frame)]
+    roots = [*(("evaluate", key) for _, key in cells), *((part.kind, key) for part, key in parts)]
+    trained, unreadable = trained_artifacts(layout, roots)
+    front = [main_table(frame)] if cells else []
     ablations = ablation_table(frame)
     if ablations is not None:
         front.append(ablations)
+    front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     back = [table for table in (operator_table(frame), detail_table(frame), threshold_table(frame)) if table.rows and table.columns]
-    trained, unreadable = trained_artifacts(layout, [key for _, key in cells])
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
         name=spec.name,
@@ -170,9 +175,9 @@ def _wanted(layout: Layout, cell: Cell, key: str, failure: str | None, blocked: 
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
     total = len(frame.cells) + len(frame.missing)
     episodes = sum(cell.episodes for cell in frame.cells)
-    yield f"{len(frame.cells)} of {total} cells, {episodes} episodes."
+    yield f"{len(frame.cells)} of {total} cells, {episodes} episodes." if total else "Training only: the spec lists no methods."
     yield f"Preset `{spec.preset}`, {spec.action_repeat} env steps per decision step."
     if spec.training_seed is not None:
         yield f"All evaluation seeds share the models of training seed {spec.training_seed}: ± does not contain the spread of training."
-    elif len(spec.seeds) > 1:
+    elif len(spec.seeds) > 1 and total:
         yield "Every seed has its own models, so ± contains the spread of training."

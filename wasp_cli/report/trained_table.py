@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,12 +30,12 @@ class Trained:
     summary: Mapping[str, Any]
 
 
-def trained_artifacts(layout: Layout, keys: Sequence[str]) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
-    """The artifacts behind evaluated cells, needed ones first, without the cells themselves; and what is damaged.
+def trained_artifacts(layout: Layout, roots: Iterable[tuple[str, str]]) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
+    """Artifacts and what is behind them, needed ones first, without evaluated cells; and what is damaged.
 
     Args:
         layout: the results folder.
-        keys: of the evaluations. One that is not there yet is passed over; the frame names its cell.
+        roots: kind and key of evaluations and trained parts. One that is not there yet is passed over.
     """
     found: dict[str, Trained | None] = {}
     damaged: list[str] = []
@@ -50,10 +50,12 @@ def trained_artifacts(layout: Layout, keys: Sequence[str]) -> tuple[tuple[Traine
             damaged.append(error.message)
             return
         try:
-            for needed, needed_key in manifest["upstream"].items():
-                visit(needed, needed_key)
+            kinds = manifest.get("upstream_kinds", {})  # older manifests name artifacts by kind
+            for name, needed in manifest["upstream"].items():
+                visit(kinds.get(name, name), needed)
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
+            stage += f", round {manifest['axes']['round']}" if "round" in manifest["axes"] else ""
             task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
             trained = Trained(stage, task, seed, key, manifest["provenance"].get("seconds"), summary)
         except (KeyError, TypeError, ValueError, AttributeError, WaspError) as error:
@@ -62,8 +64,8 @@ def trained_artifacts(layout: Layout, keys: Sequence[str]) -> tuple[tuple[Traine
         del found[key]  # so that it stands behind what it needs
         found[key] = trained if kind != "evaluate" else None
 
-    for key in keys:
-        visit("evaluate", key)
+    for kind, key in roots:
+        visit(kind, key)
     return tuple(artifact for artifact in found.values() if artifact is not None), tuple(damaged)
 
 

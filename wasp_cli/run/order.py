@@ -24,8 +24,8 @@ class Order:
     axes: Mapping[str, Any]
     config: Mapping[str, Any]
     settings: Mapping[str, Any]
-    inputs: Mapping[str, str]
-    """Keys of the upstream artifacts, by kind."""
+    inputs: Mapping[str, tuple[str, str]]
+    """Kind and key of the upstream artifacts, by the name under which the stage reads them."""
     sources: Mapping[str, str]
     """Hash by module of the code that decides the result."""
     attempt: int = 1

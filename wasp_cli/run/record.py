@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +14,7 @@ from pydantic import ValidationError
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.part import Part
 from wasp_cli.plan.plan import Plan
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
@@ -29,6 +31,8 @@ class Recorded:
     spec: Spec
     cells: list[tuple[Cell, str]]
     """Each cell with the key of its artifact."""
+    parts: list[tuple[Part, str]]
+    """Each trained part with the key of its artifact."""
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
@@ -60,10 +64,15 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
     record: dict[str, Any] = read_record(folder / "plan.json") or {}
     try:
-        cells = [(Cell(**{name: value for name, value in cell.items() if name != "key"}), str(cell["key"])) for cell in record["cells"]]
+        cells = [(Cell(**_without_key(cell)), str(cell["key"])) for cell in record["cells"]]
+        parts = [(Part(**_without_key(part)), str(part["key"])) for part in record.get("parts", ())]  # older runs name none
     except (KeyError, TypeError, AttributeError) as error:
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {error!r}", "run the spec again") from error
-    return Recorded(run_id, spec, cells)
+    return Recorded(run_id, spec, cells, parts)
+
+
+def _without_key(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in entry.items() if name != "key"}
 
 
 def _first_line(error: Exception) -> str:

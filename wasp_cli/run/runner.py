@@ -21,7 +21,10 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
 
 # Longest first, so that a wave does not end with one worker busy and the others idle.
-_LONG = ("expert", "world_model", "residual", "dataset", "denoiser", "policies", "critics", "ida_q", "heldout", "calibration", "evaluate")
+_LONG = (
+    "expert", "world_model", "rollouts", "residual", "dataset", "denoiser",
+    "policies", "critics", "ida_q", "heldout", "calibration", "evaluate",
+)  # fmt: skip
 KILLED = "its process was killed, twice (out of memory, or by a signal)"
 
 
@@ -174,7 +177,7 @@ class Runner:
             axes=node.axes,
             config=node.config,
             settings=node.settings,
-            inputs={kind: needed.key for kind, needed in node.needs.items()},
+            inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
             sources=source_hashes(node.modules),
             attempt=attempts(self._layout, node.key) + 1,
             threads=threads,

@@ -112,7 +112,7 @@ def _job(order: Order, layout: Layout, stage: Stage, staging: Path, progress: Pr
         config=stage.config.model_validate(order.config),
         settings=_settings(order.settings),
         axes=order.axes,
-        inputs={kind: layout.artifact(kind, key) for kind, key in order.inputs.items()},
+        inputs={name: layout.artifact(kind, key) for name, (kind, key) in order.inputs.items()},
         out_dir=staging,
         work_dir=work,
         progress=progress,
@@ -140,7 +140,8 @@ def _manifest(order: Order, summary: Mapping[str, Any], seconds: float, started_
         "axes": order.axes,
         "config": order.config,
         "settings": order.settings,
-        "upstream": order.inputs,
+        "upstream": {name: key for name, (_, key) in order.inputs.items()},
+        "upstream_kinds": {name: kind for name, (kind, _) in order.inputs.items()},
         "sources": order.sources,
         "summary": summary,
         "provenance": {

@@ -18,7 +18,18 @@ from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import load_target
-from wasp_cli.spec.names import NO_REPEATS, MethodName, OperatorName, Seed, SeverityName, SpecName, TaskName, VariantName, unknown
+from wasp_cli.spec.names import (
+    NO_REPEATS,
+    MethodName,
+    OperatorName,
+    Seed,
+    SeverityName,
+    SpecName,
+    StageName,
+    TaskName,
+    VariantName,
+    unknown,
+)
 from wasp_cli.spec.presets import PRESETS, merged
 from wasp_cli.stages.registry import STAGES
 
@@ -26,6 +37,10 @@ Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 """Where, what, and the value that is wrong."""
+DEFAULT_STAGES: tuple[str, ...] = ()
+"""What every spec trains besides what its methods need."""
+MIXING = ("residual", "rollouts")
+"""Stages that drive the task with operators of their own choice."""
 
 
 def _refuse(problems: list[Problem]) -> None:
@@ -59,7 +74,10 @@ class Spec(Config):
     name: SpecName = Field(description="names the reports; enters no key")
     preset: Preset = Field(default="cpu", description="every size and budget; what this file says goes over it")
     tasks: Annotated[tuple[TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
-    methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(min_length=1, description="the assistants")]
+    methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(description="the assistants")]
+    stages: Annotated[tuple[StageName, ...], NO_REPEATS] = Field(
+        default=DEFAULT_STAGES, description="what is trained besides what the methods need, once for each task and seed of training"
+    )
     variants: Annotated[tuple[VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
         default=("full",), description="ablations of the methods that have them; the others run once"
     )
@@ -70,6 +88,7 @@ class Spec(Config):
     training_seed: Seed | None = Field(
         default=None, description="null: every seed trains its own models; a number: all share the models of that seed"
     )
+    rounds: int = assumed(2, "rounds of data; from the second on, WASP's own rollouts are added and all models trained again", ge=1, le=9)
     episodes: int = assumed(30, "episodes per cell and seed", ge=1)
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
@@ -97,15 +116,27 @@ class Spec(Config):
         """The seed whose training chain the evaluation seed `seed` uses."""
         return seed if self.training_seed is None else self.training_seed
 
+    def chain_seeds(self) -> tuple[int, ...]:
+        """The seeds of all training chains, each once."""
+        return tuple(dict.fromkeys(self.chain_seed(seed) for seed in self.seeds))
+
     @model_validator(mode="after")
     def _parts_fit(self) -> Spec:
-        _refuse(_variant_problems(self) + _operator_problems(self) + _skill_problems(self))
+        _refuse(_nothing_to_do(self) + _variant_problems(self) + _operator_problems(self) + _skill_problems(self))
         return self
+
+
+def _nothing_to_do(spec: Spec) -> list[Problem]:
+    if spec.methods or spec.stages:
+        return []
+    hint = "name a method, or under `stages` what is to be trained"
+    return [(("methods",), PydanticCustomError("nothing", "neither methods nor stages are listed", {"hint": hint}), [])]
 
 
 def _variant_problems(spec: Spec) -> list[Problem]:
     problems: list[Problem] = []
-    offered = {variant for method in spec.methods for variant in METHODS[method].variants}
+    # Without methods the default stands, and asks for nothing.
+    offered = {variant for method in spec.methods for variant in METHODS[method].variants} or {"full"}
     for index, variant in enumerate(spec.variants):
         if variant not in offered:
             problems.append((("variants", index), unknown("variant of the listed methods", variant, offered), variant))
@@ -130,16 +161,17 @@ def _skill_problems(spec: Spec) -> list[Problem]:
         for severity, value in spec.operators.get("limited-skill", {}).items()
         if value not in checkpoints
     ]
-    mixed: dict[str, tuple[float, ...]] = getattr(spec, "residual").operators  # noqa: B009
-    for variant, values in mixed.items():
-        if variant not in OPERATORS:
-            problems.append((("residual", "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
-            continue
-        for index, value in enumerate(values):
-            if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
-                problems.append((("residual", "operators", variant, index), _out_of_range(variant), value))
-            elif variant == "limited-skill" and value not in checkpoints:
-                problems.append((("residual", "operators", variant, index), what, value))
+    for section in MIXING:
+        mixed: dict[str, tuple[float, ...]] = getattr(spec, section).operators
+        for variant, values in mixed.items():
+            if variant not in OPERATORS:
+                problems.append(((section, "operators", variant, "[key]"), unknown("operator variant", variant, OPERATORS), variant))
+                continue
+            for index, value in enumerate(values):
+                if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
+                    problems.append(((section, "operators", variant, index), _out_of_range(variant), value))
+                elif variant == "limited-skill" and value not in checkpoints:
+                    problems.append(((section, "operators", variant, index), what, value))
     return problems
 
 

@@ -1,4 +1,4 @@
-"""Checked names: what a spec may write wherever it names a task, a method, an operator variant or itself."""
+"""Checked names: what a spec may write wherever it names a task, a method, a stage, an operator variant or itself."""
 
 from __future__ import annotations
 
@@ -11,10 +11,15 @@ from pydantic_core import PydanticCustomError
 from wasp_cli.errors import UnknownName, WaspError, did_you_mean
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 
 RECORDED = "recorded"
 """Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
+OF_METHODS = ("calibration", "evaluate")
+"""Stages that run for a method: the methods that a spec lists ask for them."""
+OF_ROUNDS = ("rollouts",)
+"""Stages that begin a round: `rounds` asks for them."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
@@ -57,6 +62,21 @@ def _own(gym_id: str) -> str | None:
     return name if name in TASKS else None
 
 
+def training_stages() -> list[str]:
+    """The stages that a spec can ask for by name, in registry order."""
+    return [kind for kind in STAGES if kind not in (*OF_METHODS, *OF_ROUNDS)]
+
+
+def _stage(name: str) -> str:
+    if name in OF_METHODS:
+        raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
+    if name in OF_ROUNDS:
+        raise PydanticCustomError("of_round", "'{name}' begins a further round", {"name": name, "hint": "say how many with `rounds`"})
+    if name not in training_stages():
+        raise unknown("stage", name, training_stages())
+    return name
+
+
 def assistant_variants() -> list[str]:
     """Every ablation of every method, in registry order, without repeats."""
     return list(dict.fromkeys(variant for method in METHODS.values() for variant in method.variants))
@@ -78,4 +98,5 @@ Seed = Annotated[int, Field(ge=0, lt=2**31)]
 TaskName = Annotated[str, AfterValidator(_task)]
 MethodName = Annotated[str, _known("method", lambda: METHODS)]
 VariantName = Annotated[str, _known("assistant variant", assistant_variants)]
+StageName = Annotated[str, AfterValidator(_stage)]
 OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]

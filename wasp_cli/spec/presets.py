@@ -15,14 +15,19 @@ _CPU: Document = {
 # Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
 _SMOKE: Document = {
     "episodes": 2,
+    "rollouts": {"steps": 400, "envs": 2},
     "expert": {"interactions": 2000, "envs": 8, "rollout": 32, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
     "dataset": {"steps": 600, "envs": 4},
     "world_model": {
         "deter": 32, "hidden": 32, "variables": 4, "classes": 4, "depth": 4, "head": 32,
-        "batch": 4, "length": 16, "updates": 20, "warmup": 5, "refit_updates": 5, "checkpoint_every": 10,
+        "batch": 4, "length": 16, "updates": 20, "later_updates": 10, "warmup": 5, "ahead_starts": 8, "refit_updates": 5,
+        "refit_starts": 16, "checkpoint_every": 10,
     },
     "diagnostics": {"episodes": 4, "starts": 60, "samples": 2, "image_starts": 4},
-    "policies": {"updates": 20, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
+    "policies": {
+        "updates": 20, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 1,
+        "labelling_rounds": 1, "labelling_episodes": 2, "labelling_updates": 5,
+    },
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32]},
     "heldout": {"episodes": 2},
     "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},
@@ -37,17 +42,18 @@ _SMOKE: Document = {
 # many small updates of the world model beat few large ones.
 _QUICK: Document = {
     "episodes": 10,
-    "expert": {
-        "interactions": 320_000, "rollout": 64, "gamma": 0.97, "entropy": 0.0, "multiplier_init": 0.2, "evaluation_episodes": 10,
-    },
+    "rounds": 1,
+    "expert": {"interactions": 320_000, "gamma": 0.97, "multiplier_init": 0.2, "multiplier_lr": 0.02, "evaluation_episodes": 10},
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {
         "deter": 192, "hidden": 128, "variables": 12, "classes": 12, "depth": 8, "head": 96,
         "batch": 8, "length": 16, "updates": 2400, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25, "refit_updates": 300,
     },
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
-    "policies": {"updates": 1500, "batch": 256},
-    "critics": {"updates": 300, "starts": 128},
+    "policies": {
+        "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 1, "labelling_episodes": 12, "labelling_updates": 500,
+    },
+    "critics": {"updates": 500, "starts": 128, "slow": 0.3},
     "heldout": {"episodes": 16},
     "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128], "target_rate": 0.02},
     "denoiser": {"updates": 3000, "batch": 256},
@@ -59,7 +65,7 @@ _QUICK: Document = {
 # Sizes for a large GPU: the critics and the planner imagine thousands of rollouts at once. This version still computes on the CPU, where
 # they take very long.
 _GPU: Document = {
-    "expert": {"interactions": 3_000_000},
+    "expert": {"interactions": 1_200_000},
     "dataset": {"steps": 200_000},
     "world_model": {
         "deter": 512, "hidden": 256, "variables": 32, "classes": 16, "depth": 32, "head": 256,
@@ -74,10 +80,10 @@ _GPU: Document = {
 # The paper's planner with M = 5 rollouts a candidate, over models that have seen more than `cpu` gives them.
 # Budgets of training are not in the paper; these are about four times `cpu`.
 _PAPER: Document = {
-    "expert": {"interactions": 4_000_000},
+    "expert": {"interactions": 2_400_000},
     "dataset": {"steps": 200_000},
     "world_model": {"updates": 8000, "refit_updates": 1500},
-    "policies": {"updates": 4000, "evaluation_episodes": 20},
+    "policies": {"updates": 4000},
     "critics": {"updates": 4000},
     "heldout": {"episodes": 30},
     "ida_q": {"updates": 10_000},

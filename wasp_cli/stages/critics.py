@@ -1,10 +1,12 @@
 """Critics: V_r and V_c on imagined rollouts of the nominal expert (Eq. 7-8).
 
-Artifact: `critics.safetensors` (+ .json).
+Artifact: `critics.safetensors` (+ .json), `curve.json` (losses and mean targets), `quality.json` and `critics.png` (both critics beside the
+discounted sums that followed on held-out episodes).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -18,13 +20,15 @@ class CriticsStage:
     kind = "critics"
     config = CriticsConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies")
+    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train, then compare the critics' ranking with real discounted sums."""
+        """Train, then compare the critics with real discounted sums."""
         import torch
 
-        from wasp_cli.learning.critics import rank_agreement, train_critics
+        from wasp_cli.learning.critic_quality import heldout_pairs, quality, reliability_picture
+        from wasp_cli.learning.critics import train_critics
+        from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.replay import read_replay
@@ -35,10 +39,22 @@ class CriticsStage:
         config = cast(CriticsConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
         latents = load_latents(job.inputs["world_model"])
+        replay = read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"])
         skills = load_skills(job.inputs["policies"])
         returns = job.settings["returns"]
         torch.manual_seed(derive("critics-weights", job.task, job.seed))
-        critics = train_critics(model, skills, latents, config, returns, derive("critics", job.task, job.seed), job.progress)
-        save_weights(critics, job.out_dir / "critics.safetensors", features=model.feature_size, hidden=list(config.hidden))
-        replay = read_replay(job.inputs["dataset"], ["reward", "cost", "first", "episode", "behaviour"])
-        return rank_agreement(critics, replay, latents, returns)
+        stream = derive("critics", job.task, job.seed)
+        critics, curve = train_critics(model, skills, replay, latents, config, returns, stream, job.progress)
+        arguments = {"features": model.feature_size, "hidden": list(config.hidden), "bins": config.bins, "reach": config.reach}
+        save_weights(critics, job.out_dir / "critics.safetensors", **arguments)
+        (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
+        found = heldout_pairs(critics, load_heldout(job.inputs["heldout"]), returns)
+        judged = {name: quality(one) for name, one in found.items()}
+        (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
+        reliability_picture(found, job.out_dir / "critics.png")
+        return {
+            f"{figure}_{name}": None if value is None else round(value, 3)
+            for name, one in judged.items()
+            for figure, value in one.items()
+            if figure in ("rank", "predicted_over_real", "cut_off")
+        }

@@ -7,10 +7,7 @@ Artifact: `shard-NNNN.parquet` (see `learning.replay`), `contents.json` and `con
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, cast
 
 from wasp_cli.learning.configs import DatasetConfig
@@ -33,7 +30,7 @@ class DatasetStage:
         from wasp_cli.learning.contents import ALL, contents_markdown, contents_of, unseen_sources, warnings
         from wasp_cli.learning.dataset import Commander, behaviours, record
         from wasp_cli.learning.expert import load_skill
-        from wasp_cli.learning.replay import write_shard
+        from wasp_cli.learning.replay import count_rows, hand_over, write_shard
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
@@ -64,11 +61,11 @@ class DatasetStage:
                 write_shard(partial, replay, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
             files.append(path)
-            steps += _rows(path) - config.envs
+            steps += count_rows(path) - config.envs
             shard += 1
             job.progress(min(1.0, steps / config.steps), f"{steps} of {config.steps} decision steps")
         for path in files:
-            _hand_over(path, job.out_dir / path.name)
+            hand_over(path, job.out_dir / path.name)
         contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
         (job.out_dir / "contents.md").write_text(contents_markdown(contents))
@@ -83,17 +80,3 @@ class DatasetStage:
 def _checkpoints(job: Job) -> list[float]:
     found = json.loads((job.inputs["expert"] / "evaluation.json").read_text())
     return sorted(float(fraction) for fraction in found)
-
-
-def _rows(path: Path) -> int:
-    import pyarrow.parquet as pq
-
-    return int(pq.read_metadata(path).num_rows)
-
-
-def _hand_over(path: Path, target: Path) -> None:
-    """Give a shard to the artifact and keep it for an interrupted stage: as a second name of the same file where that is possible."""
-    try:
-        os.link(path, target)
-    except OSError:  # another file system, or one without links
-        shutil.copy2(path, target)

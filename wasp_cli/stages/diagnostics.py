@@ -35,7 +35,7 @@ class DiagnosticsStage:
         from wasp_cli.learning.diagnostics_table import open_loop_markdown
         from wasp_cli.learning.expert import load_skill
         from wasp_cli.learning.latents import encode
-        from wasp_cli.learning.replay import HELD_OUT, Replay, cost_sources, read_replay, read_rows
+        from wasp_cli.learning.replay import HELD_OUT, Replay, cost_sources, read_replay
         from wasp_cli.learning.trained import load_world_model
         from wasp_cli.learning.unseen import unseen_episodes
         from wasp_cli.seeds import derive
@@ -51,7 +51,7 @@ class DiagnosticsStage:
         job.progress(0.0, "driving fresh episodes")
         replays: dict[str, Replay] = {
             "unseen": unseen_episodes(task, [load_skill(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
-            "held_out": read_rows(folder, held),
+            "held_out": read_replay(folder, mask=held),
         }
         sets: dict[str, dict[str, Any]] = {}
         for part, (name, replay) in enumerate(reversed(replays.items())):

@@ -1,6 +1,6 @@
 """Held-out episodes of the unimpaired expert, from which every threshold is taken.
 
-Artifact: `heldout.safetensors` (h, z, a_h, reward, cost, episode; one row per decision).
+Artifact: `heldout.safetensors` (h, z, a_h, reward, cost, episode, terminal; one row per decision).
 """
 
 from __future__ import annotations

@@ -1,6 +1,10 @@
-"""Policies: latent actors distilled from every expert checkpoint.
+"""Policies: latent actors distilled from every expert checkpoint, then trained on what they meet when they drive.
 
-Artifact: `skills.safetensors` (+ .json), `evaluation.json` (the latent expert in the real task beside the privileged one).
+Artifact: `skills.safetensors` (+ .json); `evaluation.json`: every latent skill beside its privileged checkpoint on the same episodes of the
+real task, every labelling round, and how much of the labels the actors explain.
+
+A round is kept by `learning.policies.best_round`. Rounds are judged on episodes of their own, so that the evaluation of the kept one on
+other episodes is not flattered by the choice.
 """
 
 from __future__ import annotations
@@ -22,39 +26,100 @@ class PoliciesStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Distil, then drive the real task with the latent expert."""
+        """Distil; label on policy until the latent expert is good enough; evaluate every skill."""
+        import copy
+
         import torch
 
-        from wasp_cli.learning.closed_loop import expert_episodes
-        from wasp_cli.learning.expert import load_skill
+        from wasp_cli.learning import policies as learning
+        from wasp_cli.learning.expert import evaluate_privileged, load_skill
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.policies import distil, save_skills
-        from wasp_cli.learning.replay import read_replay
+        from wasp_cli.learning.replay import HELD_OUT, read_replay
         from wasp_cli.learning.trained import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
+        from wasp_cli.tasks.registry import TASKS
 
         config = cast(PoliciesConfig, job.config)
-        privileged = json.loads((job.inputs["expert"] / "evaluation.json").read_text())
-        fractions = sorted(float(f) for f in privileged)
+        fractions = sorted(float(f) for f in json.loads((job.inputs["expert"] / "evaluation.json").read_text()))
         experts = [load_skill(job.inputs["expert"], f) for f in fractions]
-        replay = read_replay(job.inputs["dataset"], ["privileged", "action", "first"])
-        latents = load_latents(job.inputs["world_model"])
-        torch.manual_seed(derive("policies-weights", job.task, job.seed))
-        skills, explained = distil(
-            experts, fractions, replay, latents, config, derive("policies", job.task, job.seed), lambda s, t: job.progress(0.7 * s, t)
+        replay = read_replay(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
+        model, enough = load_world_model(job.inputs["world_model"]), TASKS[job.task].success_goals
+
+        def seed(role: str, *parts: int) -> int:
+            return derive(role, job.task, job.seed, *parts)
+
+        def task(batch: int, *observe: str) -> Any:
+            return make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
+
+        def during(low: float, high: float) -> learning.Report:
+            return lambda share, text: job.progress(low + (high - low) * share, text)
+
+        # -- the two drivers on the same episodes
+        blind, sighted = task(config.evaluation_episodes, "privileged"), task(config.evaluation_episodes, "pixels")
+
+        def privileged(index: int, seeds: list[int]) -> learning.Drive:
+            sums = evaluate_privileged(blind, experts[index], seeds)
+            return learning.Drive.of(sums.returns, sums.costs, sums.goals, enough)
+
+        def latent(index: int, seeds: list[int]) -> learning.Drive:
+            loop = learning.latent_episodes(sighted, model, skills, fractions[index], seeds)
+            return learning.Drive.of(loop.reward.sum(0), loop.cost_env.sum(0), loop.goals.sum(0), enough)
+
+        env_steps = blind.max_decisions * job.settings["action_repeat"]
+        judges = [seed("policies-judge", i) for i in range(config.evaluation_episodes)]
+        wanted = privileged(-1, judges)
+
+        # -- distillation
+        labelled = learning.label(
+            model, experts, replay, load_latents(job.inputs["world_model"]), config.imagined_depth, seed("policies-prior")
         )
-        model = load_world_model(job.inputs["world_model"])
-        save_skills(skills, job.out_dir, model.feature_size, config.hidden, model.action_size)
-        task = make_task(
-            job.task, config.evaluation_episodes, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads
-        )
-        seeds = [derive("policies-evaluation", job.task, job.seed, i) for i in range(config.evaluation_episodes)]
-        loop = expert_episodes(task, model, skills, seeds)
-        latent = {"return": float(loop.reward.sum(0).mean()), "cost": float(loop.cost_env.sum(0).mean())}
-        evaluation = {"latent": latent, "privileged": privileged, "explained": explained}
-        (job.out_dir / "evaluation.json").write_text(json.dumps(evaluation, indent=1))
-        expert = privileged[f"{fractions[-1]:g}"]
+        held = torch.from_numpy(replay.held_out(HELD_OUT))
+        recorded, rest = labelled.rows(~held), labelled.rows(held)
+        torch.manual_seed(seed("policies-weights"))
+        skills = learning.new_skills(experts, fractions, model.feature_size, config)
+        learning.fit(skills, recorded, [], config.updates, config, seed("policies"), during(0.0, 0.4))
+
+        # -- labelling rounds
+        visited: list[learning.Labelled] = []
+        weights, verdicts, rounds = [], [], []
+        for number in range(config.labelling_rounds + 1):
+            low = 0.4 + 0.5 * number / (config.labelling_rounds + 1)
+            if number:
+                behind = task(config.labelling_episodes, "pixels", "privileged")
+                rows = learning.drivers(config.labelling_episodes, len(experts), config.driver_share)
+                seeds = [seed("policies-visit", number, i) for i in range(config.labelling_episodes)]
+                met, latents = learning.visit(behind, model, skills, rows, seeds, seed("policies-drive", number), during(low, low))
+                visited.append(learning.label(model, experts, met, latents, config.imagined_depth, seed("policies-prior", number)))
+                learning.fit(skills, recorded, visited, config.labelling_updates, config, seed("policies", number), during(low, low + 0.05))
+            found = latent(-1, judges)
+            verdict = learning.compare(found, wanted, config, env_steps)
+            weights.append(copy.deepcopy(skills.state_dict()))
+            verdicts.append(verdict)
+            rounds.append({"labelled": sum(part.labels.shape[1] for part in visited), **found.shown(), **verdict._asdict()})
+            job.progress(low + 0.05, f"round {number}: return {found.return_:.1f} of {wanted.return_:.1f}, cost {found.cost:.1f}")
+            if verdict.reached:
+                break
+        kept = learning.best_round(verdicts)
+        skills.load_state_dict(weights[kept])
+        learning.save_skills(skills, job.out_dir, model.feature_size, config.hidden, model.action_size)
+
+        # -- evaluation
+        seeds = [seed("policies-evaluation", i) for i in range(config.evaluation_episodes)]
+        evaluation: dict[str, Any] = {}
+        for index, fraction in enumerate(fractions):
+            job.progress(0.9 + 0.1 * index / len(fractions), f"evaluating the skill at {fraction:g}")
+            both = latent(index, seeds), privileged(index, seeds)
+            judged = learning.compare(*both, config, env_steps)
+            evaluation[f"{fraction:g}"] = {"latent": both[0].shown(), "privileged": both[1].shown(), **judged._asdict()}
+        shares = learning.explained(skills, rest)
+        written = {"skills": evaluation, "rounds": rounds, "kept_round": kept, "judged_against": wanted.shown(), "explained": shares}
+        (job.out_dir / "evaluation.json").write_text(json.dumps(written, indent=1))
+        final = evaluation[f"{fractions[-1]:g}"]
         return {
-            **latent, "privileged_return": expert["return"], "privileged_cost": expert["cost"], "explained": round(explained["1"], 3),
+            "return": final["latent"]["return"], "cost": final["latent"]["cost"],
+            "privileged_return": final["privileged"]["return"], "privileged_cost": final["privileged"]["cost"],
+            "return_share": final["return_share"], "cost_ratio": final["cost_ratio"], "reached": final["reached"],
+            "rounds": len(rounds) - 1, "kept_round": kept, "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
+            "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3),
         }  # fmt: skip

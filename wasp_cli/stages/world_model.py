@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.stages.base import Job
@@ -16,6 +16,7 @@ from wasp_cli.stages.base import Job
 TERMS = {
     "alpha_q": "kl_representation", "alpha_p": "kl_prediction", "beta_o": "image_loss", "beta_r": "reward_loss", "beta_c": "cost_loss",
     "beta_n": "continuation_loss", "ahead_r": "imagined_reward_loss", "ahead_c": "imagined_cost_loss",
+    "ahead_o": "imagined_image_loss",
 }  # fmt: skip
 """The terms of the loss by the weight that multiplies them, named for people."""
 
@@ -27,8 +28,8 @@ class WorldModelStage:
     config = WorldModelConfig
     settings = ("action_repeat",)
     needs: tuple[str, ...] = ("dataset",)
-    previous: ClassVar[str] = "world_model"
-    """A later round of data starts from the weights of the round before, under the input name `previous`."""
+    previous = True
+    """A later round of data goes on from the weights of the round before."""
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, encode, refit."""

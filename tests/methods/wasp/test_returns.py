@@ -35,6 +35,45 @@ def test_every_intermediate_return_is_the_return_of_the_rest() -> None:
         torch.testing.assert_close(every[k], td_lambda(signal[k:], value[k:], 0.9, 0.8))
 
 
+def test_an_episode_that_may_end_counts_what_follows_with_its_probability() -> None:
+    """Every end of a rollout of three steps by hand, weighted with its probability (lambda = 1)."""
+    reward, final = [1.0, 2.0, 4.0], 8.0
+    keep, gamma = [0.5, 0.25, 0.75], 0.5
+    ends = {
+        1: (0.5, 1.0),  # (probability, return) of an episode that is over after so many steps
+        2: (0.5 * 0.75, 1.0 + 0.5 * 2.0),
+        3: (0.5 * 0.25 * 0.25, 1.0 + 0.5 * 2.0 + 0.25 * 4.0),
+        4: (0.5 * 0.25 * 0.75, 1.0 + 0.5 * 2.0 + 0.25 * 4.0 + 0.125 * final),
+    }
+    assert sum(probability for probability, _ in ends.values()) == 1.0
+    wanted = sum(probability * value for probability, value in ends.values())
+    signal, chances = torch.tensor(reward).unsqueeze(1), torch.tensor(keep).unsqueeze(1)
+    value = torch.tensor([[100.0], [100.0], [final]])  # with lambda = 1 only the last one counts
+    assert td_lambda_all(signal, value, gamma, 1.0, chances)[0].item() == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("lam", [0.95, 0.3, 1.0])
+def test_continuation_is_a_discount_of_its_own(lam: float) -> None:
+    """Against the mixture of n-step returns, each written out: G = (1 - lam) sum_n lam^(n-1) G_n + lam^(H-1) G_H."""
+    source = torch.Generator().manual_seed(4)
+    horizon, gamma = 6, 0.9
+    signal, value, keep = (torch.rand(horizon, 5, generator=source, dtype=torch.float64) for _ in range(3))
+    found = td_lambda_all(signal, value, gamma, lam, keep)
+    for k in range(horizon):
+        wanted, weights = torch.zeros(5, dtype=torch.float64), 0.0
+        for n in range(1, horizon - k + 1):
+            discount, n_step = torch.ones(5, dtype=torch.float64), torch.zeros(5, dtype=torch.float64)
+            for i in range(k, k + n):
+                n_step = n_step + discount * signal[i]
+                discount = discount * gamma * keep[i]
+            n_step = n_step + discount * value[k + n - 1]
+            weight = lam ** (n - 1) * (1 - lam if k + n < horizon else 1.0)
+            wanted, weights = wanted + weight * n_step, weights + weight
+        assert weights == pytest.approx(1.0)
+        torch.testing.assert_close(found[k], wanted)
+    torch.testing.assert_close(td_lambda_all(signal, value, gamma, lam, torch.ones_like(keep)), td_lambda_all(signal, value, gamma, lam))
+
+
 def test_lambda_mixes_bootstrap_and_monte_carlo() -> None:
     signal, value = torch.ones(3, 1), torch.full((3, 1), 10.0)
     assert td_lambda(signal, value, 0.5, 1.0).item() == pytest.approx(1 + 0.5 + 0.25 + 0.125 * 10)

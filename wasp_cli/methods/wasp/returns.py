@@ -21,12 +21,22 @@ def td_lambda(signal: Tensor, value: Tensor, gamma: float, lam: float) -> Tensor
     return td_lambda_all(signal, value, gamma, lam)[0]
 
 
-def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float) -> Tensor:
-    """G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`."""
+def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float, keep: Tensor | None = None) -> Tensor:
+    """G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`.
+
+    Args:
+        signal: see there.
+        value: see there.
+        gamma: see there.
+        lam: see there.
+        keep: probability that the episode goes on after the arrived states k + 1 = 1..H, [H, ...]; it multiplies the discount. Without it
+            no episode ends.
+    """
     future = value[-1]
     found = []
     for k in range(len(signal) - 1, -1, -1):
-        future = signal[k] + gamma * ((1 - lam) * value[k] + lam * future)
+        onward = (1 - lam) * value[k] + lam * future
+        future = signal[k] + gamma * (onward if keep is None else keep[k] * onward)
         found.append(future)
     return torch.stack(found[::-1])
 

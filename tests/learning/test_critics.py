@@ -1,0 +1,144 @@
+"""Critics in worlds whose values are known, and their comparison with real returns by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import spearmanr
+from torch import Tensor
+
+from tests.learning.test_training import replay
+from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
+from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, reliability_picture, returns_ahead, spearman
+from wasp_cli.learning.critics import Starts, imagine, train_critics
+from wasp_cli.learning.draws import generator
+from wasp_cli.learning.latents import Latents
+from wasp_cli.methods.base import Heldout
+from wasp_cli.models.base import Latent
+from wasp_cli.models.policy import Skills
+
+KEEP = 0.9
+
+
+class Plain:
+    """Every state is like the next: reward 1, cost 0.5, and the episode goes on with probability KEEP. h counts steps."""
+
+    action_size, noise_size, feature_size = 1, 2, 3
+
+    def __init__(self, keep: float = KEEP) -> None:
+        self.keep = keep
+
+    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
+        return Latent(latent.h + 1, latent.z)
+
+    def reward(self, latent: Latent) -> Tensor:
+        return torch.ones(latent.h.shape[:-1])
+
+    def cost(self, latent: Latent) -> Tensor:
+        return torch.full(latent.h.shape[:-1], 0.5)
+
+    def continues(self, latent: Latent) -> Tensor:
+        return torch.full(latent.h.shape[:-1], self.keep)
+
+
+def still(rows: int) -> Latents:
+    return Latents(torch.zeros(rows, 1), torch.zeros(rows, 1, dtype=torch.uint8), 2)
+
+
+@pytest.mark.parametrize("keep", [KEEP, 1.0])
+def test_values_of_a_plain_world_are_geometric_sums_with_the_continuation(keep: float) -> None:
+    torch.manual_seed(0)
+    data, skills = replay(), Skills([1.0], 3, [8], 1)
+    config = CriticsConfig(hidden=(8,), updates=300, starts=4, horizon=15, learning_rate=1e-2, slow=0.2)
+    returns = ReturnsConfig(gamma_r=0.9, gamma_c=0.5)
+    critics, curve = train_critics(Plain(keep), skills, data, still(36), config, returns, 0, lambda share, text: None)  # type: ignore[arg-type]
+    start = still(1).at(torch.zeros(1, dtype=torch.long))
+    assert critics.value_r(start).item() == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
+    assert critics.value_c(start).item() == pytest.approx(0.5 / (1 - 0.5 * keep), rel=0.03)
+    assert [row["update"] for row in curve] == [*range(20, 301, 20)]
+    assert curve[0]["target_r"] < curve[-1]["target_r"] == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
+
+
+def test_steps_after_a_likely_end_count_little() -> None:
+    rollout = imagine(Plain(0.5), Skills([1.0], 3, [8], 1), still(2).at(torch.arange(2)), 4, generator(0))  # type: ignore[arg-type]
+    assert rollout.weight().tolist() == [[1, 1], [0.5, 0.5], [0.25, 0.25], [0.125, 0.125]]
+    assert rollout.features[:, 0, 0].tolist() == [0, 1, 2, 3]
+    assert rollout.arrived.h[:, 0, 0].tolist() == [1, 2, 3, 4]
+
+
+def test_starts_leave_out_ends_and_find_what_comes_before_a_cost() -> None:
+    data = replay((12, 9, 15))
+    data.cost[:] = 0
+    data.cost[[5, 12, 30]] = 1  # row 12 is the first of an episode: what came before belongs to another
+    data.terminal[[20, 5]] = 1
+    starts = Starts(data, 0.5, horizon=3)
+    assert starts.every.tolist() == [i for i in range(36) if i not in (5, 20)]
+    assert starts.risky.tolist() == [2, 3, 4, 27, 28, 29]
+    drawn = starts.sample(400, generator(0))
+    assert set(drawn.tolist()) <= set(starts.every.tolist())
+    assert set(drawn[:200].tolist()) == set(starts.risky.tolist())
+    assert len(set(drawn[200:].tolist())) > 20
+    data.cost[:] = 0
+    assert len(Starts(data, 0.5, 3).sample(10, generator(0))) == 10  # nothing ever cost
+
+
+def test_returns_ahead_by_hand() -> None:
+    signal = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
+    episode, terminal = np.array([0, 0, 0, 1, 1]), np.array([0, 0, 0, 0, 1])
+    sums, beyond = returns_ahead(signal, episode, terminal, 0.5)
+    assert sums.tolist() == [3.0, 4.0, 4.0, 16.0, 16.0]
+    assert beyond.tolist() == [0.125, 0.25, 0.5, 0.0, 0.0]  # the second episode ended by itself: nothing is missing
+
+
+def test_only_decisions_with_a_recorded_future_count() -> None:
+    random = np.random.default_rng(0)
+    episode = np.repeat([0, 1], [100, 30])
+    signal, predicted, terminal = random.random(130), random.random(130), np.zeros(130)
+    cut = pairs(predicted, signal, episode, terminal, 0.9)  # 0.9^28 = 0.052, 0.9^29 = 0.047
+    assert len(cut.real) == (100 - 28) + (30 - 28)
+    assert cut.cut_off == pytest.approx(0.9**29)
+    terminal[129] = 1
+    assert len(pairs(predicted, signal, episode, terminal, 0.9).real) == (100 - 28) + 30
+    slow = pairs(predicted, signal, episode, np.zeros(130), 0.999)  # no episode is long enough: the first half of the longest counts
+    assert len(slow.real) == 51
+    assert slow.cut_off == pytest.approx(0.999**50)
+    # What lies beyond the limit is filled up with the mean: a constant signal has the constant's endless sum everywhere.
+    np.testing.assert_allclose(pairs(predicted, np.ones(130), episode, np.zeros(130), 0.999).real, 1000.0)
+    assert pairs(predicted, signal, episode, np.zeros(130), 1.0).cut_off == 1.0
+
+
+def test_rank_correlation_is_scipys_with_ties() -> None:
+    random = np.random.default_rng(1)
+    a, b = random.integers(0, 4, 60).astype(float), random.normal(size=60)
+    assert spearman(a, a + b) == pytest.approx(spearmanr(a, a + b).statistic)
+
+
+def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path: Path) -> None:
+    random = torch.Generator().manual_seed(0)
+    reward = torch.rand(200, generator=random)
+    episode, terminal = torch.arange(200) // 50, (torch.arange(200) % 50 == 49).float()
+    real, _ = returns_ahead(reward.double().numpy(), episode.numpy(), terminal.numpy(), 0.9)
+
+    class Oracle:
+        def value_r(self, latent: Latent) -> Tensor:
+            return torch.from_numpy(real).float()
+
+        def value_c(self, latent: Latent) -> Tensor:
+            return torch.zeros(200)
+
+    latent = Latent(torch.zeros(200, 1), torch.zeros(200, 2))
+    heldout = Heldout(latent, torch.zeros(200, 1), reward, (reward > 0.8).float(), episode, terminal)
+    found = heldout_pairs(Oracle(), heldout, ReturnsConfig(gamma_r=0.9, gamma_c=0.9))
+    judged: dict[str, Any] = {name: quality(one) for name, one in found.items()}
+    assert judged["r"]["rank"] == pytest.approx(1.0)
+    assert judged["r"]["predicted_over_real"] == pytest.approx(1.0, rel=1e-4)
+    assert judged["c"]["rank"] is None
+    assert judged["c"]["predicted_over_real"] == 0.0
+    reliability_picture(found, tmp_path / "critics.png")
+    once = (tmp_path / "critics.png").read_bytes()
+    reliability_picture(found, tmp_path / "critics.png")
+    assert (tmp_path / "critics.png").read_bytes() == once

@@ -1,0 +1,185 @@
+"""The training of experts: episodes out of phase, a multiplier that follows whole episodes, and going on after an interruption."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+from tests.learning.test_loops import Staggered
+from wasp_cli.errors import ArtifactError, TaskError
+from wasp_cli.learning.configs import ExpertConfig
+from wasp_cli.learning.expert import EpisodeSums, best_checkpoint, evaluate_privileged, load_skill
+from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
+from wasp_cli.learning.ppo_state import TrainingState
+from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv
+from wasp_cli.seeds import derive
+from wasp_cli.stages.base import Job
+from wasp_cli.stages.expert import ExpertStage
+from wasp_cli.tasks.make import make_task
+
+TINY = ExpertConfig(interactions=600, envs=4, rollout=25, epochs=2, batch=50, hidden=(8,), evaluation_episodes=2, checkpoints=(0.25, 1.0))
+
+
+def silent(share: float, text: str) -> None:
+    pass
+
+
+def job(root: Path, progress: Any = silent, task: str = "race1") -> Job:
+    for folder in (root / "out", root / "work"):
+        folder.mkdir(parents=True, exist_ok=True)
+    return Job("expert", task, 0, TINY, {"action_repeat": 4}, {}, {}, root / "out", root / "work", progress)
+
+
+def test_first_episodes_are_cut_at_their_share_of_the_time_limit_and_bootstrapped() -> None:
+    env = TaskVecEnv(Staggered(3), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)  # every episode terminates after 5 of at most 6
+    env.spread = True
+    env.reset()
+    ends: dict[int, list[int]] = {0: [], 1: [], 2: []}
+    for t in range(1, 15):
+        env.step_async(np.ones((3, 2), np.float32))
+        seen, _, done, infos = env.step_wait()
+        for row in np.flatnonzero(done):
+            cut = not ends[row] and row < 2  # the last row's share is the whole time limit
+            ends[row].append(t)
+            assert infos[row]["TimeLimit.truncated"] == cut
+            assert infos[row]["terminal_observation"][1:].tolist() == ([t, 0] if cut else [5, 1])
+            assert seen[row, 1] == 0
+    assert ends == {0: [2, 7, 12], 1: [4, 9, 14], 2: [5, 10]}
+    assert env.curve.returns == [5.0] * 6  # whole episodes only
+    assert env.curve.env_steps == 4 * 3 * 14
+    assert env.curve.costly_env_steps == 3 * (4 + 3 + 3)  # every episode costs in its second decision; cut ones count here
+
+
+def test_without_spreading_nothing_is_cut() -> None:
+    env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
+    env.reset()
+    for t in range(1, 11):
+        env.step_async(np.ones((2, 2), np.float32))
+        assert (env.step_wait()[2] == (t % 5 == 0)).all()
+
+
+def test_the_multiplier_follows_the_cost_over_an_episodes_length() -> None:
+    """Rows in phase: rollouts of two decisions cost much or nothing in turn, and the mean over three of them does not."""
+    env = TaskVecEnv(Staggered(2), 3, -1.0, 1.0, iter(itertools.count(3, 4)).__next__)
+    rule = MultiplierRule(initial=0.5, rate=0.1, bound=10.0, limit=100.0)
+    callback = LagrangianCallback(env, rule, 24, silent)
+    PPO("MlpPolicy", env, n_steps=2, batch_size=4, n_epochs=1, device="cpu", seed=0).learn(24, callback=callback)
+    costs = [row["cost_per_1000"] for row in callback.curve]
+    assert costs == [375.0, 0.0, 0.0, 375.0, 0.0, 375.0]
+    expected = 0.5
+    for k, row in enumerate(callback.curve):
+        assert row["multiplier"] == pytest.approx(expected), k
+        expected = rule.next(expected, float(np.mean(costs[max(0, k - 2) : k + 1])))
+    assert env.multiplier == pytest.approx(expected)
+
+
+class Interrupted(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Folder of a finished artifact, and its summary."""
+    root = tmp_path_factory.mktemp("trained")
+    summary = ExpertStage().run(job(root))
+    return root / "out", summary
+
+
+@pytest.mark.parametrize("rollouts", [1, 4])
+def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, Any], tmp_path: Path, rollouts: int) -> None:
+    count = 0
+
+    def interrupt(share: float, text: str) -> None:
+        nonlocal count
+        count += 1
+        if count == rollouts:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        ExpertStage().run(job(tmp_path, interrupt))
+    assert not list((tmp_path / "out").iterdir())
+    torch.manual_seed(99)
+    np.random.seed(99)  # noqa: NPY002
+    shares: list[float] = []
+    summary = ExpertStage().run(job(tmp_path, lambda share, text: shares.append(share)))
+    assert len(shares) == 7 - rollouts  # six rollouts; the interrupted one is made again
+    whole, expected = trained
+    assert summary == expected
+    names = sorted(path.name for path in whole.iterdir())
+    assert names == [
+        "curve.json", "curve.png", "evaluation.json", "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors"
+    ]  # fmt: skip
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    for name in names:
+        assert (whole / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
+
+
+def test_a_damaged_state_is_named(tmp_path: Path) -> None:
+    root = job(tmp_path)
+    (root.work_dir / "training.safetensors").write_bytes(b"not tensors")
+    with pytest.raises(ArtifactError, match=r"training\.safetensors"):
+        ExpertStage().run(root)
+
+
+def test_a_task_without_snapshots_leaves_no_state(tmp_path: Path) -> None:
+    class Forgetful(Staggered):
+        def snapshot(self) -> dict[str, Any]:
+            raise TaskError("no snapshot")
+
+    seeds = SeedStream("forgetful")
+    env = TaskVecEnv(Forgetful(2), 3, -1.0, 1.0, seeds)
+    normalised = VecNormalize(env)
+    state = TrainingState(tmp_path / "training.safetensors", PPO("MlpPolicy", normalised, n_steps=2, batch_size=4), env, normalised, seeds)
+    state.save([])
+    assert not list(tmp_path.iterdir())
+    assert state.restore() == []
+
+
+def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) -> None:
+    out, summary = trained
+    evaluation = json.loads((out / "evaluation.json").read_text())
+    assert list(evaluation) == ["0.25", "1"]
+    judge = make_task("race1", 2, observe=("privileged",), action_repeat=4)
+    sums = evaluate_privileged(judge, load_skill(out, 1.0), [derive("expert-evaluation", "race1", 0, i) for i in range(2)])
+    assert evaluation["1"] == sums.statistics(1)
+    assert summary["return"] == evaluation["1"]["return"]
+    assert summary["return_at_0.25"] == evaluation["0.25"]["return"]
+    rows = json.loads((out / "curve.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert [row["interactions"] for row in rows] == [100.0 * (k + 1) for k in range(6)]
+    assert rows[0]["multiplier"] == TINY.multiplier_init  # it acts from the first rollout
+
+
+def test_statistics_of_episodes() -> None:
+    sums = EpisodeSums(*(np.array(values, float) for values in ([1, 5], [30, 0], [10, 0], [7, 6], [1000, 500])))
+    assert sums.statistics(7) == {
+        "return": 3.0, "return_sd": pytest.approx(np.sqrt(8)), "cost": 15.0, "cost_sd": pytest.approx(np.sqrt(450)),
+        "goals": 6.5, "goals_sd": pytest.approx(np.sqrt(0.5)), "cost_per_1000": 20.0, "success": 0.5, "episodes": 2,
+    }  # fmt: skip
+    assert sums.penalised(0.5).tolist() == [-4.0, 5.0]
+    one = EpisodeSums(*(field[:1] for field in sums))
+    assert one.statistics(7)["return_sd"] is None
+
+
+def test_an_earlier_checkpoint_is_named_when_it_is_better_beyond_chance() -> None:
+    noise = np.random.default_rng(0).normal(size=40)
+    assert best_checkpoint({0.5: noise + 1.0, 1.0: noise}) == 0.5
+    assert best_checkpoint({0.5: noise - 1.0, 1.0: noise}) == 1.0
+    assert best_checkpoint({0.5: noise + 0.05, 1.0: noise[::-1]}) == 1.0  # within chance
+    assert best_checkpoint({0.1: noise + 1.0, 0.5: noise + 2.0, 1.0: noise}) == 0.5
+    assert best_checkpoint({0.5: noise[:1] + 9.0, 1.0: noise[:1]}) == 1.0  # one episode says nothing
+
+
+def test_streams_of_seeds_go_on_where_they_stood() -> None:
+    stream, other = SeedStream("a", 3), SeedStream("a", 3)
+    first = [stream() for _ in range(4)]
+    assert first == [derive("a", 3, i) for i in range(4)]
+    other.drawn = 2
+    assert [other(), other()] == first[2:]

@@ -1,0 +1,203 @@
+"""Labelling of latents, on-policy rounds and the rule that keeps one of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.artifacts import tiny_artifacts
+from tests.learning.test_loops import Staggered
+from tests.learning.test_training import replay
+from wasp_cli.learning.assistants import load_parts
+from wasp_cli.learning.configs import PoliciesConfig, ReturnsConfig
+from wasp_cli.learning.dataset import Behaviour
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.policies import (
+    Drive,
+    Labelled,
+    Verdict,
+    best_round,
+    compare,
+    drivers,
+    explained,
+    fit,
+    imagine_arrivals,
+    label,
+    latent_episodes,
+    new_skills,
+    visit,
+)
+from wasp_cli.models.base import Latent
+from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.stages.base import no_progress
+
+CONFIG = PoliciesConfig(hidden=(16,), batch=64, learning_rate=1e-2)
+
+
+class Counter:
+    """h = [position, imagined steps]: an action moves the position by its first component; z names the position's parity."""
+
+    noise_size = 2
+
+    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
+        h = latent.h + torch.cat([action[:, :1], torch.ones_like(action[:, :1])], 1)
+        return Latent(h, torch.nn.functional.one_hot(h[:, 0].long() % 2, 2).float())
+
+
+def walk(lengths: tuple[int, ...]) -> tuple[Latents, Tensor, Tensor]:
+    """Filtered latents, actions by arrival and starts of episodes that begin at 100 times their number."""
+    source = torch.Generator().manual_seed(0)
+    position, action, first = [], [], []
+    for number, length in enumerate(lengths):
+        steps = torch.randint(0, 4, (length,), generator=source).float()
+        steps[0] = 0
+        position.append(100 * number + steps.cumsum(0))
+        action.append(steps)
+        first.append((torch.arange(length) == 0).float())
+    x = torch.cat(position)
+    latents = Latents(torch.stack([x, torch.zeros_like(x)], 1), (x.long() % 2).to(torch.uint8).unsqueeze(1), 2)
+    return latents, torch.stack([torch.cat(action), torch.zeros_like(x)], 1), torch.cat(first)
+
+
+def test_imagined_arrivals_end_where_the_labels_are() -> None:
+    latents, action, first = walk((40, 1, 2, 57))
+    found = imagine_arrivals(Counter(), latents, action, first, depth=5, seed=3)  # type: ignore[arg-type]
+    # Under the recorded actions a perfect model arrives at the recorded state, whatever the depth and never from another episode.
+    assert torch.equal(found.h[:, 0], latents.h[:, 0])
+    assert torch.equal(found.z, latents.z)
+    steps = found.h[:, 1]
+    assert (steps[first > 0] == 0).all()
+    assert steps[41 + 1] == 1  # the second row of an episode has one step behind it
+    assert set(steps[5:40].tolist()) == {1, 2, 3, 4, 5}
+    assert torch.equal(imagine_arrivals(Counter(), latents, action, first, 5, 3).h, found.h)  # type: ignore[arg-type]
+    assert (imagine_arrivals(Counter(), latents, action, first, 1, 3).h[:, 1] == 1 - first).all()  # type: ignore[arg-type]
+
+
+def states(rows: int, seed: int, shift: float) -> Labelled:
+    """Labels are twice the latent for the one checkpoint and its negative for the other; imagined latents are shifted."""
+    h = torch.rand(rows, 1, generator=torch.Generator().manual_seed(seed)) - 0.5
+    z = torch.zeros(rows, 1, dtype=torch.uint8)
+    return Labelled(Latents(h, z, 2), Latents(h + shift, z, 2), torch.stack([2 * h, -h]))
+
+
+def test_a_share_of_a_batch_is_imagined_under_the_labels_of_its_rows() -> None:
+    known = states(500, 0, 10.0)
+    features, labels = known.at(torch.arange(500), 0.3, torch.Generator().manual_seed(0))
+    dreamt = features[:, 0] > 5
+    assert 0.2 < dreamt.float().mean() < 0.4
+    torch.testing.assert_close(features[:, :1] - 10.0 * dreamt.unsqueeze(1), known.filtered.h)
+    assert torch.equal(labels, known.labels)
+    for share in (0.0, 1.0):
+        assert ((known.at(torch.arange(500), share, torch.Generator())[0][:, 0] > 5) == bool(share)).all()
+
+
+def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to() -> None:
+    torch.manual_seed(0)
+    experts = [PrivilegedPolicy(3, [4], 1), PrivilegedPolicy(3, [4], 1)]
+    skills = new_skills(experts, [0.5, 1.0], 3, CONFIG)
+    near = states(300, 1, 0.0)
+    fit(skills, near, [], 150, CONFIG, 5, no_progress)
+    assert min(shares["filtered"] for shares in explained(skills, near).values()) > 0.98
+    assert not any(p.requires_grad for p in skills.parameters())
+    # What the rounds met decides where they were and the dataset was not.
+    h = torch.rand(200, 1) + 3.0
+    far = Labelled(Latents(h, near.filtered.z[:200], 2), Latents(h, near.filtered.z[:200], 2), torch.stack([7.0 - 2 * h, 2 * h - 7.0]))
+    assert max(shares["filtered"] for shares in explained(skills, far).values()) < 0
+    fit(skills, near, [far], 400, CONFIG, 5, no_progress)
+    assert min(shares["filtered"] for shares in explained(skills, far).values()) > 0.9
+    assert min(shares["filtered"] for shares in explained(skills, near).values()) > 0.9
+
+
+def test_labels_are_the_checkpoints_answers() -> None:
+    torch.manual_seed(0)
+    experts, data = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)], replay()
+    still = Latents(torch.zeros(36, 2), torch.zeros(36, 1, dtype=torch.uint8), 2)
+    found = label(Counter(), experts, data, still, 2, 0)  # type: ignore[arg-type]
+    for k, expert in enumerate(experts):
+        torch.testing.assert_close(found.labels[k, 7], expert(torch.from_numpy(data.privileged[7:8]))[0].detach())
+    part = found.rows((torch.arange(36) >= 10) & (torch.arange(36) < 30))
+    assert torch.equal(part.labels, found.labels[:, 10:30])
+    assert torch.equal(part.imagined.h, found.imagined.h[10:30])
+
+
+def test_the_latent_expert_drives_most_episodes_and_others_the_rest() -> None:
+    rows = drivers(20, 4, 0.5)
+    assert [row.name for row in rows[:10]] == ["expert"] * 10
+    assert [row.name for row in rows[10:]] == [
+        "gaussian",
+        "noisy",
+        "laggy",
+        "skill 2",
+        "skill 1",
+        "skill 0",
+        "gaussian",
+        "noisy",
+        "laggy",
+        "skill 2",
+    ]
+    assert {row.skill for row in rows} == {-1, 0, 1, 2}
+    assert [row.name for row in drivers(3, 1, 0.0)] == ["expert"] * 3
+
+
+def test_visited_rows_are_what_the_filter_showed_at_each_decision(tmp_path: Path) -> None:
+    parts = load_parts(tiny_artifacts(tmp_path), ReturnsConfig())
+    seeds = [0, 1, 3]
+    rows = [Behaviour("expert")] * 2 + [Behaviour("early", skill=0)]
+    met, latents = visit(Staggered(3), parts.world_model, parts.skills, rows, seeds, 0, no_progress)  # type: ignore[arg-type]
+    assert met.privileged[:, 0].tolist() == [0] * 2 + [1] * 3 + [3] * 5
+    assert met.privileged[:, 1].tolist() == [*range(2), *range(3), *range(5)]  # no state after an episode's end
+    assert met.episode.tolist() == [0] * 2 + [1] * 3 + [2] * 5
+    assert np.flatnonzero(met.first).tolist() == [0, 2, 5]
+    task, model = Staggered(1), parts.world_model
+    for begin, end, seed, fraction in ((0, 2, 0, 1.0), (2, 5, 1, 1.0), (5, 10, 3, 0.25)):
+        seen, latent = task.reset([seed]), model.initial(1)
+        for t, row in enumerate(range(begin, end)):
+            assert seen.pixels is not None
+            action = torch.from_numpy(met.action[row : row + 1])
+            with torch.inference_mode():
+                latent = model.filter(latent, action, torch.from_numpy(seen.pixels), torch.tensor([float(t == 0)]))
+                torch.testing.assert_close(latents.at(torch.tensor([row])).h, latent.h)
+                torch.testing.assert_close(latents.at(torch.tensor([row])).z, latent.z)
+                driven = parts.skills.at(fraction)(latent.features)
+            if row + 1 < end:
+                np.testing.assert_allclose(met.action[row + 1], driven[0], atol=1e-6)
+            if not task.over[0]:
+                seen = task.step(driven.numpy()).observation
+    loop = latent_episodes(Staggered(2), model, parts.skills, 0.25, [1, 3])  # type: ignore[arg-type]
+    assert loop.alive.sum(0).tolist() == [3, 5]
+    assert loop.terminated.T.tolist() == [[False, False, True, False, False], [False] * 4 + [True]]
+    np.testing.assert_allclose(loop.action[:4, 1], met.action[6:10], atol=1e-6)  # the episode of seed 3, driven by the same skill
+
+
+def test_a_verdict_by_hand() -> None:
+    privileged = Drive(20.0, 10.0, 9.0, 1.0)
+    good = compare(Drive(17.0, 13.0, 8.0, 1.0), privileged, CONFIG, 1000)
+    assert good == Verdict(pytest.approx(0.85), pytest.approx(1.3), 0.0, True)
+    assert not compare(Drive(16.9, 0.0, 8.0, 1.0), privileged, CONFIG, 1000).reached
+    dear = compare(Drive(20.0, 15.5, 8.0, 1.0), privileged, CONFIG, 1000)
+    assert (dear.excess_cost, dear.reached) == (pytest.approx(2.5), False)
+    # Nearly no privileged cost: kappa / 10 per 1000 env steps above it is allowed, half of that in half as long an episode.
+    free = Drive(20.0, 0.0, 9.0, 1.0)
+    assert compare(Drive(20.0, 2.5, 9.0, 1.0), free, CONFIG, 1000) == Verdict(1.0, None, 0.0, True)
+    assert compare(Drive(20.0, 2.5, 9.0, 1.0), free, CONFIG, 500).excess_cost == pytest.approx(1.25)
+    # A negative return is no base for a share: losing 15 % of its size is what is allowed.
+    assert compare(Drive(-11.5, 0.0, 0.0, 0.0), Drive(-10.0, 0.0, 0.0, 0.0), CONFIG, 1000).return_share == pytest.approx(0.85)
+
+
+def test_the_kept_round_reached_both_or_cost_least_then_earned_most() -> None:
+    def verdict(share: float, excess: float) -> Verdict:
+        return Verdict(share, None, excess, share >= 0.85 and excess == 0)
+
+    assert best_round([verdict(0.9, 3.0), verdict(0.86, 0.0), verdict(1.2, 0.0)]) == 1
+    assert best_round([verdict(1.0, 3.0), verdict(0.5, 0.0), verdict(0.7, 0.0), verdict(0.6, 0.0)]) == 2
+    assert best_round([verdict(1.0, 3.0), verdict(0.5, 2.0), verdict(0.7, 2.0)]) == 2
+    assert best_round([verdict(0.1, 9.0)]) == 0
+
+
+def test_drives_are_means_over_episodes() -> None:
+    drive = Drive.of(np.array([1.0, 3.0]), np.array([0.0, 5.0]), np.array([7.0, 6.0]), enough=7)
+    assert drive.shown() == {"return": 2.0, "cost": 2.5, "goals": 6.5, "success": 0.5}
