@@ -21,7 +21,7 @@ from wasp_cli.learning import pictures
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, WorldModelConfig
 from wasp_cli.learning.dataset import behaviours
 from wasp_cli.learning.diagnostics import Forecast
-from wasp_cli.learning.replay import Replay, read_replay, read_rows
+from wasp_cli.learning.replay import Replay, read_replay
 from wasp_cli.learning.trained import save_world_model
 from wasp_cli.learning.unseen import unseen_behaviours
 from wasp_cli.learning.world_model import build
@@ -256,5 +256,5 @@ def test_the_stage_leaves_its_numbers_and_pictures_and_the_same_again(root: Path
 def test_rows_of_a_dataset_are_read_as_if_all_were(root: Path) -> None:  # noqa: F811
     whole = read_replay(root / "whole")
     mask = np.isin(whole.episode, [1, 4])
-    for name, value in read_rows(root / "whole", mask)._asdict().items():
+    for name, value in read_replay(root / "whole", mask=mask)._asdict().items():
         assert np.array_equal(value, whole.rows(mask)._asdict()[name]), name
