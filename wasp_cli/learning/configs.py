@@ -130,7 +130,7 @@ class WorldModelConfig(Config):
 class DiagnosticsConfig(Config):
     """What the world model is worth on episodes that it was not trained on."""
 
-    episodes: int = assumed(16, "fresh episodes under operators that are not in the dataset", ge=1)
+    episodes: int = assumed(32, "fresh episodes under operators that are not in the dataset; with 8 a set had a dozen costs", ge=1)
     horizon: int = from_paper(15, "H", ge=1)
     starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)

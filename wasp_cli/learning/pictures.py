@@ -192,9 +192,10 @@ def horizon_figure(sets: Mapping[str, Mapping[str, Any]], path: Path) -> None:
             line(panel, key, "o-", _SET_NAMES[name])
     titles = ("cost AUPRC", "predicted cost / base rate", "reward R2", "image error / error of a copy")
     for panel, title in zip(panels, titles, strict=True):
-        panel.set(title=title, xlabel="imagined step")
+        panel.set(title=title, xlabel="imagined step", xticks=[1, *range(5, 1 + max(len(table["steps"]) for table in sets.values()), 5)])
         panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
         panel.legend(frameon=False, fontsize=7)
+    panels[0].set_ylim(0.0, 1.0)
     for panel in (panels[1], panels[3]):
         panel.axhline(1.0, color="#999999", linewidth=0.8)
     panels[1].axhspan(0.8, 1.25, color="#eeeeee", zorder=0)

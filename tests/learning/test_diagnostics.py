@@ -1,0 +1,260 @@
+"""Diagnostics against models whose answers are known, and the stage on small real artifacts."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from tests.learning.test_dataset import job as dataset_job
+from tests.learning.test_dataset import root  # noqa: F401 - a fixture
+from tests.learning.test_training import SOURCES, replay
+from tests.worlds import Corridor
+from wasp_cli.learning import diagnostics as judge
+from wasp_cli.learning import pictures
+from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, WorldModelConfig
+from wasp_cli.learning.dataset import behaviours
+from wasp_cli.learning.diagnostics import Forecast
+from wasp_cli.learning.replay import Replay, read_replay
+from wasp_cli.learning.trained import save_world_model
+from wasp_cli.learning.unseen import unseen_behaviours
+from wasp_cli.learning.world_model import build
+from wasp_cli.metrics.ranking import average_precision
+from wasp_cli.models.base import Latent
+from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
+
+HORIZON = 5
+LOW, HIGH = 0.15, 0.5
+
+
+class Rows:
+    """Latents of rows that are known outright: h = [value of the row]."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = torch.as_tensor(values, dtype=torch.float32).unsqueeze(1)
+
+    def at(self, index: torch.Tensor) -> Latent:
+        return Latent(self.values[index], torch.zeros(len(index), 1))
+
+
+def corridor() -> tuple[Corridor, Replay, Rows]:
+    """Episodes of different lengths in a corridor, driven at random."""
+    data = replay((60, 9, 5, 80, 3))
+    random = np.random.default_rng(1)
+    action = np.where(data.first[:, None] > 0, 0, random.uniform(-1, 1, (157, 1))).astype(np.float32)
+    x = np.concatenate([np.cumsum(0.1 * action[data.episode == e, 0]) for e in range(5)])
+    cost = ((x > LOW) & (x < HIGH)).astype(np.float32)
+    middle = np.median(x[cost > 0])
+    sources = np.stack([cost * (x < middle), cost * (x >= middle)], 1).astype(np.int16)
+    return Corridor(LOW, HIGH), data._replace(action=action, cost=cost, reward=0.1 * action[:, 0], sources=sources), Rows(x)
+
+
+def forecast_of(model: Any, data: Replay, latents: Any, count: int = 1000, samples: int = 2) -> Forecast:
+    return judge.forecast(model, data, latents, judge.spread_starts(data, HORIZON, count), HORIZON, samples, 0)
+
+
+def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
+    data = replay((60, 9, 5, 80, 3))
+    starts = judge.spread_starts(data, HORIZON, 1000)
+    assert len(starts) == 55 + 4 + 75
+    for chosen in (starts, judge.spread_starts(data, HORIZON, 20)):
+        for start in chosen:
+            assert len(set(data.episode[start : start + HORIZON + 1])) == 1
+    assert {0, 3} <= set(data.episode[judge.spread_starts(data, HORIZON, 20)])
+    assert len(judge.spread_starts(data, HORIZON, 20)) == 20
+    assert len(judge.spread_starts(data, 500, 20)) == 0
+
+
+def test_a_model_that_knows_the_future_is_perfect_at_every_step() -> None:
+    model, data, latents = corridor()
+    seen = forecast_of(model, data, latents)
+    np.testing.assert_array_equal(seen.cost, data.cost[seen.follow])
+    rows = judge.judged_steps(data, seen, 0.3, SOURCES)
+    assert [row["k"] for row in rows] == [1, 2, 3, 4, 5]
+    for row in rows:
+        for key in ("auprc", "onset_auprc", "recall", "onset_recall", "foreseen", "onset_foreseen", "predicted_over_base"):
+            assert row[key] == pytest.approx(1.0), key
+        assert row["foreseen_by_source"] == dict.fromkeys(SOURCES, 1.0)
+        assert row["reward_r2"] == pytest.approx(1.0, abs=1e-5)
+        assert row["calibration_error"] == pytest.approx(0.0)
+        assert row["persistence"] < 1.0
+    window = judge.judged_window(data, seen, 0.3)
+    assert window["auprc"] == window["onset_auprc"] == window["recall"] == window["foreseen"] == 1.0
+    assert window["false_alarms"] == 0.0
+    assert window["cost_correlation"] == pytest.approx(1.0)
+
+
+def test_a_model_that_knows_the_mean_has_the_base_rate() -> None:
+    _, data, latents = corridor()
+    seen = forecast_of(Corridor(LOW, HIGH), data, latents)
+    for k in range(HORIZON):
+        costs, rewards = data.cost[seen.follow[:, k]], data.reward[seen.follow[:, k]]
+        constant = seen._replace(cost=np.full_like(seen.cost, costs.mean()), reward=np.full_like(seen.reward, rewards.mean()))
+        row = judge.judged_steps(data, constant, 0.3, SOURCES)[k]
+        assert row["auprc"] == pytest.approx(row["base"]) == pytest.approx(float(costs.mean()))
+        assert row["recall"] == 0.0
+        assert row["predicted_over_base"] == pytest.approx(1.0)
+        assert row["reward_r2"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_numbers_are_what_loops_over_the_starts_count() -> None:
+    """A jittery corridor and random predictions: persistence, onsets, foreseen shares and sums against plain loops."""
+    _, data, latents = corridor()
+    seen = forecast_of(Corridor(LOW, HIGH, jitter=0.1), data, latents, count=70)
+    table, threshold = judge.judged_steps(data, seen, 0.7, SOURCES), 0.7
+    for k, row in enumerate(table, 1):
+        events = [bool(data.cost[start + k]) for start in seen.starts]
+        now = [bool(data.cost[start]) for start in seen.starts]
+        hits = sum(e and n for e, n in zip(events, now, strict=True))
+        base = sum(events) / 70
+        # The two thresholds of a score of zeros and ones.
+        assert row["persistence"] == pytest.approx(hits / sum(events) * hits / sum(now) + (1 - hits / sum(events)) * base)
+        calm = [i for i in range(70) if not now[i]]
+        assert row["onset_base"] == pytest.approx(sum(events[i] for i in calm) / len(calm))
+        assert row["onset_auprc"] == pytest.approx(average_precision(np.array([events[i] for i in calm]), seen.cost[calm, k - 1]))
+        alarm = [sum(seen.cost[i].tolist()) > threshold for i in range(70)]
+        assert row["foreseen"] == pytest.approx(sum(a and e for a, e in zip(alarm, events, strict=True)) / sum(events))
+        first = [i for i in range(70) if data.sources[seen.starts[i] + k, 0] > 0]
+        assert row["foreseen_by_source"][SOURCES[0]] == pytest.approx(sum(alarm[i] for i in first) / len(first))
+    window = judge.judged_window(data, seen, threshold)
+    sums = [sum(data.cost[start + 1 : start + 1 + HORIZON]) for start in seen.starts]
+    assert window["base"] == pytest.approx(sum(s > 0 for s in sums) / 70)
+    scores = [1 - float(np.prod([1 - p for p in seen.cost[i].tolist()])) for i in range(70)]
+    assert window["auprc"] == pytest.approx(average_precision(np.array(sums) > 0, np.array(scores)))
+    assert window["cost_correlation"] == pytest.approx(np.corrcoef(sums, seen.cost.sum(1))[0, 1])
+    quiet = [i for i in range(70) if sums[i] == 0]
+    assert window["false_alarms"] == pytest.approx(sum(float(seen.cost[i].sum()) > threshold for i in quiet) / len(quiet))
+
+
+def test_samples_are_averaged_and_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, data, latents = corridor()
+    still = Corridor(LOW, HIGH)
+    whole = forecast_of(still, data, latents)
+    monkeypatch.setattr(judge, "CHUNK", 7)
+    np.testing.assert_array_equal(forecast_of(still, data, latents).cost, whole.cost)
+    shaky = forecast_of(Corridor(LOW, HIGH, jitter=0.3), data, latents, samples=4)
+    assert set(np.unique(shaky.cost)) == {0.0, 0.25, 0.5, 0.75, 1.0}
+
+
+class Film:
+    """h = [row]; every imagined step moves one row on, and what is decoded is the recorded image of the row."""
+
+    action_size, noise_size = 2, 1
+
+    def __init__(self, data: Replay, lag: int = 0) -> None:
+        self.data, self.lag, self.mean_image = data, lag, torch.zeros(6, 64, 64)
+
+    def imagine(self, latent: Latent, action: torch.Tensor, noise: torch.Tensor) -> Latent:
+        return Latent(latent.h + 1, latent.z)
+
+    def cost(self, latent: Latent) -> torch.Tensor:
+        return torch.from_numpy(self.data.cost[latent.h[..., 0].long().numpy()])
+
+    def decode(self, latent: Latent) -> torch.Tensor:
+        rows = (latent.h[..., 0].long() - self.lag).clamp(min=0).numpy()
+        return torch.from_numpy(self.data.pixels[rows].astype(np.float32) / 255)
+
+
+def test_imagined_images_are_held_against_the_true_ones_and_a_copy() -> None:
+    data, rows = replay((12, 20)), Rows(np.arange(32))
+    starts = judge.spread_starts(data, 4, 11)
+    perfect = judge.judged_images(Film(data), data, rows, starts, 4, 2, 0)  # type: ignore[arg-type]
+    assert [row["image_error"] for row in perfect] == pytest.approx([0] * 4)
+    assert [row["image_explained"] for row in perfect] == pytest.approx([1] * 4)
+    late = judge.judged_images(Film(data, lag=1), data, rows, starts, 4, 1, 0)  # type: ignore[arg-type]
+    assert late[0]["image_over_copy"] == pytest.approx(1.0), "one step late is a copy at the first step"
+    for k, row in enumerate(late, 1):
+        pairs = [(data.pixels[s + k] / 255.0, data.pixels[s + k - 1] / 255.0, data.pixels[s] / 255.0) for s in starts]
+        assert row["image_error"] == pytest.approx(np.mean([(a - b) ** 2 for a, b, _ in pairs]), rel=1e-5)
+        assert row["copy_error"] == pytest.approx(np.mean([(a - c) ** 2 for a, _, c in pairs]), rel=1e-5)
+    filtered = judge.judged_filter(Film(data), data, rows, 7)  # type: ignore[arg-type]
+    assert filtered["auprc"] == pytest.approx(1.0) == filtered["predicted_over_base"]
+    assert filtered["image_error"] == pytest.approx(0.0)
+    assert filtered["base"] == pytest.approx(data.cost[data.first == 0].mean())
+
+
+def test_the_strip_shows_onsets_and_calm_windows_frame_by_frame(tmp_path: Path) -> None:
+    data = replay((40, 40))
+    data.cost[:] = 0
+    data.cost[[20, 60, 61]] = 1
+    film, rows = Film(data), Rows(np.arange(80))
+    starts = judge.spread_starts(data, 6, 1000)
+    seen = Forecast(starts, data.cost[starts[:, None] + 1 + np.arange(6)], np.zeros((len(starts), 6)))
+    windows = pictures.shown_windows(data, seen)
+    costly = [bool(data.cost[s + 1 : s + 7].any()) for s in starts[windows]]
+    assert costly == [True] * pictures.COSTLY + [False] * pictures.CALM
+    assert (data.cost[starts[windows]] == 0).all()
+    found = pictures.strips(film, data, rows, seen, windows, 0)  # type: ignore[arg-type]
+    for strip, start in zip(found, starts[windows].tolist(), strict=True):
+        np.testing.assert_array_equal(strip.true, data.pixels[start : start + 7])
+        np.testing.assert_array_equal(strip.imagined, strip.true)
+        np.testing.assert_array_equal(strip.predicted, strip.cost)
+    pictures.open_loop_sheet(found, tmp_path / "sheet.png")
+    sheet = np.asarray(Image.open(tmp_path / "sheet.png"))
+    pitch = pictures.SIDE + pictures.GAP
+    top = pictures.TEXT + pictures.GAP
+    frame = sheet[top + 2 * pitch : top + 2 * pitch + pictures.SIDE, pictures.LABEL : pictures.LABEL + pictures.SIDE]  # true rear, step 0
+    wanted = Image.fromarray(found[0].true[0, 3:].transpose(1, 2, 0)).resize((pictures.SIDE,) * 2, Image.Resampling.NEAREST)
+    np.testing.assert_array_equal(frame, np.asarray(wanted))
+    pictures.open_loop_film(found, tmp_path / "film.gif")
+    assert getattr(Image.open(tmp_path / "film.gif"), "n_frames", 1) == 7
+
+
+def test_the_unseen_operators_are_not_in_the_mixture() -> None:
+    known = {dataclasses.replace(b, name="") for b in behaviours(MixtureConfig().model_dump(), 400, 4, np.random.default_rng(0))}
+    unseen = unseen_behaviours(4)
+    assert not {dataclasses.replace(b, name="") for b in unseen} & known
+    assert {b.name for b in unseen[:4]} == {"sticky noise", "delay with noise", "drift", "half trained"}
+    assert "half trained" not in {b.name for b in unseen_behaviours(3)}, "the third of three checkpoints is the expert"
+
+
+# -- the stage --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def inputs(root: Path) -> dict[str, Path]:  # noqa: F811
+    torch.manual_seed(1)
+    sizes = WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16)
+    (root / "model").mkdir()
+    save_world_model(build(sizes, 2), root / "model")
+    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model"}
+
+
+def test_the_stage_leaves_its_numbers_and_pictures_and_the_same_again(root: Path, inputs: dict[str, Path]) -> None:  # noqa: F811
+    config = DiagnosticsConfig(episodes=3, starts=40, samples=2, image_starts=6)
+    summaries = []
+    for name in ("first", "again"):
+        job = dataclasses.replace(dataset_job(root, name), kind="diagnostics", config=config, inputs=inputs)
+        summaries.append(DiagnosticsStage().run(job))
+    files = {name: {path.name: path.read_bytes() for path in (root / name).iterdir()} for name in ("first", "again")}
+    assert files["first"] == files["again"]
+    assert summaries[0] == pytest.approx(summaries[1], nan_ok=True)
+    assert set(files["first"]) == {
+        "diagnostics.json", "open_loop.md", "reliability.png", "horizon.png", "reconstruction.png", "open_loop.png", "open_loop.gif",
+    }  # fmt: skip
+    found = json.loads(files["first"]["diagnostics.json"])
+    assert set(found) == {"held_out", "unseen"}
+    assert sum(found["held_out"]["episodes"].values()) == 1, "of six episodes the last one is held out"
+    assert set(found["unseen"]["episodes"]) == {"sticky noise", "delay with noise", "drift"}
+    for table in found.values():
+        assert [row["k"] for row in table["steps"]] == list(range(1, 16))
+    wanted = {f"{key}@{k}" for key in ("auprc", "persistence", "predicted_over_base", "recall", "reward_r2", "base") for k in SHOWN}
+    wanted |= {f"unseen_auprc@{k}" for k in SHOWN} | {"auprc_any", "unseen_auprc_any", "image_over_copy@15"}
+    assert set(summaries[0]) == wanted
+    page = files["first"]["open_loop.md"].decode()
+    assert page.count("\n## ") == 2
+    assert "hazards" in page
+    assert "nan" not in page
+
+
+def test_rows_of_a_dataset_are_read_as_if_all_were(root: Path) -> None:  # noqa: F811
+    whole = read_replay(root / "whole")
+    mask = np.isin(whole.episode, [1, 4])
+    for name, value in read_replay(root / "whole", mask=mask)._asdict().items():
+        assert np.array_equal(value, whole.rows(mask)._asdict()[name]), name
