@@ -26,7 +26,7 @@ class ReturnsConfig(Config):
 class ExpertConfig(Config):
     """PPO with an adaptive Lagrange multiplier on privileged observations."""
 
-    interactions: int = assumed(600_000, "decision steps", ge=1)
+    interactions: int = assumed(400_000, "decision steps", ge=1)
     envs: int = assumed(32, "episodes side by side", ge=1)
     rollout: int = assumed(64, "decision steps per environment and update", ge=1)
     epochs: int = assumed(8, "passes over a rollout", ge=1)

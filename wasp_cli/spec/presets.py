@@ -65,7 +65,7 @@ _QUICK: Document = {
 # Sizes for a large GPU: the critics and the planner imagine thousands of rollouts at once. This version still computes on the CPU, where
 # they take very long.
 _GPU: Document = {
-    "expert": {"interactions": 1_200_000},
+    "expert": {"interactions": 800_000},
     "dataset": {"steps": 200_000},
     "world_model": {
         "deter": 512, "hidden": 256, "variables": 32, "classes": 16, "depth": 32, "head": 256,
@@ -80,7 +80,7 @@ _GPU: Document = {
 # The paper's planner with M = 5 rollouts a candidate, over models that have seen more than `cpu` gives them.
 # Budgets of training are not in the paper; these are about four times `cpu`.
 _PAPER: Document = {
-    "expert": {"interactions": 2_400_000},
+    "expert": {"interactions": 1_600_000},
     "dataset": {"steps": 200_000},
     "world_model": {"updates": 8000, "refit_updates": 1500},
     "policies": {"updates": 4000},
