@@ -9,7 +9,7 @@ from wasp_cli.learning.device import VARIABLE, mixed_precision, training_device
 from wasp_cli.learning.world_model import build, loss_weights
 from wasp_cli.models.world_model import Ahead, Batch
 
-SMALL = WorldModelConfig(deter=32, hidden=32, variables=4, classes=4, depth=4, head=32, ahead_starts=6, ahead_horizon=3)
+SMALL = WorldModelConfig(deter=32, hidden=32, variables=4, classes=4, depth=4, head=32, ahead_starts=6, ahead_images=4, ahead_horizon=3)
 
 
 def test_the_device_is_what_the_variable_names(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,12 +43,11 @@ def test_losses_in_bfloat16_are_float32_sums_close_to_those_in_float32() -> None
     cost = (torch.rand(3, 8, generator=source) < 0.3).float()
     batch = Batch(pixels, torch.randn(3, 8, 2, generator=source), torch.randn(3, 8, generator=source), cost, flags, flags)
     noise = torch.randn(3, 8, 4, 4, generator=source)
-    ahead = Ahead(
-        torch.tensor([0, 1, 2, 0, 1, 2]),
-        torch.tensor([0, 1, 2, 3, 4, 0]),
-        torch.randn(3, 6, 16, generator=source),
-        torch.tensor([0, 1, 2, 0, 1, 2]),
-    )
+    shown = torch.randint(0, 256, (4, 6, 64, 64), generator=source, dtype=torch.uint8)
+    events, within = (torch.rand(6, 3, generator=source) < 0.3).float(), torch.ones(6, 3)
+    later = (torch.randn(6, 3, 2, generator=source), torch.randn(6, 3, generator=source), events, within)
+    draws = torch.randn(3, 6, 16, generator=source)
+    ahead = Ahead(torch.tensor([0, 1, 2, 0, 1, 2]), torch.tensor([0, 1, 2, 3, 4, 7]), *later, torch.tensor([0, 1, 2, 0]), shown, draws)
     found = []
     for mixed in (False, True):
         model.zero_grad()

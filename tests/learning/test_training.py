@@ -21,11 +21,11 @@ from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build, train
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
-from wasp_cli.models.world_model import Ahead, Batch
+from wasp_cli.models.world_model import Ahead
 
 TINY = WorldModelConfig(
     deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, batch=3, length=6, updates=8, warmup=2, refit_updates=3, refit_horizon=4,
-    checkpoint_every=4, ahead_starts=5, ahead_horizon=3,
+    checkpoint_every=4, ahead_starts=5, ahead_images=3, ahead_horizon=3,
 )  # fmt: skip
 SOURCES = ("hazards", "static geoms, contact")
 
@@ -132,30 +132,74 @@ def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
     assert torch.equal(before.z, z[:, 0])
 
 
+def test_what_followed_is_looked_up_to_the_end_of_the_episode() -> None:
+    data, source = replay((7, 30)), generator(0)
+    windows = Windows(data, np.arange(37), 6, 0.0)
+    window = windows.sample(40, source)
+    ahead = windows.ahead(window, 200, 5, 50, 12, source)
+    begin = window.rows[ahead.row, ahead.step]
+    met = set()
+    for n, row in enumerate(begin.tolist()):
+        end = 6 if row < 7 else 36
+        met.add(min(end - row, 5))
+        for k in range(5):
+            assert ahead.within[n, k] == (row + 1 + k <= end)
+            if ahead.within[n, k]:
+                assert np.array_equal(ahead.action[n, k].numpy(), data.action[row + 1 + k])
+                assert (ahead.reward[n, k], ahead.cost[n, k]) == (data.reward[row + 1 + k], data.cost[row + 1 + k])
+        if n < 50 and ahead.within[n, k := int(ahead.shown[n])]:
+            assert np.array_equal(ahead.pixels[n].numpy(), data.pixels[row + 1 + k])
+    assert met == {0, 1, 2, 3, 4, 5}
+    assert int((window.rows[ahead.row, ahead.step] + 5 > window.rows[ahead.row, -1]).sum()) > 0, "some lie behind their window"
+
+
 def test_imagined_steps_after_a_reset_do_not_count() -> None:
     torch.manual_seed(0)
-    model = build(TINY, 2)
-    source = generator(0)
-    window = Windows(replay((4, 30)), np.arange(34), 6, 0.0).sample(40, source)
-    row = int(torch.argmax((window.rows[:, 0] == 1).float()))
-    assert window.rows[row, 0] == 1, "the test needs a sequence whose fourth step is a reset"
-    assert window.batch.first[row].tolist() == [0, 0, 0, 1, 0, 0]
-    ahead = Ahead(torch.tensor([row]), torch.tensor([0]), torch.randn(5, 1, 12, generator=source), torch.tensor([3]))
-    noise = torch.randn(40, 6, 3, 4, generator=source)
+    model, source = build(TINY, 2), generator(0)
+    windows = Windows(replay((7, 30)), np.arange(37), 6, 0.0)
+    window = windows.sample(4, source)
+    ahead = windows.ahead(window, 6, 5, 6, 12, source)
+    ahead = ahead._replace(within=torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0]).expand(6, 5), shown=torch.tensor([3] * 5 + [2]))
+    noise = torch.randn(4, 6, 3, 4, generator=source)
 
-    def terms(batch: Batch) -> tuple[float, float]:
-        losses, _ = model.losses(batch, noise, torch.tensor([0]), 1.0, ahead=ahead)
-        return losses["ahead_r"].item(), losses["ahead_o"].item()
+    def terms(changed: Ahead) -> tuple[float, ...]:
+        losses, _ = model.losses(window.batch, noise, torch.tensor([0]), 1.0, ahead=changed)
+        return tuple(losses[f"ahead_{term}"].item() for term in "rco")
 
-    before, after = window.batch.reward.clone(), window.batch.reward.clone()
-    after[row, 3:] += 7.0
-    before[row, 2] += 7.0
-    assert terms(window.batch._replace(reward=after)) == terms(window.batch)
-    assert terms(window.batch._replace(reward=before))[0] != terms(window.batch)[0]
-    assert terms(window.batch)[1] == 0, "its only image lies after the reset"
-    seen = Ahead(ahead.row, ahead.step, ahead.noise, torch.tensor([1]))
-    latents = model.observe(window.batch, noise).latent
-    assert model._ahead_losses(latents, window.batch, seen)["ahead_o"].item() > 0
+    late, early = torch.zeros(6, 5), torch.zeros(6, 5)
+    late[:, 3:], early[0, 2] = 7.0, 7.0
+    assert terms(ahead._replace(reward=ahead.reward + late)) == terms(ahead)
+    assert terms(ahead._replace(reward=ahead.reward + early))[0] != terms(ahead)[0]
+    hidden, seen = ahead.pixels.clone(), ahead.pixels.clone()
+    hidden[:5] = 0
+    seen[5] = 0
+    assert terms(ahead._replace(pixels=hidden)) == terms(ahead), "the images of the first five lie after the reset"
+    assert terms(ahead._replace(pixels=seen))[2] != terms(ahead)[2]
+
+
+def test_an_imagined_rollout_is_scored_as_its_steps_are() -> None:
+    """The terms against the heads and the decoder, called step by step."""
+    torch.manual_seed(0)
+    model, source = build(TINY, 2), generator(3)
+    windows = Windows(replay(), ROWS, 6, 0.5)
+    window = windows.sample(3, source)
+    ahead = windows.ahead(window, 4, 3, 2, 12, source)
+    noise = torch.randn(3, 6, 3, 4, generator=source)
+    with torch.no_grad():
+        losses, latent = model.losses(window.batch, noise, torch.tensor([0]), 1.0, ahead=ahead)
+        reward, images, count = [], [], 0.0
+        for n in range(4):
+            here = Latent(latent.h[ahead.row[n], ahead.step[n]][None], latent.z[ahead.row[n], ahead.step[n]][None])
+            for k in range(3):
+                here = model.imagine(here, ahead.action[n : n + 1, k], ahead.noise[k, n : n + 1])
+                if ahead.within[n, k]:
+                    count += 1
+                    reward.append(TINY.reward_scale**2 * (model.reward(here) - ahead.reward[n, k]).square().item())
+                    if n < 2 and k == ahead.shown[n]:
+                        true = ahead.pixels[n] / 255.0
+                        images.append((model.decoder(here.features)[0] + model.mean_image - true).square().sum().item())
+    assert losses["ahead_r"].item() == pytest.approx(sum(reward) / count, rel=1e-4)
+    assert losses["ahead_o"].item() == pytest.approx(sum(images) / max(1, len(images)), rel=1e-4)
 
 
 def test_a_dataset_that_is_too_small_says_so() -> None:

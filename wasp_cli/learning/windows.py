@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.errors import TrainingError
+from wasp_cli.learning.draws import gumbel
 from wasp_cli.learning.replay import Replay
 from wasp_cli.models.base import Latent
-from wasp_cli.models.world_model import Batch
+from wasp_cli.models.world_model import Ahead, Batch
 
 
 class Window(NamedTuple):
@@ -21,6 +22,8 @@ class Window(NamedTuple):
     batch: Batch
     rows: Tensor
     """[B, T] rows of the replay"""
+    places: Tensor
+    """[B, T] the same as places among the rows that may be learned from"""
 
 
 class Windows:
@@ -53,9 +56,33 @@ class Windows:
             picked = self._costly[torch.randint(len(self._costly), (wanted,), generator=source, device=device)]
             back = torch.randint(self.length, (wanted,), generator=source, device=device)
             start[:wanted] = (picked - back).clamp(0, self._starts - 1)
-        rows = self._rows[start[:, None] + torch.arange(self.length, device=device)]  # [B, T]
+        places = start[:, None] + torch.arange(self.length, device=device)  # [B, T]
+        rows = self._rows[places]
         fields = (self._pixels, self._action, self._reward, self._cost, self._terminal, self._first)
-        return Window(Batch(*(values[rows] for values in fields)), rows)
+        return Window(Batch(*(values[rows] for values in fields)), rows, places)
+
+    def ahead(self, window: Window, starts: int, horizon: int, images: int, noise: int, source: torch.Generator) -> Ahead:
+        """What followed random steps of a batch, in the window or behind it: only `images` of those images are looked up.
+
+        Args:
+            window: B sequences of T steps.
+            starts: N of them.
+            horizon: K steps.
+            images: M of the starts, M <= N.
+            noise: Gumbel variables per imagined step.
+            source: of the choice and the noise.
+        """
+        device, (batch, length) = self._rows.device, window.rows.shape
+        row = torch.randint(batch, (starts,), generator=source, device=device)
+        step = torch.randint(length, (starts,), generator=source, device=device)
+        shown = torch.randint(horizon, (images,), generator=source, device=device)
+        places = window.places[row, step][:, None] + 1 + torch.arange(horizon, device=device)  # [N, K]
+        rows = self._rows[places.clamp(max=len(self._rows) - 1)]
+        over = (places >= len(self._rows)).to(self._first.dtype)
+        within = (1.0 - torch.maximum(self._first[rows], over)).cumprod(1)
+        pixels = self._pixels[rows[torch.arange(images, device=device), shown]]
+        draws = gumbel((horizon, starts, noise), source)
+        return Ahead(row, step, self._action[rows], self._reward[rows], self._cost[rows], within, shown, pixels, draws)
 
 
 class Context:

@@ -19,7 +19,7 @@ from wasp_cli.learning.device import mixed_precision
 from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.windows import Context, Window, Windows
-from wasp_cli.models.world_model import Ahead, SafetyWorldModel, Sizes
+from wasp_cli.models.world_model import SafetyWorldModel, Sizes
 
 Report = Callable[[float, str], None]
 SKIPS = 5
@@ -38,7 +38,8 @@ def loss_weights(config: WorldModelConfig) -> dict[str, float]:
     """The factor of each term of `SafetyWorldModel.losses`: Eq. 6, and the terms on imagined steps."""
     weights: dict[str, float] = {name: getattr(config, name) for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")}
     if config.ahead_starts:
-        weights |= {f"ahead_{term}": config.ahead * weights[f"beta_{term}"] for term in ("r", "c", "o")}
+        weights |= {f"ahead_{term}": config.ahead * weights[f"beta_{term}"] for term in ("r", "c")}
+        weights |= {"ahead_o": config.ahead_image * config.beta_o} if config.ahead_images else {}
     return weights
 
 
@@ -82,8 +83,10 @@ def train(
         batch, start = context.enter(window, config.classes) if config.context else (_cut(window), None)
         noise = gumbel((config.batch, config.length, config.variables, config.classes), source)
         decoded = torch.randperm(config.length, generator=source, device=device)[: max(1, round(config.decode_share * config.length))]
+        further = (config.ahead_starts, config.ahead_horizon, config.ahead_images, model.noise_size)
+        ahead = windows.ahead(window, *further, source) if config.ahead_starts else None
         with mixed_precision(device):
-            losses, latent = compute(batch, noise, decoded, config.free_nats, start=start, ahead=_ahead(config, model, source, device))
+            losses, latent = compute(batch, noise, decoded, config.free_nats, start=start, ahead=ahead)
         if losses.keys() != weights.keys():
             raise TrainingError(f"losses {sorted(losses)} and weights {sorted(weights)} differ")
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
@@ -114,17 +117,6 @@ def _cut(window: Window) -> Any:
     first = window.batch.first.clone()
     first[:, 0] = 1.0
     return window.batch._replace(first=first)
-
-
-def _ahead(config: WorldModelConfig, model: SafetyWorldModel, source: torch.Generator, device: torch.device) -> Ahead | None:
-    """Random starts within the batch that have `ahead_horizon` steps after them."""
-    if not config.ahead_starts:
-        return None
-    horizon = min(config.ahead_horizon, config.length - 1)
-    row = torch.randint(config.batch, (config.ahead_starts,), generator=source, device=device)
-    step = torch.randint(config.length - horizon, (config.ahead_starts,), generator=source, device=device)
-    decoded = torch.randint(horizon, (config.ahead_starts,), generator=source, device=device)
-    return Ahead(row, step, gumbel((horizon, config.ahead_starts, model.noise_size), source), decoded)
 
 
 def _skip(counters: dict[str, Any], update: int, losses: dict[str, Tensor]) -> None:

@@ -49,16 +49,26 @@ class Batch(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """Where imagination starts within a batch of sequences, and what it draws."""
+    """What followed N steps of a batch of sequences, to be imagined from their latents for K steps."""
 
     row: Tensor
     """[N] sequence of each start"""
     step: Tensor
-    """[N] its step; K more follow it in the sequence"""
+    """[N] its step"""
+    action: Tensor
+    """[N, K, A] what was executed from there on"""
+    reward: Tensor
+    """[N, K]"""
+    cost: Tensor
+    """[N, K]"""
+    within: Tensor
+    """[N, K] in {0, 1}: still the same episode; what follows a reset cannot be imagined"""
+    shown: Tensor
+    """[M], M <= N: the imagined step in 0..K-1 whose image is decoded, of the first M starts"""
+    pixels: Tensor
+    """uint8 [M, 6, 64, 64]: that image"""
     noise: Tensor
     """[K, N, S * C] standard Gumbel draws"""
-    decoded: Tensor
-    """[N] in 0..K-1: the imagined step of each whose image is decoded"""
 
 
 class SafetyWorldModel(nn.Module):
@@ -171,34 +181,32 @@ class SafetyWorldModel(nn.Module):
             "beta_r": reward, "beta_c": cost, "beta_n": carry_on,
         }  # fmt: skip
         if ahead is not None:
-            terms |= self._ahead_losses(seen.latent, batch, ahead)
+            terms |= self._ahead_losses(seen.latent, ahead)
         return terms, seen.latent
 
     def _image_errors(self, features: Tensor, pixels: Tensor) -> Tensor:
         """Squared errors of decoded images, summed over pixels: [N]. A sum over 24,576 values needs float32, whatever the autocast."""
         return (self.decoder(features).float() - self.centred(pixels)).square().sum((1, 2, 3))  # type: ignore[no-any-return]
 
-    def _ahead_losses(self, latent: Latent, batch: Batch, ahead: Ahead) -> dict[str, Tensor]:
-        """Losses along imagined rollouts under the recorded actions, up to the end of the episode.
+    def _ahead_losses(self, latent: Latent, ahead: Ahead) -> dict[str, Tensor]:
+        """Losses along imagined rollouts from latents [B, T, .] under the recorded actions, up to the end of the episode.
 
-        Eq. 6 trains the prior on single steps, and what it knows of the surroundings blurs within ten. Of the images one per rollout is
-        decoded; together they teach h to carry the surroundings along.
+        Eq. 6 trains the prior on single steps, and what it knows of the surroundings blurs within ten. The images teach h to carry them.
         """
-        rows = ahead.row[:, None]
-        steps = ahead.step[:, None] + 1 + torch.arange(len(ahead.noise), device=rows.device)  # [N, K]
-        action = batch.action[rows, steps]
         current = Latent(latent.h[ahead.row, ahead.step], latent.z[ahead.row, ahead.step])
         imagined = []
         for k, noise in enumerate(ahead.noise):
-            current = self.imagine(current, action[:, k], noise)
+            current = self.imagine(current, ahead.action[:, k], noise)
             imagined.append(current.features)
         features = torch.stack(imagined, 1)  # [N, K, F]
-        within = (1.0 - batch.first[rows, steps]).cumprod(1)  # what follows a reset cannot be imagined
-        reward, cost = self.head_losses(features, batch.reward[rows, steps], batch.cost[rows, steps], within)
-        each = torch.arange(len(ahead.row), device=rows.device)
-        at, counts = steps[each, ahead.decoded], within[each, ahead.decoded]
-        errors = self._image_errors(features[each, ahead.decoded], batch.pixels[ahead.row, at])
-        return {"ahead_r": reward, "ahead_c": cost, "ahead_o": (errors * counts).sum() / counts.sum().clamp(min=1.0)}
+        reward, cost = self.head_losses(features, ahead.reward, ahead.cost, ahead.within)
+        terms = {"ahead_r": reward, "ahead_c": cost}
+        if len(ahead.shown):
+            each = torch.arange(len(ahead.shown), device=ahead.row.device)
+            counts = ahead.within[each, ahead.shown]
+            errors = self._image_errors(features[each, ahead.shown], ahead.pixels)
+            terms["ahead_o"] = (errors * counts).sum() / counts.sum().clamp(min=1.0)
+        return terms
 
     def head_losses(self, features: Tensor, reward: Tensor, cost: Tensor, counts: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Squared error of the scaled reward, and weighted BCE of the cost: means over the steps that `counts` [...] marks with 1."""

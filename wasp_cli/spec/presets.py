@@ -20,7 +20,7 @@ _SMOKE: Document = {
     "dataset": {"steps": 600, "envs": 4},
     "world_model": {
         "deter": 32, "hidden": 32, "variables": 4, "classes": 4, "depth": 4, "head": 32,
-        "batch": 4, "length": 16, "updates": 20, "later_updates": 10, "warmup": 5, "ahead_starts": 8, "refit_updates": 5,
+        "batch": 4, "length": 16, "updates": 20, "later_updates": 10, "warmup": 5, "ahead_starts": 8, "ahead_images": 4, "refit_updates": 5,
         "refit_starts": 16, "checkpoint_every": 10,
     },
     "diagnostics": {"episodes": 4, "starts": 60, "samples": 2, "image_starts": 4},
