@@ -100,7 +100,7 @@ class WorldModelConfig(Config):
     unimix: float = assumed(0.01, "share of a uniform distribution mixed into every categorical", ge=0.0, lt=1.0)
     batch: int = assumed(16, "sequences per update", ge=1)
     length: int = assumed(16, "decision steps per sequence; they go on from remembered latents", ge=2)
-    updates: int = assumed(2000, "gradient steps", ge=1)
+    updates: int = assumed(3000, "gradient steps", ge=1)
     learning_rate: float = assumed(8e-4, "Adam; decays linearly over the second half to a tenth", gt=0.0)
     warmup: int = assumed(200, "updates of linear warm-up", ge=0)
     clip: float = assumed(300.0, "gradient norm", gt=0.0)
@@ -118,7 +118,7 @@ class WorldModelConfig(Config):
     ahead: float = assumed(1.0, "weight of reward and cost on imagined steps, relative to beta_r and beta_c; not in Eq. 6", ge=0.0)
     ahead_image: float = assumed(0.3, "weight of the image on imagined steps, relative to beta_o; not in Eq. 6", ge=0.0)
     ahead_starts: int = assumed(64, "imagined rollouts per update for these; 0 leaves them out", ge=0)
-    ahead_images: int = assumed(32, "of which this many decode one image", ge=0)
+    ahead_images: int = assumed(32, "of which this many, at most, decode one image", ge=0)
     ahead_horizon: int = assumed(15, "their length in decision steps", ge=1)
     decode_share: float = assumed(0.25, "share of the steps whose image is decoded", gt=0.0, le=1.0)
     refit_updates: int = assumed(600, "last step: reward and cost heads on prior latents, model frozen", ge=0)
@@ -127,12 +127,6 @@ class WorldModelConfig(Config):
     later_updates: int = assumed(1000, "gradient steps of a later round of data, from the weights of the round before", ge=1)
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
-
-    @model_validator(mode="after")
-    def _images_have_starts(self) -> WorldModelConfig:
-        if self.ahead_starts and self.ahead_images > self.ahead_starts:
-            raise ValueError(f"ahead_images ({self.ahead_images}) is larger than ahead_starts ({self.ahead_starts})")
-        return self
 
 
 class DiagnosticsConfig(Config):

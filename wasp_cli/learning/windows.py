@@ -68,13 +68,14 @@ class Windows:
             window: B sequences of T steps.
             starts: N of them.
             horizon: K steps.
-            images: M of the starts, M <= N.
+            images: M of the starts, N at most.
             noise: Gumbel variables per imagined step.
             source: of the choice and the noise.
         """
         device, (batch, length) = self._rows.device, window.rows.shape
         row = torch.randint(batch, (starts,), generator=source, device=device)
         step = torch.randint(length, (starts,), generator=source, device=device)
+        images = min(images, starts)
         shown = torch.randint(horizon, (images,), generator=source, device=device)
         places = window.places[row, step][:, None] + 1 + torch.arange(horizon, device=device)  # [N, K]
         rows = self._rows[places.clamp(max=len(self._rows) - 1)]
