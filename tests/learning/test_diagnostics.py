@@ -75,7 +75,7 @@ def test_a_model_that_knows_the_future_is_perfect_at_every_step() -> None:
     model, data, latents = corridor()
     seen = forecast_of(model, data, latents)
     np.testing.assert_array_equal(seen.cost, data.cost[seen.follow])
-    rows = judge.judged_steps(data, seen, 0.3, SOURCES)
+    rows = judge.judged_steps(data, seen, judge.Alarm(0.3, 0.95), SOURCES)
     assert [row["k"] for row in rows] == [1, 2, 3, 4, 5]
     for row in rows:
         for key in ("auprc", "onset_auprc", "recall", "onset_recall", "foreseen", "onset_foreseen", "predicted_over_base"):
@@ -84,7 +84,7 @@ def test_a_model_that_knows_the_future_is_perfect_at_every_step() -> None:
         assert row["reward_r2"] == pytest.approx(1.0, abs=1e-5)
         assert row["calibration_error"] == pytest.approx(0.0)
         assert row["persistence"] < 1.0
-    window = judge.judged_window(data, seen, 0.3)
+    window = judge.judged_window(data, seen, judge.Alarm(0.3, 0.95))
     assert window["auprc"] == window["onset_auprc"] == window["recall"] == window["foreseen"] == 1.0
     assert window["false_alarms"] == 0.0
     assert window["cost_correlation"] == pytest.approx(1.0)
@@ -96,7 +96,7 @@ def test_a_model_that_knows_the_mean_has_the_base_rate() -> None:
     for k in range(HORIZON):
         costs, rewards = data.cost[seen.follow[:, k]], data.reward[seen.follow[:, k]]
         constant = seen._replace(cost=np.full_like(seen.cost, costs.mean()), reward=np.full_like(seen.reward, rewards.mean()))
-        row = judge.judged_steps(data, constant, 0.3, SOURCES)[k]
+        row = judge.judged_steps(data, constant, judge.Alarm(0.3, 0.95), SOURCES)[k]
         assert row["auprc"] == pytest.approx(row["base"]) == pytest.approx(float(costs.mean()))
         assert row["recall"] == 0.0
         assert row["predicted_over_base"] == pytest.approx(1.0)
@@ -107,7 +107,9 @@ def test_numbers_are_what_loops_over_the_starts_count() -> None:
     """A jittery corridor and random predictions: persistence, onsets, foreseen shares and sums against plain loops."""
     _, data, latents = corridor()
     seen = forecast_of(Corridor(LOW, HIGH, jitter=0.1), data, latents, count=70)
-    table, threshold = judge.judged_steps(data, seen, 0.7, SOURCES), 0.7
+    threshold, gamma = 0.7, 0.9
+    table = judge.judged_steps(data, seen, judge.Alarm(threshold, gamma), SOURCES)
+    expected = [sum(gamma**k * p for k, p in enumerate(row)) for row in seen.cost.tolist()]
     for k, row in enumerate(table, 1):
         events = [bool(data.cost[start + k]) for start in seen.starts]
         now = [bool(data.cost[start]) for start in seen.starts]
@@ -118,18 +120,18 @@ def test_numbers_are_what_loops_over_the_starts_count() -> None:
         calm = [i for i in range(70) if not now[i]]
         assert row["onset_base"] == pytest.approx(sum(events[i] for i in calm) / len(calm))
         assert row["onset_auprc"] == pytest.approx(average_precision(np.array([events[i] for i in calm]), seen.cost[calm, k - 1]))
-        alarm = [sum(seen.cost[i].tolist()) > threshold for i in range(70)]
+        alarm = [expected[i] > threshold for i in range(70)]
         assert row["foreseen"] == pytest.approx(sum(a and e for a, e in zip(alarm, events, strict=True)) / sum(events))
         first = [i for i in range(70) if data.sources[seen.starts[i] + k, 0] > 0]
         assert row["foreseen_by_source"][SOURCES[0]] == pytest.approx(sum(alarm[i] for i in first) / len(first))
-    window = judge.judged_window(data, seen, threshold)
+    window = judge.judged_window(data, seen, judge.Alarm(threshold, gamma))
     sums = [sum(data.cost[start + 1 : start + 1 + HORIZON]) for start in seen.starts]
     assert window["base"] == pytest.approx(sum(s > 0 for s in sums) / 70)
     scores = [1 - float(np.prod([1 - p for p in seen.cost[i].tolist()])) for i in range(70)]
     assert window["auprc"] == pytest.approx(average_precision(np.array(sums) > 0, np.array(scores)))
     assert window["cost_correlation"] == pytest.approx(np.corrcoef(sums, seen.cost.sum(1))[0, 1])
     quiet = [i for i in range(70) if sums[i] == 0]
-    assert window["false_alarms"] == pytest.approx(sum(float(seen.cost[i].sum()) > threshold for i in quiet) / len(quiet))
+    assert window["false_alarms"] == pytest.approx(sum(expected[i] > threshold for i in quiet) / len(quiet))
 
 
 def test_samples_are_averaged_and_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

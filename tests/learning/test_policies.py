@@ -176,28 +176,35 @@ def test_visited_rows_are_what_the_filter_showed_at_each_decision(tmp_path: Path
 def test_a_verdict_by_hand() -> None:
     privileged = Drive(20.0, 10.0, 9.0, 1.0)
     good = compare(Drive(17.0, 13.0, 8.0, 1.0), privileged, CONFIG, 1000)
-    assert good == Verdict(pytest.approx(0.85), pytest.approx(1.3), 0.0, True)
+    assert good == Verdict(pytest.approx(0.85), pytest.approx(1.3), 0.0, 0.0, True)
     assert not compare(Drive(16.9, 0.0, 8.0, 1.0), privileged, CONFIG, 1000).reached
     dear = compare(Drive(20.0, 15.5, 8.0, 1.0), privileged, CONFIG, 1000)
     assert (dear.excess_cost, dear.reached) == (pytest.approx(2.5), False)
     # Nearly no privileged cost: kappa / 10 per 1000 env steps above it is allowed, half of that in half as long an episode.
     free = Drive(20.0, 0.0, 9.0, 1.0)
-    assert compare(Drive(20.0, 2.5, 9.0, 1.0), free, CONFIG, 1000) == Verdict(1.0, None, 0.0, True)
+    assert compare(Drive(20.0, 2.5, 9.0, 1.0), free, CONFIG, 1000) == Verdict(1.0, None, 0.0, 0.0, True)
     assert compare(Drive(20.0, 2.5, 9.0, 1.0), free, CONFIG, 500).excess_cost == pytest.approx(1.25)
     # A negative return is no base for a share: losing 15 % of its size is what is allowed.
     assert compare(Drive(-11.5, 0.0, 0.0, 0.0), Drive(-10.0, 0.0, 0.0, 0.0), CONFIG, 1000).return_share == pytest.approx(0.85)
 
 
 def test_the_kept_round_reached_both_or_cost_least_then_earned_most() -> None:
-    def verdict(share: float, excess: float) -> Verdict:
-        return Verdict(share, None, excess, share >= 0.85 and excess == 0)
+    wanted = Drive(20.0, 10.0, 9.0, 1.0)  # 17 of return are enough, 13 of cost allowed
 
-    assert best_round([verdict(0.9, 3.0), verdict(0.86, 0.0), verdict(1.2, 0.0)]) == 1
-    assert best_round([verdict(1.0, 3.0), verdict(0.5, 0.0), verdict(0.7, 0.0), verdict(0.6, 0.0)]) == 2
-    assert best_round([verdict(1.0, 3.0), verdict(0.5, 2.0), verdict(0.7, 2.0)]) == 2
-    assert best_round([verdict(0.1, 9.0)]) == 0
+    def best(*drives: tuple[float, float]) -> int:
+        return best_round([compare(Drive(*drive, 0.0, 0.0), wanted, CONFIG, 1000) for drive in drives])
+
+    assert best((19.0, 16.0), (17.1, 13.0), (24.0, 0.0)) == 1
+    assert best((20.0, 14.0), (4.0, 0.0)) == 0, "a policy that hardly moves costs little, and is no expert"
+    assert best((16.0, 30.0), (15.0, 13.0)) == 1
+    assert best((10.0, 13.0), (12.0, 13.0), (11.0, 13.0)) == 1
+    assert best((1.0, 90.0)) == 0
+    # Two thirds of the wanted return are as far away as a third more than the allowed cost.
+    assert compare(Drive(17.0 * 2 / 3, 0.0, 0.0, 0.0), wanted, CONFIG, 1000).shortfall == pytest.approx(1 / 3)
+    assert compare(Drive(20.0, 13.0 * 4 / 3, 0.0, 0.0), wanted, CONFIG, 1000).shortfall == pytest.approx(1 / 3)
 
 
 def test_drives_are_means_over_episodes() -> None:
     drive = Drive.of(np.array([1.0, 3.0]), np.array([0.0, 5.0]), np.array([7.0, 6.0]), enough=7)
-    assert drive.shown() == {"return": 2.0, "cost": 2.5, "goals": 6.5, "success": 0.5}
+    shown = {"return": 2.0, "cost": 2.5, "goals": 6.5, "success": 0.5, "return_sd": 1.0, "cost_sd": 2.5, "episodes": 2}
+    assert drive.shown() == shown

@@ -137,7 +137,11 @@ class DiagnosticsConfig(Config):
     starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)
     image_starts: int = assumed(128, "moments from which images are imagined", ge=1)
-    threshold: float = assumed(0.3, "expected costly steps within the horizon from which a cost counts as foreseen, as tau_c", ge=0.0)
+    threshold: float = assumed(
+        0.3,
+        "expected costly steps within the horizon, discounted as in the safety gate, from which a cost counts as foreseen: tau_c",
+        ge=0.0,
+    )
 
 
 class PoliciesConfig(Config):
@@ -159,7 +163,7 @@ class PoliciesConfig(Config):
     return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
     cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
     cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
-    evaluation_episodes: int = assumed(20, "episodes that judge a round, and others that evaluate each skill", ge=1)
+    evaluation_episodes: int = assumed(32, "episodes that judge a round, and others that evaluate each skill", ge=1)
 
 
 class CriticsConfig(Config):

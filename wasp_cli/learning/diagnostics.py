@@ -46,6 +46,20 @@ class Forecast(NamedTuple):
         return ahead
 
 
+class Alarm(NamedTuple):
+    """The rule of the safety gate, on imagined costs: Eq. 9 on Eq. 8 without a bootstrap."""
+
+    threshold: float
+    """tau_c"""
+    gamma: float
+    """gamma_c"""
+
+    def up(self, cost: Floats) -> NDArray[np.bool_]:
+        """[K, H] costs to [K]."""
+        raised: NDArray[np.bool_] = (cost * self.gamma ** np.arange(cost.shape[1])).sum(1) > self.threshold
+        return raised
+
+
 def spread_starts(replay: Replay, horizon: int, count: int) -> NDArray[np.int64]:
     """At most `count` rows, evenly spread over those from which `horizon` rows follow within their episode."""
     starts = replay.window_starts(horizon + 1)
@@ -73,21 +87,21 @@ def forecast(
     return Forecast(starts, cost.numpy(), reward.numpy())
 
 
-def judged_steps(replay: Replay, seen: Forecast, threshold: float, sources: Sequence[str]) -> list[Row]:
+def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
     """A row per imagined step.
 
     `base` is the share of costly steps and `auprc` that of c-hat; `persistence` is that of "cost stays what it is at the start". `recall`
-    is read at FALSE_ALARMS. `foreseen` is the share of the costs before which the alarm was up: the expected costly steps of the whole
-    window above the threshold. With `onset_` only starts count that do not cost themselves. `reliability` has a row per bin.
+    is read at FALSE_ALARMS. `foreseen` is the share of the costs before which the alarm was up over the imagined
+    window. With `onset_` only starts count that do not cost themselves. `reliability` has a row per bin.
 
     Args:
         replay: the recorded episodes.
         seen: what was imagined on them.
-        threshold: expected costly steps within the horizon from which a cost counts as foreseen.
+        alarm: raised before a cost, it makes the cost foreseen.
         sources: names of the cost sources.
     """
     now = replay.cost[seen.starts]
-    alarm = seen.cost.sum(1) > threshold
+    up = alarm.up(seen.cost)
     calm = now == 0
     rows = []
     for k, (follow, cost, reward) in enumerate(zip(seen.follow.T, seen.cost.T, seen.reward.T, strict=True), 1):
@@ -100,8 +114,8 @@ def judged_steps(replay: Replay, seen: Forecast, threshold: float, sources: Sequ
                 "k": k, "base": base, "auprc": average_precision(event, cost), "persistence": average_precision(event, now),
                 "onset_base": _mean(event[calm]), "onset_auprc": average_precision(event[calm], cost[calm]),
                 "recall": recall_at(event, cost, FALSE_ALARMS), "onset_recall": recall_at(event[calm], cost[calm], FALSE_ALARMS),
-                "foreseen": _mean(alarm[event]), "onset_foreseen": _mean(alarm[event & calm]),
-                "foreseen_by_source": {kind: _mean(alarm[costs]) for kind, costs in by.items()},
+                "foreseen": _mean(up[event]), "onset_foreseen": _mean(up[event & calm]),
+                "foreseen_by_source": {kind: _mean(up[costs]) for kind, costs in by.items()},
                 "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
                 "calibration_error": calibration_error(bins), "reliability": [row._asdict() for row in bins],
                 "reward_r2": 1.0 - error / variance if variance else float("nan"),
@@ -111,17 +125,17 @@ def judged_steps(replay: Replay, seen: Forecast, threshold: float, sources: Sequ
     return rows
 
 
-def judged_window(replay: Replay, seen: Forecast, threshold: float) -> Row:
+def judged_window(replay: Replay, seen: Forecast, alarm: Alarm) -> Row:
     """Over the whole window: the sum of costs, and whether there is any (its score is 1 - prod(1 - c-hat) over the steps)."""
     costs = replay.cost[seen.follow]  # [K, H]
     event, calm = costs.sum(1) > 0, replay.cost[seen.starts] == 0
-    score, alarm = 1.0 - np.prod(1.0 - seen.cost.astype(np.float64), 1), seen.cost.sum(1) > threshold
-    table: Row = {"cost_correlation": _correlation(seen.cost.sum(1), costs.sum(1)), "threshold": threshold}
+    score, up = 1.0 - np.prod(1.0 - seen.cost.astype(np.float64), 1), alarm.up(seen.cost)
+    table: Row = {"cost_correlation": _correlation(seen.cost.sum(1), costs.sum(1)), **alarm._asdict()}
     for prefix, rows in (("", np.ones(len(event), bool)), ("onset_", calm)):
         table |= {
             f"{prefix}base": _mean(event[rows]), f"{prefix}auprc": average_precision(event[rows], score[rows]),
             f"{prefix}recall": recall_at(event[rows], score[rows], FALSE_ALARMS),
-            f"{prefix}foreseen": _mean(alarm[rows & event]), f"{prefix}false_alarms": _mean(alarm[rows & ~event]),
+            f"{prefix}foreseen": _mean(up[rows & event]), f"{prefix}false_alarms": _mean(up[rows & ~event]),
         }  # fmt: skip
     return table | {"persistence": average_precision(event, replay.cost[seen.starts])}
 

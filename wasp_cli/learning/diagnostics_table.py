@@ -41,9 +41,10 @@ def open_loop_markdown(sets: Sets) -> str:
     window = next(iter(sets.values()))["window"]
     lines += [
         "Persistence says that the cost stays what it is now, copy that the image does. Recall is at 10 % false alarms. Onset counts only",
-        "starts that do not cost themselves. Foreseen is the share of the real costs before which the expected costly steps of the window",
-        f"were above {window['threshold']:g}; false alarms is the share of windows without a cost in which they were too. ECE is the mean",
-        "distance of predicted and seen over ten bins. Image errors are squared, per pixel, for values in [0, 1].",
+        "starts that do not cost themselves. Foreseen is the share of the real costs before which the safety gate would have fired: the",
+        f"expected costly steps of the window, discounted by {window['gamma']:g} a step, were above {window['threshold']:g};",
+        "false alarms is the share of windows without a cost in which they were too. ECE is the mean distance of predicted and seen over",
+        "ten bins. Image errors are squared, per pixel, for values in [0, 1].",
     ]
     return "\n".join(lines) + "\n"
 

@@ -241,7 +241,7 @@ def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, f
 
 
 class Drive(NamedTuple):
-    """Means over evaluation episodes."""
+    """Means over evaluation episodes, with what tells how far they can be trusted."""
 
     return_: float
     cost: float
@@ -249,15 +249,20 @@ class Drive(NamedTuple):
     goals: float
     success: float
     """Share of the episodes with enough goals."""
+    return_sd: float = 0.0
+    """Standard deviation over the episodes."""
+    cost_sd: float = 0.0
+    episodes: int = 0
 
     def shown(self) -> dict[str, float]:
         """By the names that people read."""
-        return {"return": self.return_, "cost": self.cost, "goals": self.goals, "success": self.success}
+        return {name.rstrip("_"): value for name, value in self._asdict().items()}
 
     @classmethod
     def of(cls, returns: NDArray[np.floating], costs: NDArray[np.floating], goals: NDArray[np.floating], enough: int) -> Drive:
         """From the sums [B] of whole episodes; `enough` goals are a success."""
-        return cls(float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean()))
+        means = float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean())
+        return cls(*means, float(returns.std()), float(costs.std()), len(returns))
 
 
 class Verdict(NamedTuple):
@@ -269,6 +274,8 @@ class Verdict(NamedTuple):
     """Latent cost / privileged cost; None where the privileged policy cost nothing."""
     excess_cost: float
     """Cost per episode beyond what is allowed; 0 within it."""
+    shortfall: float
+    """The lacking share of the wanted return plus the excess cost in units of the allowed one; 0 where both are reached."""
     reached: bool
     """Enough return and no excess cost."""
 
@@ -284,15 +291,17 @@ def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps:
     allowed = max(config.cost_ratio * privileged.cost, privileged.cost + config.cost_allowance * env_steps / 1000)
     excess = max(0.0, latent.cost - allowed)
     ratio = latent.cost / privileged.cost if privileged.cost > 0 else None
-    return Verdict(share, ratio, excess, share >= config.return_share and excess == 0.0)
+    lacking = 0.0 if share >= config.return_share else 1.0 - share / config.return_share
+    shortfall = lacking + excess / max(allowed, 1.0)
+    return Verdict(share, ratio, excess, shortfall, shortfall == 0.0)
 
 
 def best_round(verdicts: Sequence[Verdict]) -> int:
-    """The first round that reached both; where none did, the one with the least excess cost and among those the largest return share."""
-    for number, verdict in enumerate(verdicts):
-        if verdict.reached:
-            return number
-    return min(range(len(verdicts)), key=lambda i: (verdicts[i].excess_cost, -verdicts[i].return_share))
+    """The first round that reached both, where none did the one that fell least short.
+
+    Return and cost weigh alike: by the cost alone a policy that hardly moves would win.
+    """
+    return min(range(len(verdicts)), key=lambda number: verdicts[number].shortfall)
 
 
 def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:

@@ -33,6 +33,8 @@ def reliability(event: NDArray[np.bool_], probability: NDArray[Any]) -> list[Bin
 
 
 def calibration_error(bins: list[Bin]) -> float:
-    """ECE: the mean distance of predicted and seen over the bins, weighted by their rows."""
+    """ECE: the mean distance of predicted and seen over the bins, weighted by their rows; NaN without rows."""
     total = sum(row.size for row in bins)
+    if not total:
+        return float("nan")
     return sum(abs(row.predicted - row.seen) * row.size for row in bins if row.size) / total

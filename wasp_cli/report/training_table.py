@@ -124,7 +124,7 @@ def _stages(training: Training, notes: tuple[str, ...]) -> Table:
         rows.append(Row((task_title(task), str(number) + _share(training, own)), tuple(values[i] for values in shown)))
     meanings = (
         "The latent expert drives by the world model's filter; beside it the privileged one that it was distilled from. rank: correlation "
-        "of a critic with the discounted sum that really followed.",
+        "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off.",
     )
     return Table("training", "Trained parts", ("Task", "Round"), tuple(columns), tuple(rows), notes, meanings, ranked=False)
 

@@ -23,7 +23,7 @@ class DiagnosticsStage:
 
     kind = "diagnostics"
     config = DiagnosticsConfig
-    settings = ("action_repeat",)
+    settings = ("action_repeat", "returns")
     needs: tuple[str, ...] = ("expert", "dataset", "world_model")
 
     def run(self, job: Job) -> Mapping[str, Any]:
@@ -42,6 +42,7 @@ class DiagnosticsStage:
         from wasp_cli.tasks.make import make_task
 
         config = cast(DiagnosticsConfig, job.config)
+        alarm = judge.Alarm(config.threshold, job.settings["returns"].gamma_c)
         model = load_world_model(job.inputs["world_model"])
         folder = job.inputs["dataset"]
         held = read_replay(folder, ["episode"]).held_out(HELD_OUT)
@@ -65,13 +66,13 @@ class DiagnosticsStage:
             during(1.0, "imagining")
             seen = judge.forecast(model, replay, latents, starts, config.horizon, config.samples, seed)
             few = judge.spread_starts(replay, config.horizon, config.image_starts)
-            steps = judge.judged_steps(replay, seen, config.threshold, cost_sources(folder))
+            steps = judge.judged_steps(replay, seen, alarm, cost_sources(folder))
             images = judge.judged_images(model, replay, latents, few, config.horizon, config.samples, seed)
             kinds, counts = np.unique(replay.behaviour[replay.first > 0].astype(str), return_counts=True)
             sets[name] = {
                 "episodes": dict(zip(kinds.tolist(), counts.tolist(), strict=True)), "starts": len(starts),
                 "steps": [row | image for row, image in zip(steps, images, strict=True)],
-                "window": judge.judged_window(replay, seen, config.threshold),
+                "window": judge.judged_window(replay, seen, alarm),
                 "filter": judge.judged_filter(model, replay, latents, config.image_starts),
             }  # fmt: skip
             if name == "held_out":
