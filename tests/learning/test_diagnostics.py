@@ -18,7 +18,7 @@ from tests.learning.test_training import SOURCES, replay
 from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
 from wasp_cli.learning import pictures
-from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, WorldModelConfig
+from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.dataset import behaviours
 from wasp_cli.learning.diagnostics import Forecast
 from wasp_cli.learning.replay import Replay, read_replay
@@ -232,7 +232,8 @@ def test_the_stage_leaves_its_numbers_and_pictures_and_the_same_again(root: Path
     config = DiagnosticsConfig(episodes=3, starts=40, samples=2, image_starts=6)
     summaries = []
     for name in ("first", "again"):
-        job = dataclasses.replace(dataset_job(root, name), kind="diagnostics", config=config, inputs=inputs)
+        settings = {"action_repeat": 4, "returns": ReturnsConfig()}
+        job = dataclasses.replace(dataset_job(root, name), kind="diagnostics", config=config, settings=settings, inputs=inputs)
         summaries.append(DiagnosticsStage().run(job))
     files = {name: {path.name: path.read_bytes() for path in (root / name).iterdir()} for name in ("first", "again")}
     assert files["first"] == files["again"]
