@@ -47,7 +47,8 @@ _QUICK: Document = {
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {
         "deter": 192, "hidden": 128, "variables": 12, "classes": 12, "depth": 8, "head": 96,
-        "batch": 8, "length": 16, "updates": 2400, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25, "refit_updates": 300,
+        "batch": 8, "length": 16, "updates": 2400, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25,
+        "ahead_starts": 32, "ahead_images": 16, "refit_updates": 300,
     },
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
     "policies": {
