@@ -198,6 +198,7 @@ def horizon_figure(sets: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     panels[0].set_ylim(0.0, 1.0)
     for panel in (panels[1], panels[3]):
         panel.axhline(1.0, color="#999999", linewidth=0.8)
+        panel.set_ylim(top=max(1.3, panel.get_ylim()[1]))
     panels[1].axhspan(0.8, 1.25, color="#eeeeee", zorder=0)
     figure.savefig(path)
 
