@@ -71,6 +71,31 @@ def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
     assert len(judge.spread_starts(data, 500, 20)) == 0
 
 
+def test_where_a_goal_ends_the_episode_the_goal_is_judged_too() -> None:
+    """The steps before a terminal row count as far as they go; those before a time limit do not."""
+    data = replay((12, 9, 4))
+    data.terminal[[11, 24]] = 1
+    starts = judge.spread_starts(data, 5, 1000, ended=True)
+    assert starts.tolist() == [*range(11), *range(12, 16), *range(21, 24)]
+    assert judge.spread_starts(data, 5, 1000).tolist() == [*range(7), *range(12, 16)]
+    follow, within = judge.what_followed(data, starts, 5)
+    for start, rows, going in zip(starts.tolist(), follow, within, strict=True):
+        end = {0: 11, 1: 20, 2: 24}[int(data.episode[start])]
+        assert rows.tolist() == [min(start + k, end) for k in range(1, 6)]
+        assert going.tolist() == [start + k <= end for k in range(1, 6)]
+    data.reward[:] = 0
+    data.reward[[11, 24]] = 10.0
+    data.cost[:] = 0
+    data.cost[24] = 1
+    perfect = Forecast(starts, data.cost[follow] + 5.0 * ~within, data.reward[follow] + 5.0 * ~within, follow, within)
+    table = judge.judged_steps(data, perfect, judge.Alarm(0.3, 0.95), SOURCES)
+    # At every step there is a start whose episode ends there, and what is imagined after an end does not count.
+    assert [row["reward_variance"] > 0 for row in table] == [True] * 5
+    assert [row["reward_r2"] for row in table] == [1.0] * 5
+    assert [row["base"] for row in table] == [pytest.approx(data.cost[follow[:, k]][within[:, k]].mean()) for k in range(5)]
+    assert judge.judged_window(data, perfect, judge.Alarm(0.3, 0.95))["cost_correlation"] == pytest.approx(1.0)
+
+
 def test_a_model_that_knows_the_future_is_perfect_at_every_step() -> None:
     model, data, latents = corridor()
     seen = forecast_of(model, data, latents)
@@ -187,7 +212,8 @@ def test_the_strip_shows_onsets_and_calm_windows_frame_by_frame(tmp_path: Path) 
     data.cost[[20, 60, 61]] = 1
     film, rows = Film(data), Rows(np.arange(80))
     starts = judge.spread_starts(data, 6, 1000)
-    seen = Forecast(starts, data.cost[starts[:, None] + 1 + np.arange(6)], np.zeros((len(starts), 6)))
+    follow, within = judge.what_followed(data, starts, 6)
+    seen = Forecast(starts, data.cost[follow], np.zeros((len(starts), 6)), follow, within)
     windows = pictures.shown_windows(data, seen)
     costly = [bool(data.cost[s + 1 : s + 7].any()) for s in starts[windows]]
     assert costly == [True] * pictures.COSTLY + [False] * pictures.CALM

@@ -38,12 +38,10 @@ class Forecast(NamedTuple):
     """[K, H] probability of a cost at the arrived state"""
     reward: Floats
     """[K, H]"""
-
-    @property
-    def follow(self) -> NDArray[np.int64]:
-        """[K, H] rows that really followed."""
-        ahead: NDArray[np.int64] = self.starts[:, None] + 1 + np.arange(self.cost.shape[1])
-        return ahead
+    follow: NDArray[np.int64]
+    """[K, H] rows that really followed; after the end of an episode its last one"""
+    within: NDArray[np.bool_]
+    """[K, H] the episode was still going; only these steps are judged"""
 
 
 class Alarm(NamedTuple):
@@ -60,13 +58,29 @@ class Alarm(NamedTuple):
         return raised
 
 
-def spread_starts(replay: Replay, horizon: int, count: int) -> NDArray[np.int64]:
-    """At most `count` rows, evenly spread over those from which `horizon` rows follow within their episode."""
+def spread_starts(replay: Replay, horizon: int, count: int, *, ended: bool = False) -> NDArray[np.int64]:
+    """At most `count` rows, evenly spread over those from which `horizon` rows follow within their episode.
+
+    With `ended`, also over those whose episode ends sooner by its own rule: where a goal ends it, the others never see the goal. Episodes
+    that a time limit cuts off say nothing of what would have followed.
+    """
     starts = replay.window_starts(horizon + 1)
+    if ended:
+        for end in np.flatnonzero(replay.terminal > 0).tolist():
+            near = np.arange(max(0, end - horizon), end)
+            starts = np.union1d(starts, near[replay.episode[near] == replay.episode[end]])
     if len(starts) <= count:
         return starts
     chosen: NDArray[np.int64] = starts[np.linspace(0, len(starts) - 1, count).round().astype(int)]
     return chosen
+
+
+def what_followed(replay: Replay, starts: NDArray[np.int64], horizon: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The rows [K, H] after each start, after the end of its episode the last one again, and whether the episode was still going."""
+    last = np.searchsorted(replay.episode, replay.episode[starts], side="right")[:, None] - 1  # [K, 1]
+    ahead: NDArray[np.int64] = starts[:, None] + 1 + np.arange(horizon)
+    within: NDArray[np.bool_] = ahead <= last
+    return np.minimum(ahead, last), within
 
 
 @torch.inference_mode()
@@ -76,15 +90,16 @@ def forecast(
     """Imagine from `starts` [K] under the true actions."""
     source = generator(seed)
     cost, reward = torch.zeros(len(starts), horizon), torch.zeros(len(starts), horizon)
+    follow, within = what_followed(replay, starts, horizon)
     for begin in range(0, len(starts), CHUNK):
         here = slice(begin, begin + CHUNK)
         index = torch.from_numpy(starts[here])
-        actions = torch.from_numpy(replay.action[starts[here, None] + 1 + np.arange(horizon)])
+        actions = torch.from_numpy(replay.action[follow[here]])
         for _ in range(samples):
             arrived = roll_prior(model, latents.at(index), actions, source)
             cost[here] += model.cost(arrived) / samples
             reward[here] += model.reward(arrived) / samples
-    return Forecast(starts, cost.numpy(), reward.numpy())
+    return Forecast(starts, cost.numpy(), reward.numpy(), follow, within)
 
 
 def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
@@ -100,11 +115,12 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
         alarm: raised before a cost, it makes the cost foreseen.
         sources: names of the cost sources.
     """
-    now = replay.cost[seen.starts]
-    up = alarm.up(seen.cost)
-    calm = now == 0
+    raised = alarm.up(seen.cost * seen.within)
     rows = []
-    for k, (follow, cost, reward) in enumerate(zip(seen.follow.T, seen.cost.T, seen.reward.T, strict=True), 1):
+    for k, (going, *columns) in enumerate(zip(seen.within.T, seen.follow.T, seen.cost.T, seen.reward.T, strict=True), 1):
+        follow, cost, reward = (column[going] for column in columns)
+        now, up = replay.cost[seen.starts[going]], raised[going]
+        calm = now == 0
         event, true_reward = replay.cost[follow] > 0, replay.reward[follow]
         base, bins = _mean(event), reliability(event, cost)
         error, variance = float(((reward - true_reward) ** 2).mean()), float(true_reward.var())
@@ -126,11 +142,14 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
 
 
 def judged_window(replay: Replay, seen: Forecast, alarm: Alarm) -> Row:
-    """Over the whole window: the sum of costs, and whether there is any (its score is 1 - prod(1 - c-hat) over the steps)."""
-    costs = replay.cost[seen.follow]  # [K, H]
+    """Over the window, or what the episode left of it: the sum of costs, and whether there is any.
+
+    The score of "any" is 1 - prod(1 - c-hat) over the steps.
+    """
+    costs, predicted = replay.cost[seen.follow] * seen.within, seen.cost.astype(np.float64) * seen.within  # [K, H]
     event, calm = costs.sum(1) > 0, replay.cost[seen.starts] == 0
-    score, up = 1.0 - np.prod(1.0 - seen.cost.astype(np.float64), 1), alarm.up(seen.cost)
-    table: Row = {"cost_correlation": _correlation(seen.cost.sum(1), costs.sum(1)), **alarm._asdict()}
+    score, up = 1.0 - np.prod(1.0 - predicted, 1), alarm.up(predicted)
+    table: Row = {"cost_correlation": _correlation(predicted.sum(1), costs.sum(1)), **alarm._asdict()}
     for prefix, rows in (("", np.ones(len(event), bool)), ("onset_", calm)):
         table |= {
             f"{prefix}base": _mean(event[rows]), f"{prefix}auprc": average_precision(event[rows], score[rows]),

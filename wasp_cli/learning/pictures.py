@@ -73,8 +73,9 @@ class Strip(NamedTuple):
 
 def shown_windows(replay: Replay, seen: Forecast) -> list[int]:
     """Indices into the starts: onsets of a cost late in the window first, spread over the episodes, then windows without any cost."""
-    costs = replay.cost[seen.follow] > 0
-    calm = replay.cost[seen.starts] == 0
+    whole: NDArray[np.bool_] = np.asarray(seen.within.all(1))
+    costs = (replay.cost[seen.follow] > 0) & whole[:, None]
+    calm = (replay.cost[seen.starts] == 0) & whole
     first = np.where(costs.any(1), costs.argmax(1), -1)
     # An onset in the middle of the window shows both the approach and the cost.
     onset = np.flatnonzero(calm & (first >= costs.shape[1] // 3) & (first < costs.shape[1] - 1))

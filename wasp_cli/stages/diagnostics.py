@@ -62,7 +62,7 @@ class DiagnosticsStage:
 
             latents = encode(model, replay, during)
             seed = derive("diagnostics", job.task, job.seed, name)
-            starts = judge.spread_starts(replay, config.horizon, config.starts)
+            starts = judge.spread_starts(replay, config.horizon, config.starts, ended=True)
             during(1.0, "imagining")
             seen = judge.forecast(model, replay, latents, starts, config.horizon, config.samples, seed)
             few = judge.spread_starts(replay, config.horizon, config.image_starts)
@@ -77,7 +77,7 @@ class DiagnosticsStage:
             }  # fmt: skip
             if name == "held_out":
                 pictures.reconstruction_sheet(model, replay, latents, job.out_dir / "reconstruction.png")
-                if len(starts):
+                if len(few):
                     windows = pictures.shown_windows(replay, seen)
                     strips = pictures.strips(model, replay, latents, seen, windows, seed)
                     pictures.open_loop_sheet(strips, job.out_dir / "open_loop.png")
