@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -57,7 +58,9 @@ def test_its_costs_and_episodes_are_its_own(home: Path) -> None:
     rows = [row for cell in cells for row in cell]
     assert {row["task"] for row in rows} == {"puddle:Puddle-v0"}
     assert len(rows) == 10
-    assert any(row["cost"] > 0 for row in rows)
+    # Ten untrained episodes may well miss the puddle; the data also has random drivers.
+    (contents,) = (home / "results" / "store" / "dataset").glob("*/contents.json")
+    assert json.loads(contents.read_text())["all"]["costly_share"] > 0
     assert all(0 < row["env_steps"] <= 200 for row in rows)
     assert len({row["return"] for row in rows}) > 5
 
@@ -70,7 +73,7 @@ def test_no_file_is_named_by_what_a_file_name_cannot_hold(home: Path) -> None:
 
 def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home: Path) -> None:
     settings = [part for setting in ("preset=smoke", "episodes=2", "expert.interactions=1000") for part in ("--set", setting)]
-    assert "0 computed, 12 computed before" in wasp(home, "run", "puddle.yaml", *settings).stderr
+    assert "0 computed, 18 computed before" in wasp(home, "run", "puddle.yaml", *settings).stderr
     module = home / "puddle.py"
     text = module.read_text(encoding="utf-8")
     module.write_text(text.replace("WET, REACHED, STEP = 0.3", "WET, REACHED, STEP = 0.35"), encoding="utf-8")
@@ -78,7 +81,7 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
         planned = wasp(home, "plan", "puddle.yaml", *settings)
     finally:
         module.write_text(text, encoding="utf-8")
-    assert re.search(r"total +12 +0 +12", planned.stdout), planned.stdout
+    assert re.search(r"total +18 +0 +18", planned.stdout), planned.stdout
 
 
 def test_the_report_needs_no_environment(home: Path, tmp_path: Path) -> None:
