@@ -164,12 +164,13 @@ def test_the_sheet_shows_the_frames_and_marks_the_costly_ones(tmp_path: Path) ->
         top, left = GAP + TITLE + EDGE + camera * (FRAME + EDGE), GAP + column * pitch + EDGE
         return sheet[top : top + FRAME : 2, left : left + FRAME : 2]
 
-    # The first behaviour by name is the expert: four frames spread over its steps, then the costly ones from both sources.
-    for column, row in ((FRAMES, 4), (FRAMES + 1, 30)):
+    # The first behaviour by name is the expert, with rows 0-11 and 21-35: four frames ever later in their episodes, then the costly ones
+    # from both sources.
+    for column, row in ((0, 1), (1, 4), (2, 30), (3, 34), (FRAMES, 4), (FRAMES + 1, 30)):
         for camera in range(2):
             np.testing.assert_array_equal(frame(column, camera), data.pixels[row, 3 * camera : 3 * camera + 3].transpose(1, 2, 0))
     edges = [tuple(sheet[GAP + TITLE + 1, GAP + column * pitch + 1].tolist()) for column in range(FRAMES + 3)]
-    assert [edge == _COSTLY for edge in edges] == [False] * FRAMES + [True, True, False]
+    assert [edge == _COSTLY for edge in edges] == [False, True, True, False, True, True, False]
     assert contents_of(tmp_path)[ALL]["steps"] == 33
 
 

@@ -10,7 +10,8 @@ from wasp_cli.report.training_table import training_tables
 SUMMARIES: dict[str, dict[str, Any]] = {
     "expert": {"return": 20.0, "cost": 30.0, "success": 0.9, "multiplier": 0.4},
     "dataset": {"steps": 1000, "costly_share": 0.05},
-    "world_model": {"auprc@1": 0.8, "auprc@5": None, "reward_r2@5": 0.3},
+    "world_model": {"skipped": 0},
+    "diagnostics": {"auprc@1": 0.8, "auprc@5": None, "reward_r2@5": 0.3},
     "policies": {"return": 18.0, "cost": 33.0, "privileged_return": 20.0, "privileged_cost": 30.0},
     "critics": {"rank_r": 0.7, "rank_c": None},
     "rollouts": {"costly_share": 0.07},
@@ -24,7 +25,7 @@ def chain(rounds: int = 1, seeds: tuple[int, ...] = (0,), task: str = "goal1") -
     for seed in seeds:
         for number in range(1, rounds + 1):
             first = ["expert", "dataset"] if number == 1 else ["rollouts"]
-            for kind in [*first, "world_model", "policies", "critics"]:
+            for kind in [*first, "world_model", "policies", "critics", "diagnostics"]:
                 part, key = Part(task, kind, seed, number), f"{kind}{seed}{number}"
                 shift = seed + 0.1 * (number - 1)
                 told = {name: value + shift if isinstance(value, float) else value for name, value in SUMMARIES[kind].items()}
@@ -63,16 +64,6 @@ def test_a_later_round_reads_its_own_data_and_the_expert_of_the_first() -> None:
     assert [row.labels[1] for row in ahead.rows] == ["Cost AUPRC", "Reward R²", "Cost AUPRC, round 2", "Reward R², round 2"]
 
 
-def test_diagnostics_come_before_what_the_world_model_says_of_itself() -> None:
-    parts, trained = chain()
-    parts.append((Part("goal1", "diagnostics", 0), "judge"))
-    trained.append(Trained("diagnostics", "goal1", 0, "judge", 1.0, {"auprc@1": 0.5, "auprc@10": 0.4, "persistence@1": 0.45}))
-    _, ahead = training_tables(parts, trained)
-    assert [(row.labels[1], [value.mean for value in row.values]) for row in ahead.rows] == [
-        ("Cost AUPRC", [0.5, None, 0.4]), ("Cost AUPRC, persistence", [0.45, None, None]), ("Reward R²", [None, 0.3, None]),
-    ]  # fmt: skip
-
-
 def test_seeds_are_averaged_and_their_spread_is_shown() -> None:
     stages, _ = training_tables(*chain(seeds=(0, 1)))
     value = stages.rows[0].values[0]
@@ -83,14 +74,14 @@ def test_seeds_are_averaged_and_their_spread_is_shown() -> None:
 
 def test_what_is_missing_is_named_and_never_a_number() -> None:
     parts, trained = chain(seeds=(0, 1))
-    there = [one for one in trained if one.stage not in ("critics", "world_model") and not (one.stage == "expert" and one.seed == 1)]
+    there = [one for one in trained if one.stage not in ("critics", "diagnostics") and not (one.stage == "expert" and one.seed == 1)]
     stages, ahead = training_tables(parts, there, {"critics01": "failed: no luck"})
     assert stages.rows[0].labels == ("Goal1", "1 [5 of 8 parts]")
     found = numbers(stages)
     assert (found["expert.return"], found["critics.rank_r"], found["critics.rank_c"]) == (20.0, None, None)
     assert stages.notes == (
-        "INCOMPLETE: 5 of 10 parts are missing: goal1 s0 critics (failed: no luck), goal1 s1 expert, goal1 s0 world_model, "
-        "goal1 s1 world_model, goal1 s1 critics.",
+        "INCOMPLETE: 5 of 12 parts are missing: goal1 s0 critics (failed: no luck), goal1 s1 expert, goal1 s1 critics, "
+        "goal1 s0 diagnostics, goal1 s1 diagnostics.",
     )
     assert [row.labels for row in ahead.rows] == [("Goal1", "Cost AUPRC [0 of 2 parts]")]
     assert all(value.mean is None for value in ahead.rows[0].values)

@@ -32,7 +32,7 @@ def test_runs_are_named_by_universal_time(
 ) -> None:
     request.addfinalizer(time.tzset)
     with monkeypatch.context() as patch:
-        patch.setenv("TZ", "XXX-9")
+        patch.setenv("TZ", "JST-9")
         time.tzset()
         run(small_spec, tmp_path / "results")
     (folder,) = Layout(tmp_path / "results").runs.iterdir()

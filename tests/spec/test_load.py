@@ -43,10 +43,8 @@ def at(problem: Problem) -> tuple[int, int]:
     return problem.position.line, problem.position.column
 
 
-@pytest.mark.parametrize("path", sorted(SPECS.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(path for path in SPECS.glob("*.yaml") if path.stem != "paper"), ids=lambda path: path.stem)
 def test_shipped_specs_are_valid(path: Path) -> None:
-    if path.stem == "paper":
-        pytest.skip("the paper's printed numbers, no spec")
     assert load(path).spec.name == path.stem
 
 

@@ -12,6 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import wasp_cli.tasks.gym
+import wasp_cli.tasks.gym_vector
 from wasp_cli.errors import TaskError, UnknownName, UsageError
 from wasp_cli.tasks.make import make_task
 
@@ -107,7 +108,7 @@ def vectors(**options: Any) -> tuple[gymnasium.vector.VectorEnv, gymnasium.vecto
 @pytest.mark.parametrize("observation", ["state", "all"])
 def test_the_vector_is_gymnasiums_own_seed_for_seed_through_every_restart(observation: str) -> None:
     ours, theirs = vectors(action_repeat=50, observation=observation)
-    assert isinstance(ours, wasp_cli.tasks.gym.TaskVectorEnv)
+    assert isinstance(ours, wasp_cli.tasks.gym_vector.TaskVectorEnv)
     for space in ("observation_space", "single_observation_space", "action_space", "single_action_space"):
         assert getattr(ours, space) == getattr(theirs, space)
     assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
@@ -136,7 +137,7 @@ def test_all_rows_may_end_in_the_same_step() -> None:
 
 def test_a_vector_is_made_by_default_and_by_module_name() -> None:
     envs = gymnasium.make_vec(f"wasp_cli.tasks.gym:{ID}", num_envs=2, render_mode="rgb_array")
-    assert isinstance(envs, wasp_cli.tasks.gym.TaskVectorEnv)
+    assert isinstance(envs, wasp_cli.tasks.gym_vector.TaskVectorEnv)
     envs.reset(seed=0)
     assert [picture.shape for picture in envs.render()] == [(256, 256, 3)] * 2
     assert gymnasium.make_vec(ID, num_envs=1).render() is None

@@ -11,6 +11,7 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
+from wasp_cli.errors import ArtifactError
 from wasp_cli.models.weights import read_tensors
 
 
@@ -45,7 +46,11 @@ def save_training(
 def restore_training(
     folder: Path, module: nn.Module, optimizer: torch.optim.Optimizer, source: torch.Generator, further: HasTensors | None = None
 ) -> dict[str, Any] | None:
-    """Load the checkpoint of `folder` into its owners and return its counters; None when there is none."""
+    """Load the checkpoint of `folder` into its owners and return its counters; None when there is none.
+
+    Raises:
+        ArtifactError: it was written on another kind of device.
+    """
     path = folder / "training.safetensors"
     if not path.exists():
         return None
@@ -61,7 +66,10 @@ def restore_training(
             _, index, key = name.split("/")
             state.setdefault(int(index), {})[key] = tensor
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-    source.set_state(tensors["generator"])
+    try:
+        source.set_state(tensors["generator"])
+    except RuntimeError as error:  # the generators of a CPU and a GPU have states of different sizes
+        raise ArtifactError(f"{path} was written on another device", f"go on there, or remove {folder} to begin anew") from error
     if further is not None:
         further.load({name.removeprefix("further/"): t for name, t in tensors.items() if name.startswith("further/")})
     return counters

@@ -67,9 +67,7 @@ class MixtureConfig(Config):
     delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
     early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
     bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(
-        0.25, "repetition with probability 0.9 or 0.95; without it 1.5 % of the steps in FormulaOne1 cost", ge=0.0, le=1.0
-    )
+    careless: float = assumed(0.25, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
     random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
@@ -132,7 +130,7 @@ class WorldModelConfig(Config):
 class DiagnosticsConfig(Config):
     """What the world model is worth on episodes that it was not trained on."""
 
-    episodes: int = assumed(32, "fresh episodes under operators that are not in the dataset; with 8 a set had a dozen costs", ge=1)
+    episodes: int = assumed(32, "fresh episodes under operators that are not in the dataset", ge=1)
     horizon: int = from_paper(15, "H", ge=1)
     starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)

@@ -54,7 +54,14 @@ def _chosen(replay: Replay, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     kinds = [rows[replay.sources[rows, i] > 0] for i in range(replay.sources.shape[1])]
     kinds = [kind for kind in kinds if len(kind)]
     costly = [_spread(kind, len(range(i, FRAMES, len(kinds)))) for i, kind in enumerate(kinds)]
-    return np.concatenate([_spread(rows, FRAMES), *costly])
+    return np.concatenate([_spread_over_episodes(replay, rows), *costly])
+
+
+def _spread_over_episodes(replay: Replay, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """FRAMES rows of different episodes, each later in its own: equal parts of all rows would show one moment of them again and again."""
+    numbers, shares = np.unique(replay.episode[rows]), (np.arange(FRAMES) + 0.5) / FRAMES
+    own = [rows[replay.episode[rows] == numbers[int(share * len(numbers))]] for share in shares]
+    return np.array([part[int(share * len(part))] for part, share in zip(own, shares, strict=True)])
 
 
 def _spread(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:

@@ -19,7 +19,7 @@ from wasp_cli.learning.device import mixed_precision
 from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.windows import Context, Window, Windows
-from wasp_cli.models.world_model import SafetyWorldModel, Sizes
+from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
 
 Report = Callable[[float, str], None]
 SKIPS = 5
@@ -58,11 +58,11 @@ def train(
     seed: int,
     work: Path,
     report: Report,
-) -> dict[str, list[float]]:
+) -> tuple[dict[str, list[float]], int]:
     """Minimise Eq. 6 on those rows of a replay, on the model's device; goes on from its own checkpoint in `work`.
 
     Returns:
-        The loss curves by term, a value per 20 updates, and the number of skipped updates as the curve `skipped`.
+        The loss curves by term and that of the gradient norm, a value per 20 updates; and the number of updates that were left out.
 
     Raises:
         TrainingError: more than a handful of updates had a non-finite loss; the last good checkpoint stays in `work`.
@@ -72,7 +72,7 @@ def train(
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed, device)
     context = Context(len(replay.first), config.deter, config.variables, device)
-    fresh: dict[str, Any] = {"update": 0, "skipped": 0, "curves": {name: [] for name in [*weights, "gradient_norm", "skipped"]}}
+    fresh: dict[str, Any] = {"update": 0, "skipped": 0, "curves": {name: [] for name in [*weights, "gradient_norm"]}}
     counters = restore_training(work, model, optimizer, source, context) or fresh
     windows = Windows(replay, rows, config.length, config.cost_windows, device)
     compute = torch.compile(model.losses) if config.compile else model.losses
@@ -101,7 +101,7 @@ def train(
             context.keep(window, latent)
         if update % SHOWN == 0 or update == updates - 1:
             values = {name: float(loss.detach()) for name, loss in losses.items()}
-            for name, value in {**values, "gradient_norm": float(norm), "skipped": float(counters["skipped"])}.items():
+            for name, value in {**values, "gradient_norm": float(norm)}.items():
                 counters["curves"][name].append(value)
             shown = f"image {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost {values['beta_c']:.2f}"
             report((update + 1) / updates, f"update {update + 1}/{updates}, {shown}")
@@ -109,10 +109,10 @@ def train(
             save_training(work, model, optimizer, source, counters | {"update": update + 1}, context)
     model.eval()
     curves: dict[str, list[float]] = counters["curves"]
-    return curves
+    return curves, counters["skipped"]
 
 
-def _cut(window: Window) -> Any:
+def _cut(window: Window) -> Batch:
     """The batch as sequences without a past."""
     first = window.batch.first.clone()
     first[:, 0] = 1.0

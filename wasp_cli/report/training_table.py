@@ -35,7 +35,7 @@ MEASURES = (
     Column("recall", "Cost recall"),
     Column("reward_r2", "Reward R²"),
 )
-"""Numbers of `diagnostics`, or of `world_model` where it has them, each for some imagined steps: `auprc@5`."""
+"""Numbers of `diagnostics`, each for some imagined steps: `auprc@5`."""
 STEPS = (1, 5, 10, 15)
 NAMED = 6
 """Missing parts that a note names; the plan names all."""
@@ -134,13 +134,12 @@ def _ahead(training: Training) -> Table:
     rows = []
     for task in training.tasks():
         for number in training.rounds(task):
-            judges, models = training.parts(task, "diagnostics", number), training.parts(task, "world_model", number)
-            share = _share(training, judges or models)
+            judges = training.parts(task, "diagnostics", number)
+            share = _share(training, judges)
             for measure in MEASURES:
                 names = [f"{measure.key}@{step}" for step in STEPS]
-                tellers = [judges if training.tells(judges, name) else models for name in names]
-                values = [training.value(own, name) for own, name in zip(tellers, names, strict=True)]
-                told = any(training.tells(own, name) for own, name in zip(tellers, names, strict=True))
+                values = [training.value(judges, name) for name in names]
+                told = any(training.tells(judges, name) for name in names)
                 # A measure that no part tells is no row; of what is still to come there is one.
                 if told or (share and measure is MEASURES[0]):
                     label = measure.title + (f", round {number}" if number > 1 else "") + share

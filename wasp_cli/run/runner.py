@@ -23,7 +23,7 @@ from wasp_cli.store.provenance import provenance
 # Longest first, so that a wave does not end with one worker busy and the others idle.
 _LONG = (
     "expert", "world_model", "rollouts", "residual", "dataset", "denoiser",
-    "policies", "critics", "ida_q", "heldout", "calibration", "evaluate",
+    "policies", "critics", "diagnostics", "ida_q", "heldout", "calibration", "evaluate",
 )  # fmt: skip
 KILLED = "its process was killed, twice (out of memory, or by a signal)"
 
