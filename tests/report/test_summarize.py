@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import io
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ Cells = list[tuple[Cell, str]]
 
 
 def key(kind: str, number: int) -> str:
-    return f"{sum(map(ord, kind)):04x}{number:04x}" * 2
+    return hashlib.sha256(f"{kind} {number}".encode()).hexdigest()[:16]
 
 
 @pytest.fixture
@@ -66,14 +67,17 @@ def cells(spec: Spec, tmp_path: Path) -> Cells:
             key("world_model", seed),
             seed,
             {"expert": key("expert", seed)},
-            summary={"cost_auprc": 0.51234, "auprc@5": 0.4},
+            summary={"cost_auprc": 0.51234},
         )
+        judge = {"world_model": key("world_model", seed)}
+        manifest(layout, "diagnostics", key("diagnostics", seed), seed, judge, summary={"auprc@5": 0.4})
         manifest(layout, "calibration", key("calibration", seed), seed, {"world_model": key("world_model", seed)}, {"method": "wasp"})
     return numbered
 
 
 def parts(spec: Spec) -> list[tuple[Part, str]]:
-    return [(Part("goal1", kind, seed), key(kind, seed)) for seed in spec.seeds for kind in ("expert", "world_model", "critics")]
+    kinds = ("expert", "world_model", "critics", "diagnostics")
+    return [(Part("goal1", kind, seed), key(kind, seed)) for seed in spec.seeds for kind in kinds]
 
 
 def manifest(layout: Layout, kind: str, name: str, seed: int, upstream: dict[str, str], axes: Any = (), summary: Any = ()) -> None:
@@ -115,13 +119,13 @@ def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, t
     write_record(layout.failure(key("critics", 1)), {"message": "no data", "log": "x.log"})
     report = report_run(tmp_path, spec, [], parts(spec))
     assert (report.missing, [table.name for table in report.tables]) == ((), ["training", "world_model"])
-    assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2
+    assert [artifact.stage for artifact in report.trained] == ["expert", "world_model", "diagnostics"] * 2
     page, text = report.markdown(), terminal(report)
     assert "- Training only: the spec lists no methods." in page
     for shown in (
         "Goal1",
         "1 [2 of 4 parts]",
-        "2 of 6 parts are missing: goal1 s1 critics (failed: no data (log: x.log)), goal1 s0 critics",
+        "2 of 8 parts are missing: goal1 s1 critics (failed: no data (log: x.log)), goal1 s0 critics",
     ):
         assert shown in page
         assert shown in text
