@@ -72,6 +72,7 @@ def test_world_model_update(benchmark: Any, preset: str) -> None:
     benchmark.pedantic(update, rounds=5, warmup_rounds=1)
     benchmark.extra_info["frames_per_s"] = rows * steps / benchmark.stats.stats.min
     benchmark.extra_info["share_of_images"] = seconds(images, 3) / benchmark.stats.stats.min
+    assert all(torch.isfinite(parameter).all() for parameter in model.parameters()), "the update went wrong"
 
 
 @pytest.mark.parametrize("batch", [1, 10])
@@ -82,7 +83,8 @@ def test_filter_step(benchmark: Any, batch: int) -> None:
     action, first = torch.zeros(batch, 2), torch.zeros(batch)
     with torch.inference_mode():
         latent = model.initial(batch)
-        benchmark.pedantic(model.filter, (latent, action, pixels, first), rounds=30, warmup_rounds=3)
+        seen = benchmark.pedantic(model.filter, (latent, action, pixels, first), rounds=30, warmup_rounds=3)
+        assert seen.features.shape == (batch, model.feature_size)
         benchmark.extra_info["ms"] = 1000 * benchmark.stats.stats.min
         benchmark.extra_info["share_of_encoder"] = seconds(lambda: model.embed(pixels), 20) / benchmark.stats.stats.min
 
@@ -97,7 +99,8 @@ def test_imagination(benchmark: Any, batch: int) -> None:
     actions, source = torch.randn(batch, horizon, 2), generator(0)
     with torch.inference_mode():
         start = model.initial(batch)
-        benchmark.pedantic(roll_prior, (model, start, actions, source), rounds=3, warmup_rounds=1)
+        arrived = benchmark.pedantic(roll_prior, (model, start, actions, source), rounds=3, warmup_rounds=1)
+        assert arrived.features.shape == (batch, horizon, model.feature_size)
     rate = batch * horizon / benchmark.stats.stats.min
     benchmark.extra_info["steps_per_s"] = rate
     benchmark.extra_info["share_of_matrix_products"] = rate * products / matrix_rate()

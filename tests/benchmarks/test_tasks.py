@@ -27,7 +27,9 @@ def test_env_steps(benchmark: Any, name: str, batch: int, repeat: int, observe: 
             task.reset(range(batch))
         return (drive(task),), {}
 
-    benchmark.pedantic(task.step, setup=setup, rounds=100)
+    last = benchmark.pedantic(task.step, setup=setup, rounds=100)
+    assert last.env_steps.max() <= repeat
+    assert last.env_steps.sum() > 0, "the last decision moved nothing"
     benchmark.extra_info["env_steps_per_s"] = batch * repeat / benchmark.stats.stats.mean
     benchmark.extra_info["raw_mj_step_per_s"] = speed._raw_steps(speed._RAW[task.name](), 0.5)
 
