@@ -13,7 +13,7 @@ from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.configs import MixtureConfig, WorldModelConfig
 from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
 from wasp_cli.learning.denoiser import demonstrations
-from wasp_cli.learning.draws import generator
+from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.lagrangian import MultiplierRule
 from wasp_cli.learning.latents import encode
 from wasp_cli.learning.refit import refit_heads
@@ -297,7 +297,7 @@ def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path: Path) ->
     assert (tmp_path / "training.safetensors").read_bytes() == good
 
 
-def test_the_refit_moves_only_reward_and_cost_heads() -> None:
+def test_the_refit_moves_only_the_heads_that_imagination_reads() -> None:
     torch.manual_seed(0)
     model, data = build(TINY, 2), replay()
     model.requires_grad_(False)
@@ -306,7 +306,38 @@ def test_the_refit_moves_only_reward_and_cost_heads() -> None:
     before = {name: value.clone() for name, value in model.state_dict().items()}
     refit_heads(model, data, latents, data.episode < 2, TINY, 0, lambda share, text: None)
     moved = {name.split(".")[0] for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
-    assert moved == {"reward_head", "cost_head"}
+    assert moved == {"reward_head", "cost_head", "continue_head"}
+
+
+def test_the_refit_learns_nothing_of_what_lies_behind_the_last_row() -> None:
+    data = replay()
+    longer = Replay(*(np.concatenate([field, field[:12]]) for field in data))
+    longer.episode[36:] = 3
+    heads = []
+    for rows in (data, longer):
+        torch.manual_seed(0)
+        model = build(TINY, 2).requires_grad_(False)
+        refit_heads(model, rows, encode(model, rows, lambda share, text: None), rows.episode == 2, TINY, 0, lambda share, text: None)
+        heads.append({name: value for name, value in model.state_dict().items() if "head" in name})
+    for name, value in heads[0].items():
+        torch.testing.assert_close(value, heads[1][name], msg=name)
+
+
+def test_the_refit_teaches_where_episodes_end() -> None:
+    data = replay((6,) * 40)
+    last = np.arange(240) % 6 == 5
+    data.terminal[last] = 1.0
+    data.action[:] = np.where(last, 1.0, -1.0)[:, None]  # what led there tells it
+    torch.manual_seed(0)
+    model = build(TINY, 2).requires_grad_(False)
+    latents = encode(model, data, lambda share, text: None)
+    refit_heads(model, data, latents, data.episode < 40, TINY.model_copy(update={"refit_updates": 300}), 0, lambda share, text: None)
+    with torch.inference_mode():
+        rows, noise = np.flatnonzero(~last), gumbel((200, model.noise_size), generator(1))
+        arrived = model.imagine(latents.at(torch.from_numpy(rows)), torch.from_numpy(data.action[rows + 1]), noise)
+        goes_on = model.continues(arrived).numpy()
+    assert goes_on[last[rows + 1]].max() < 0.3
+    assert goes_on[~last[rows + 1]].min() > 0.7
 
 
 def test_encoding_is_what_the_closed_loop_filters() -> None:
@@ -336,6 +367,17 @@ def test_behaviours_follow_their_shares() -> None:
     counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
     assert counts == {"expert": 9, "noisy": 5, "laggy": 6, "delayed": 7, "early": 3, "bursts": 4, "careless": 12, "random": 4}
     assert {b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))} == {-1, 0}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_held_out_episodes_have_the_shares_of_all(seed: int) -> None:
+    chosen = behaviours(MixtureConfig().model_dump(), 400, 4, np.random.default_rng(seed))
+    held = chosen[9::10]
+    for name, share in MixtureConfig().model_dump().items():
+        assert abs(sum(b.name == name for b in held) - share * len(held)) <= 1
+    assert {b.repeat for b in held if b.name == "careless"} == {0.9, 0.95}
+    names = [b.name for b in chosen]
+    assert len({"".join(names[i : i + 10]) for i in range(0, 400, 10)}) > 30, "the order is random all the same"
 
 
 def commander(*rows: Behaviour) -> Commander:

@@ -119,7 +119,7 @@ class WorldModelConfig(Config):
     ahead_images: int = assumed(32, "of which this many, at most, decode one image", ge=0)
     ahead_horizon: int = assumed(15, "their length in decision steps", ge=1)
     decode_share: float = assumed(0.25, "share of the steps whose image is decoded", gt=0.0, le=1.0)
-    refit_updates: int = assumed(600, "last step: reward and cost heads on prior latents, model frozen", ge=0)
+    refit_updates: int = assumed(600, "last step: heads of reward, cost and continuation on prior latents, model frozen", ge=0)
     refit_starts: int = assumed(64, "imagined rollouts per update of the refit", ge=1)
     refit_horizon: int = assumed(15, "imagined steps of the refit", ge=1)
     later_updates: int = assumed(1000, "gradient steps of a later round of data, from the weights of the round before", ge=1)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.replay import HELD_OUT, Replay, held_out_period
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.tasks.base import VectorTask
 
@@ -43,7 +43,11 @@ STICKY = 0.9
 
 
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
-    """A behaviour for each episode, in the shares of the mixture and in random order; `skills` is the number of checkpoints."""
+    """A behaviour for each episode, in the shares of the mixture; `skills` is the number of checkpoints.
+
+    The order is random, except that the episodes which `Replay.held_out` keeps from training have the shares of all: left to chance, a
+    behaviour may be missing among them, or one that always costs may outweigh the others.
+    """
     variants: dict[str, list[Behaviour]] = {
         "expert": [Behaviour("expert", gaussian=0.25)],
         "noisy": [Behaviour("noisy", replace=e) for e in (0.2, 0.4, 0.6)],
@@ -59,8 +63,14 @@ def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np
     counts = {name: int(value) for name, value in exact.items()}
     for name in sorted(exact, key=lambda n: counts[n] - exact[n])[: episodes - sum(counts.values())]:
         counts[name] += 1
-    chosen = [variants[name][i % len(variants[name])] for name, count in counts.items() for i in range(count)]
-    return [chosen[i] for i in random.permutation(len(chosen))]
+    chosen = []
+    for name, count in counts.items():
+        own = [variants[name][i % len(variants[name])] for i in range(count)]
+        chosen += [own[i] for i in random.permutation(count)]
+    order, period = np.arange(len(chosen)), held_out_period(HELD_OUT)
+    for first in range(period):  # every period-th of `chosen`, which is sorted by behaviour, has its shares
+        order[first::period] = random.permutation(order[first::period])
+    return [chosen[i] for i in order]
 
 
 class Commander:

@@ -1,4 +1,4 @@
-"""Refit of the reward and cost heads on prior latents: the last step of world-model training."""
+"""Refit of the reward, cost and continuation heads on prior latents: the last step of world-model training."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def refit_heads(
     seed: int,
     report: Callable[[float, str], None],
 ) -> None:
-    """Train the reward and cost heads on what they will read: prior latents up to `refit_horizon` steps ahead, all else frozen.
+    """Train the heads on what they will read: prior latents up to `refit_horizon` steps ahead, all else frozen.
 
     Heads trained jointly overpredict the cost more and more along an imagined rollout (2.3 times at step 15 in a study). Rollouts stop
-    counting at the end of their episode. Only starts from `allowed` rows [N] are used.
+    counting at the end of their episode, whose own last step counts. Only starts from `allowed` rows [N] are used.
     """
     horizon = config.refit_horizon
     starts = np.flatnonzero(allowed[:-1] & (replay.episode[:-1] == replay.episode[1:]))
     if not len(starts) or not config.refit_updates:
         return
-    heads = [*model.reward_head.parameters(), *model.cost_head.parameters()]
+    heads = [*model.reward_head.parameters(), *model.cost_head.parameters(), *model.continue_head.parameters()]
     for parameter in heads:
         parameter.requires_grad_(True)
     optimizer = torch.optim.Adam(heads, lr=RATE)
@@ -44,17 +44,21 @@ def refit_heads(
     source = generator(seed, device)
     for update in range(config.refit_updates):
         index = starts[torch.randint(len(starts), (config.refit_starts,), generator=source, device=device).cpu().numpy()]
-        follow = np.minimum(index[:, None] + 1 + np.arange(horizon), last)  # [B, K]
-        within = torch.from_numpy((replay.episode[follow] == replay.episode[index][:, None]).astype(np.float32)).to(device)
-        action, reward, cost = (torch.from_numpy(field[follow]).to(device) for field in (replay.action, replay.reward, replay.cost))
+        ahead = index[:, None] + 1 + np.arange(horizon)  # [B, K]
+        follow = np.minimum(ahead, last)
+        same = (replay.episode[follow] == replay.episode[index][:, None]) & (ahead <= last)
+        within = torch.from_numpy(same.astype(np.float32)).to(device)
+        fields = (replay.action, replay.reward, replay.cost, replay.terminal)
+        action, reward, cost, terminal = (torch.from_numpy(field[follow]).to(device) for field in fields)
         with torch.no_grad():
             start = latents.at(torch.from_numpy(index)).to(device)
             features = roll_prior(model, start, action, source).features
         reward_loss, cost_loss = model.head_losses(features, reward, cost, within)
+        continuation_loss = model.continuation_loss(features, terminal, within)
         for group in optimizer.param_groups:
             group["lr"] = RATE * (1 - 0.9 * update / config.refit_updates)
         optimizer.zero_grad(set_to_none=True)
-        (reward_loss + cost_loss).backward()
+        (reward_loss + cost_loss + continuation_loss).backward()
         optimizer.step()
         if update % 50 == 0:
             report(update / config.refit_updates, f"refit {update}/{config.refit_updates}, cost {float(cost_loss.detach()):.3f}")

@@ -85,7 +85,7 @@ class Replay(NamedTuple):
         By number and not by place, so that an episode stays on its side when later rounds append others, and these are held out
         too. Where there are too few episodes for that, it is the last one.
         """
-        period = max(1, round(1 / share))
+        period = held_out_period(share)
         chosen: NDArray[np.bool_] = self.episode % period == period - 1
         return chosen if chosen.any() else self.episode == self.episode.max()
 
@@ -93,6 +93,11 @@ class Replay(NamedTuple):
         """The rows of a mask (whole episodes). Columns that were not read stay empty."""
         fields: dict[str, Any] = {name: value[mask] if len(value) else value for name, value in self._asdict().items()}
         return Replay(**fields)
+
+
+def held_out_period(share: float) -> int:
+    """Every how many episodes one is held out; see `Replay.held_out`."""
+    return max(1, round(1 / share))
 
 
 def write_shard(path: Path, replay: Replay, sources: Sequence[str]) -> None:

@@ -175,10 +175,9 @@ class SafetyWorldModel(nn.Module):
         representation, prediction = balanced_kl(seen.posterior, seen.prior, free_nats)
         image = self._image_errors(features[:, decode_steps].flatten(0, 1), batch.pixels[:, decode_steps].flatten(0, 1)).mean()
         reward, cost = self.head_losses(features, batch.reward, batch.cost)
-        carry_on = F.binary_cross_entropy_with_logits(self.continue_head(features).squeeze(-1).float(), 1.0 - batch.terminal)
         terms = {
             "alpha_q": representation, "alpha_p": prediction, "beta_o": image,
-            "beta_r": reward, "beta_c": cost, "beta_n": carry_on,
+            "beta_r": reward, "beta_c": cost, "beta_n": self.continuation_loss(features, batch.terminal),
         }  # fmt: skip
         if ahead is not None:
             terms |= self._ahead_losses(seen.latent, ahead)
@@ -218,3 +217,10 @@ class SafetyWorldModel(nn.Module):
         logit = self.cost_head(features).squeeze(-1).float()
         surprise = F.binary_cross_entropy_with_logits(logit, cost, pos_weight=weight, reduction="none")
         return (error * counts).sum() / total, (surprise * counts).sum() / total
+
+    def continuation_loss(self, features: Tensor, terminal: Tensor, counts: Tensor | None = None) -> Tensor:
+        """BCE of the probability that the episode goes on: mean over the steps that `counts` [...] marks with 1."""
+        counts = torch.ones_like(terminal) if counts is None else counts
+        logit = self.continue_head(features).squeeze(-1).float()
+        surprise = F.binary_cross_entropy_with_logits(logit, 1.0 - terminal, reduction="none")
+        return (surprise * counts).sum() / counts.sum().clamp(min=1.0)
