@@ -142,8 +142,27 @@ class DiagnosticsConfig(Config):
     )
 
 
+class ReinforceConfig(Config):
+    """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where labels alone did not reach the bounds."""
+
+    interactions: int = assumed(300_000, "decision steps; 0 leaves the latent expert as it was distilled", ge=0)
+    envs: int = assumed(16, "episodes side by side", ge=1)
+    rollout: int = assumed(128, "decision steps per environment and update", ge=1)
+    epochs: int = assumed(6, "passes over a rollout", ge=1)
+    batch: int = assumed(512, "minibatch", ge=2)
+    learning_rate: float = assumed(4e-4, "Adam; decays linearly to a tenth", gt=0.0)
+    gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
+    log_std_init: float = assumed(-1.0, "initial exploration")
+    log_std_floor: float = assumed(-1.6, "keeps exploring")
+    value_warmup: float = assumed(0.1, "share of the interactions that train only the value function", ge=0.0, lt=1.0)
+    multiplier_init: float = assumed(0.2, "penalty per costly decision step", ge=0.0)
+    multiplier_lr: float = assumed(0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_min: float = assumed(0.05, "bound of the multiplier from below", ge=0.0)
+    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+
+
 class PoliciesConfig(Config):
-    """Latent actors distilled from the expert checkpoints, and rounds in which they drive and the checkpoints label what they meet."""
+    """Latent actors distilled from the expert checkpoints, rounds in which they drive and the checkpoints label, and reinforcement."""
 
     hidden: Layers = assumed((128, 128), "layers of a latent actor")
     updates: int = assumed(1500, "gradient steps of the distillation", ge=1)
@@ -158,6 +177,7 @@ class PoliciesConfig(Config):
     labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
     labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
     driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
+    reinforce: ReinforceConfig = ReinforceConfig()
     return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
     cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
     cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)

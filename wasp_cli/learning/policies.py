@@ -1,4 +1,7 @@
-"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger)."""
+"""Latent policies: distillation of the expert checkpoints onto latent features, and on-policy labelling rounds (DAgger).
+
+Reinforcement is in `learning.reinforce`.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour, Commander
 from wasp_cli.learning.draws import generator
+from wasp_cli.learning.expert import EpisodeSums
 from wasp_cli.learning.latents import Latents, roll_prior
 from wasp_cli.learning.replay import Replay
 from wasp_cli.methods.human import HumanOnly
@@ -294,6 +298,18 @@ def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps:
     lacking = 0.0 if share >= config.return_share else 1.0 - share / config.return_share
     shortfall = lacking + excess / max(allowed, 1.0)
     return Verdict(share, ratio, excess, shortfall, shortfall == 0.0)
+
+
+def cost_limit(privileged: EpisodeSums, config: PoliciesConfig, env_steps: int) -> float:
+    """What a reinforced policy may cost per 1000 env steps: as much as the privileged one, and half of what `compare` always allows.
+
+    Args:
+        privileged: its episodes.
+        config: the allowance.
+        env_steps: the time limit of an episode; episodes that end sooner have the allowance of a whole one.
+    """
+    allowed = privileged.costs.mean() + 0.5 * config.cost_allowance * env_steps / 1000
+    return float(1000 * allowed / privileged.env_steps.mean())
 
 
 def best_round(verdicts: Sequence[Verdict]) -> int:

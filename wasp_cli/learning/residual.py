@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
-from wasp_cli.learning.closed_loop import Filter, human
+from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ResidualConfig
+from wasp_cli.learning.filtered_env import FilteredTask
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.vec_env import Array, SeedStream, TaskVecEnv, actor_layers
+from wasp_cli.learning.value_warmup import ValueWarmup
+from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
@@ -27,14 +28,13 @@ from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import Observation, VectorTask
 
 
-class AssistedTask(TaskVecEnv):
+class AssistedTask(FilteredTask):
     """The task as the residual policy meets it: it sees (h, z, a^H) and adds delta to a^H.
 
     The operator of every episode is drawn from all variants and severities.
     """
 
     def __init__(self, task: VectorTask, model: SafetyWorldModel, skills: Skills, config: ResidualConfig, name: str, seed: int) -> None:
-        self._filter = Filter(model, task.batch)
         self._alpha = config.alpha
         self._command = torch.zeros(task.batch, task.action_size)
         self._noise = EpisodeNoise([0] * task.batch)
@@ -45,7 +45,7 @@ class AssistedTask(TaskVecEnv):
                 operators.append(build_operator(variant, value, owner, self._noise, task.batch))
         self._operator = MixedOperator(operators, self._noise, derive("residual-operators", name, seed))
         self._noise_seed = SeedStream("residual-noise", name, seed)
-        super().__init__(task, model.feature_size + task.action_size, -2.0, 2.0, SeedStream("residual-episode", name, seed))
+        super().__init__(task, model, SeedStream("residual-episode", name, seed), extra=task.action_size, bound=2.0)
 
     @torch.no_grad()
     def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
@@ -54,60 +54,31 @@ class AssistedTask(TaskVecEnv):
             self._operator.reset(first)
             for row in np.flatnonzero(rows):
                 self._noise.restart(int(row), self._noise_seed())
-            if not rows.all():
-                return self._restarted(seen, first)
-        self._filter.executed(torch.from_numpy(np.asarray(executed, np.float32)))
-        latent = self._filter.see(seen, first.float())
-        self._command = self._operator.command(latent.features).clamp(-1, 1)
-        return torch.cat([latent.features, self._command], -1).numpy()
+        features = self.features(seen, first, executed)
+        if rows.any() and not rows.all():
+            self._command = self._restarted(features, first)
+        else:
+            self._command = self._operator.command(features).clamp(-1, 1)
+        return torch.cat([features, self._command], -1).numpy()
 
-    def _restarted(self, seen: Observation, first: torch.Tensor) -> Array:
-        """New episodes in some rows only: the others have been observed already and must not move on twice."""
-        old, command = self._filter.latent, self._command
+    def _restarted(self, features: torch.Tensor, first: torch.Tensor) -> torch.Tensor:
+        """Commands [B, A] where new episodes begin in some rows only: the others have been issued already and must not move on twice."""
         states = [(operator, dict(operator.memory)) for operator in self._operator.operators]
         steps = list(self._noise.step)
-        latent = self._filter.see(seen, first.float())
-        mask = first.unsqueeze(-1)
-        self._filter.latent = type(latent)(torch.where(mask, latent.h, old.h), torch.where(mask, latent.z, old.z))
-        issued = self._operator.command(self._filter.latent.features).clamp(-1, 1)
-        self._command = torch.where(mask, issued, command)
+        issued = self._operator.command(features).clamp(-1, 1)
         for operator, memory in states:
             operator.memory = {
                 n: torch.where(first.view(-1, *([1] * (v.dim() - 1))), operator.memory[n], v) for n, v in memory.items()
             }  # fmt: skip
         moved = zip(self._noise.step, steps, first.tolist(), strict=True)
         self._noise.step = [after if row else before for after, before, row in moved]
-        return torch.cat([self._filter.latent.features, self._command], -1).numpy()
+        return torch.where(first.unsqueeze(-1), issued, self._command)
 
     def execute(self, action: Array) -> tuple[Array, Array]:
         command = self._command.numpy()
         executed = np.clip(command + action, -1, 1)
         effort = np.square(executed - command).sum(-1)  # what is penalised is what was executed
         return executed, (self._alpha * effort).astype(np.float32)
-
-
-class ValueWarmup(BaseCallback):
-    """Trains only the value function at first, so that the residual does not move on noise."""
-
-    def __init__(self, until: int) -> None:
-        super().__init__()
-        self._until = until
-
-    def _on_training_start(self) -> None:
-        self._freeze(self._until > 0)
-
-    def _on_rollout_end(self) -> None:
-        if self.num_timesteps >= self._until:
-            self._freeze(False)
-
-    def _freeze(self, frozen: bool) -> None:
-        policy: Any = self.model.policy
-        for module in (policy.mlp_extractor.policy_net, policy.action_net):
-            module.requires_grad_(not frozen)
-        policy.log_std.requires_grad_(not frozen)
-
-    def _on_step(self) -> bool:
-        return True
 
 
 def train_residual(

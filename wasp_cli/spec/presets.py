@@ -27,6 +27,7 @@ _SMOKE: Document = {
     "policies": {
         "updates": 20, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 1,
         "labelling_rounds": 1, "labelling_episodes": 2, "labelling_updates": 5,
+        "reinforce": {"interactions": 128, "envs": 4, "rollout": 32, "batch": 64},
     },
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32]},
     "heldout": {"episodes": 2},
@@ -53,6 +54,7 @@ _QUICK: Document = {
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
     "policies": {
         "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 1, "labelling_episodes": 12, "labelling_updates": 500,
+        "reinforce": {"interactions": 60_000},
     },
     "critics": {"updates": 500, "starts": 128, "slow": 0.3},
     "heldout": {"episodes": 16},
@@ -72,7 +74,7 @@ _GPU: Document = {
         "deter": 512, "hidden": 256, "variables": 32, "classes": 16, "depth": 32, "head": 256,
         "batch": 16, "length": 64, "updates": 20_000, "warmup": 1000, "learning_rate": 4e-4, "decode_share": 1.0, "refit_updates": 2000,
     },
-    "policies": {"updates": 5000, "hidden": [256, 256]},
+    "policies": {"updates": 5000, "hidden": [256, 256], "reinforce": {"interactions": 1_000_000, "envs": 32}},
     "critics": {"updates": 5000, "starts": 1024, "hidden": [256, 256]},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000, "envs": 32},
@@ -84,7 +86,7 @@ _PAPER: Document = {
     "expert": {"interactions": 1_600_000},
     "dataset": {"steps": 200_000},
     "world_model": {"updates": 8000, "refit_updates": 1500},
-    "policies": {"updates": 4000},
+    "policies": {"updates": 4000, "reinforce": {"interactions": 1_000_000}},
     "critics": {"updates": 4000},
     "heldout": {"episodes": 30},
     "ida_q": {"updates": 10_000},

@@ -1,10 +1,11 @@
 """Policies: latent actors distilled from every expert checkpoint, then trained on what they meet when they drive.
 
-Artifact: `skills.safetensors` (+ .json); `evaluation.json`: every latent skill beside its privileged checkpoint on the same episodes of the
-real task, every labelling round, and how much of the labels the actors explain.
+Where labels do not bring the latent expert close enough to the privileged one, it is reinforced in the task. Artifact: `skills.safetensors`
+(+ .json); `evaluation.json`: every latent skill beside its privileged checkpoint on the same episodes of the real task, every round, and
+how much of the labels the actors explain; `reinforcement.json`: the curve of the reinforcement, where there was one.
 
-A round is kept by `learning.policies.best_round`. Rounds are judged on episodes of their own, so that the evaluation of the kept one on
-other episodes is not flattered by the choice.
+A round is kept by `learning.policies.best_round`, the reinforcement being the last. Rounds are judged on episodes of their own, so that the
+evaluation of the kept one on other episodes is not flattered by the choice.
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ class PoliciesStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Distil; label on policy until the latent expert is good enough; evaluate every skill."""
+        """Distil; label on policy until the latent expert is good enough, or else reinforce it; evaluate every skill."""
         import copy
 
         import torch
 
         from wasp_cli.learning import policies as learning
-        from wasp_cli.learning.expert import evaluate_privileged, load_skill
+        from wasp_cli.learning.expert import EpisodeSums, evaluate_privileged, load_skill
         from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.reinforce import reinforce
         from wasp_cli.learning.replay import HELD_OUT, read_replay
         from wasp_cli.learning.trained import load_world_model
         from wasp_cli.seeds import derive
@@ -58,8 +60,7 @@ class PoliciesStage:
         # -- the two drivers on the same episodes
         blind, sighted = task(config.evaluation_episodes, "privileged"), task(config.evaluation_episodes, "pixels")
 
-        def privileged(index: int, seeds: list[int]) -> learning.Drive:
-            sums = evaluate_privileged(blind, experts[index], seeds)
+        def drive(sums: EpisodeSums) -> learning.Drive:
             return learning.Drive.of(sums.returns, sums.costs, sums.goals, enough)
 
         def latent(index: int, seeds: list[int]) -> learning.Drive:
@@ -68,7 +69,8 @@ class PoliciesStage:
 
         env_steps = blind.max_decisions * job.settings["action_repeat"]
         judges = [seed("policies-judge", i) for i in range(config.evaluation_episodes)]
-        wanted = privileged(-1, judges)
+        taught = evaluate_privileged(blind, experts[-1], judges)
+        wanted, limit = drive(taught), learning.cost_limit(taught, config, env_steps)
 
         # -- distillation
         labelled = learning.label(
@@ -78,13 +80,23 @@ class PoliciesStage:
         recorded, rest = labelled.rows(~held), labelled.rows(held)
         torch.manual_seed(seed("policies-weights"))
         skills = learning.new_skills(experts, fractions, model.feature_size, config)
-        learning.fit(skills, recorded, [], config.updates, config, seed("policies"), during(0.0, 0.4))
+        learning.fit(skills, recorded, [], config.updates, config, seed("policies"), during(0.0, 0.3))
 
         # -- labelling rounds
         visited: list[learning.Labelled] = []
-        weights, verdicts, rounds = [], [], []
+        weights: list[dict[str, torch.Tensor]] = []
+        verdicts: list[learning.Verdict] = []
+        rounds: list[dict[str, Any]] = []
+
+        def judge(said: str, at: float, **how: Any) -> None:
+            found = latent(-1, judges)
+            verdicts.append(learning.compare(found, wanted, config, env_steps))
+            weights.append(copy.deepcopy(skills.state_dict()))
+            rounds.append({**how, **found.shown(), **verdicts[-1]._asdict()})
+            job.progress(at, f"{said}: return {found.return_:.1f} of {wanted.return_:.1f}, cost {found.cost:.1f} of {wanted.cost:.1f}")
+
         for number in range(config.labelling_rounds + 1):
-            low = 0.4 + 0.5 * number / (config.labelling_rounds + 1)
+            low = 0.3 + 0.3 * number / (config.labelling_rounds + 1)
             if number:
                 behind = task(config.labelling_episodes, "pixels", "privileged")
                 rows = learning.drivers(config.labelling_episodes, len(experts), config.driver_share)
@@ -92,14 +104,20 @@ class PoliciesStage:
                 met, latents = learning.visit(behind, model, skills, rows, seeds, seed("policies-drive", number), during(low, low))
                 visited.append(learning.label(model, experts, met, latents, config.imagined_depth, seed("policies-prior", number)))
                 learning.fit(skills, recorded, visited, config.labelling_updates, config, seed("policies", number), during(low, low + 0.05))
-            found = latent(-1, judges)
-            verdict = learning.compare(found, wanted, config, env_steps)
-            weights.append(copy.deepcopy(skills.state_dict()))
-            verdicts.append(verdict)
-            rounds.append({"labelled": sum(part.labels.shape[1] for part in visited), **found.shown(), **verdict._asdict()})
-            job.progress(low + 0.05, f"round {number}: return {found.return_:.1f} of {wanted.return_:.1f}, cost {found.cost:.1f}")
-            if verdict.reached:
+            judge(f"round {number}", low + 0.05, labelled=sum(part.labels.shape[1] for part in visited))
+            if verdicts[-1].reached:
                 break
+
+        # -- reinforcement
+        if not verdicts[-1].reached and config.reinforce.interactions:
+            skills.load_state_dict(weights[learning.best_round(verdicts)])
+            alone = task(config.reinforce.envs, "pixels")
+            better, curve = reinforce(
+                skills.expert, alone, model, config.reinforce, limit, job.task, seed("policies-reinforce"), during(0.6, 0.9)
+            )
+            skills.expert.load_state_dict(better.state_dict())
+            judge("reinforced", 0.9, reinforced=config.reinforce.interactions)
+            (job.out_dir / "reinforcement.json").write_text(json.dumps(curve, indent=1))
         kept = learning.best_round(verdicts)
         skills.load_state_dict(weights[kept])
         learning.save_skills(skills, job.out_dir, model.feature_size, config.hidden, model.action_size)
@@ -109,7 +127,7 @@ class PoliciesStage:
         evaluation: dict[str, Any] = {}
         for index, fraction in enumerate(fractions):
             job.progress(0.9 + 0.1 * index / len(fractions), f"evaluating the skill at {fraction:g}")
-            both = latent(index, seeds), privileged(index, seeds)
+            both = latent(index, seeds), drive(evaluate_privileged(blind, experts[index], seeds))
             judged = learning.compare(*both, config, env_steps)
             evaluation[f"{fraction:g}"] = {"latent": both[0].shown(), "privileged": both[1].shown(), **judged._asdict()}
         shares = learning.explained(skills, rest)
@@ -120,6 +138,7 @@ class PoliciesStage:
             "return": final["latent"]["return"], "cost": final["latent"]["cost"],
             "privileged_return": final["privileged"]["return"], "privileged_cost": final["privileged"]["cost"],
             "return_share": final["return_share"], "cost_ratio": final["cost_ratio"], "reached": final["reached"],
-            "rounds": len(rounds) - 1, "kept_round": kept, "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
+            "rounds": len(rounds) - 1, "kept_round": kept, "reinforced": "reinforced" in rounds[kept],
+            "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
             "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3),
         }  # fmt: skip

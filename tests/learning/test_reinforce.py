@@ -1,0 +1,127 @@
+"""Reinforcement of a distilled actor, and the task behind the filter."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.artifacts import tiny_artifacts
+from tests.learning.test_loops import Staggered
+from wasp_cli.learning.assistants import load_parts
+from wasp_cli.learning.configs import PoliciesConfig, ReinforceConfig, ReturnsConfig
+from wasp_cli.learning.expert import EpisodeSums
+from wasp_cli.learning.filtered_env import FilteredTask
+from wasp_cli.learning.policies import cost_limit
+from wasp_cli.learning.reinforce import reinforce
+from wasp_cli.learning.value_warmup import ValueWarmup
+from wasp_cli.methods.base import Parts
+from wasp_cli.stages.base import no_progress
+
+CONFIG = ReinforceConfig(interactions=3000, envs=4, rollout=64, batch=64, learning_rate=2e-3, value_warmup=0.05, gamma=0.5)
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
+
+
+def test_every_row_is_filtered_as_if_it_were_alone(parts: Parts) -> None:
+    def drive(rows: Sequence[int]) -> np.ndarray:
+        lines = {row: iter(range(row, 1000, 4)) for row in rows}
+        env = FilteredTask(Staggered(len(rows)), parts.world_model, lambda: 0)  # type: ignore[arg-type]
+        owner = iter(rows)
+        env._next_seed = lambda: next(lines[next(owner)])
+        seen = [env.reset()]
+        for _ in range(9):
+            env.step_async(np.full((len(rows), 2), 0.1, np.float32))
+            t = env.task.t + 1  # type: ignore[attr-defined]
+            owner = iter([row for row, s, step in zip(rows, env.task.seed, t, strict=True) if step >= 2 + s % 4])  # type: ignore[attr-defined]
+            seen.append(env.step_wait()[0])
+        return np.stack(seen)
+
+    together = drive([0, 1, 2])
+    assert together.shape == (10, 3, parts.world_model.feature_size)
+    for row in (0, 1, 2):
+        np.testing.assert_allclose(drive([row])[:, 0], together[:, row], atol=1e-5)
+
+
+def test_actions_beyond_the_bounds_are_executed_at_the_bounds(parts: Parts) -> None:
+    env = FilteredTask(Staggered(2), parts.world_model, iter(range(100)).__next__)  # type: ignore[arg-type]
+    executed, penalty = env.execute(np.array([[-3.0, 0.5], [1.5, -0.2]], np.float32))
+    np.testing.assert_array_equal(executed, np.array([[-1.0, 0.5], [1.0, -0.2]], np.float32))
+    assert not penalty.any()
+
+
+def reward_of(parts: Parts, actor: torch.nn.Module) -> float:
+    """Mean reward per step of the deterministic actor: the staggered task pays the first component of the action."""
+    env = FilteredTask(Staggered(8), parts.world_model, iter(range(100_000)).__next__)  # type: ignore[arg-type]
+    seen, total = env.reset(), 0.0
+    for _ in range(20):
+        with torch.inference_mode():
+            env.step_async(actor(torch.from_numpy(seen)).numpy())
+        seen, reward, _, _ = env.step_wait()
+        total += float(reward.mean()) / 20
+    return total
+
+
+def test_an_actor_earns_more_and_the_one_it_began_with_stays(parts: Parts) -> None:
+    actor = copy.deepcopy(parts.skills.expert)
+    with torch.no_grad():
+        actor.net[-1].weight.mul_(0.1)  # type: ignore[operator, union-attr]
+    before = copy.deepcopy(actor.state_dict())
+    better, curve = reinforce(actor, Staggered(4), parts.world_model, CONFIG, 1e9, "t", 0, no_progress)  # type: ignore[arg-type]
+    assert all(torch.equal(value, before[name]) for name, value in actor.state_dict().items())
+    assert reward_of(parts, better) > reward_of(parts, actor) + 0.3
+    assert not any(parameter.requires_grad for parameter in better.parameters())
+    assert curve[-1]["interactions"] >= 3000
+    again, _ = reinforce(actor, Staggered(4), parts.world_model, CONFIG, 1e9, "t", 0, no_progress)  # type: ignore[arg-type]
+    assert all(torch.equal(value, better.state_dict()[name]) for name, value in again.state_dict().items())
+
+
+def test_only_the_value_function_learns_at_first() -> None:
+    actor, value = torch.nn.Linear(2, 2), torch.nn.Linear(2, 1)
+    extractor = SimpleNamespace(policy_net=actor, value_net=value)
+    policy = SimpleNamespace(mlp_extractor=extractor, action_net=torch.nn.Linear(2, 2), log_std=torch.nn.Parameter(torch.zeros(2)))
+    warmup = ValueWarmup(until=100)
+    warmup.model = SimpleNamespace(policy=policy)  # type: ignore[assignment]
+
+    def learning() -> list[bool]:
+        return [p.requires_grad for p in (actor.weight, policy.action_net.weight, policy.log_std, value.weight)]
+
+    warmup._on_training_start()
+    assert learning() == [False, False, False, True]
+    warmup.num_timesteps = 64
+    warmup._on_rollout_end()
+    assert learning() == [False, False, False, True]
+    warmup.num_timesteps = 128
+    warmup._on_rollout_end()
+    assert learning() == [True, True, True, True]
+
+
+def test_the_multiplier_rises_while_the_cost_is_above_its_limit(parts: Parts) -> None:
+    short = CONFIG.model_copy(update={"interactions": 1024, "value_warmup": 0.0})
+    task, actor = Staggered(4), parts.skills.expert
+    run = [reinforce(actor, task, parts.world_model, short, limit, "t", 0, no_progress)[1] for limit in (1.0, 1e9)]  # type: ignore[arg-type]
+    assert run[0][-1]["multiplier"] > short.multiplier_init > run[1][-1]["multiplier"]
+
+
+def test_the_cost_limit_by_hand() -> None:
+    config = PoliciesConfig(cost_allowance=2.0)
+    zeros = np.zeros(2)
+    sums = EpisodeSums(zeros, np.array([3.0, 5.0]), zeros, zeros, np.array([150.0, 250.0]))
+    # 4 per episode, and half of 2 per 1000 of the 500 env steps that an episode may have: 4.5 in 200 env steps.
+    assert cost_limit(sums, config, 500) == pytest.approx(22.5)
+
+
+def test_a_folder_of_the_default_logger_is_never_left(parts: Parts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    short = CONFIG.model_copy(update={"interactions": 256})
+    reinforce(parts.skills.expert, Staggered(4), parts.world_model, short, 25.0, "t", 0, no_progress)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())

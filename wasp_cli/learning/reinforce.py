@@ -1,0 +1,76 @@
+"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents, in the real task through the filter.
+
+A privileged teacher never shows how to look for what a camera does not see, so that more of its labels cannot teach it; reward can.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import CallbackList
+from stable_baselines3.common.logger import Logger
+from torch import nn
+
+from wasp_cli.learning.configs import ReinforceConfig
+from wasp_cli.learning.filtered_env import FilteredTask
+from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
+from wasp_cli.learning.value_warmup import ValueWarmup
+from wasp_cli.learning.vec_env import SeedStream
+from wasp_cli.models.policy import LatentPolicy
+from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.seeds import derive
+from wasp_cli.tasks.base import VectorTask
+
+
+def reinforce(
+    actor: LatentPolicy,
+    task: VectorTask,
+    model: SafetyWorldModel,
+    config: ReinforceConfig,
+    cost_limit: float,
+    name: str,
+    seed: int,
+    report: Callable[[float, str], None],
+) -> tuple[LatentPolicy, list[dict[str, float]]]:
+    """Maximise the return subject to a cost limit, from the actor's weights.
+
+    Args:
+        actor: stays as it is.
+        task: config.envs episodes with pixels.
+        model: the frozen filter.
+        config: sizes and budgets.
+        cost_limit: per 1000 env steps.
+        name: of the task, for its random streams.
+        seed: of this training.
+        report: called after every rollout.
+
+    Returns:
+        A better actor of the same layers, frozen, and the learning curve.
+    """
+    torch.manual_seed(derive("reinforce-weights", name, seed))
+    env = FilteredTask(task, model, SeedStream("reinforce-episode", name, seed))
+    env.normalise = env.spread = True
+    better = copy.deepcopy(actor).train().requires_grad_(True)
+    hidden = [layer.out_features for layer in better.net if isinstance(layer, nn.Linear)][:-1]
+    ppo = PPO(
+        "MlpPolicy", env, device="cpu", seed=derive("reinforce-ppo", name, seed),
+        n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma,
+        learning_rate=lambda left: config.learning_rate * max(0.1, left),
+        policy_kwargs={"net_arch": hidden, "activation_fn": nn.Tanh, "log_std_init": config.log_std_init},
+    )  # fmt: skip
+    # The distilled layers take the place of stable-baselines3's own: other activations, and LayerNorm between them.
+    policy: Any = ppo.policy
+    policy.mlp_extractor.policy_net, policy.action_net = better.net[:-1], better.net[-1]
+    policy.optimizer = torch.optim.Adam(policy.parameters(), lr=config.learning_rate, eps=1e-5)
+    rule = MultiplierRule(
+        config.multiplier_init, config.multiplier_lr, config.multiplier_max, cost_limit,
+        delay=int(config.value_warmup * config.interactions), floor=config.multiplier_min,
+    )  # fmt: skip
+    lagrangian = LagrangianCallback(env, rule, config.interactions, report, log_std_floor=config.log_std_floor)
+    ppo.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
+    ppo.learn(config.interactions, callback=CallbackList([ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]))
+    return better.eval().requires_grad_(False), lagrangian.curve
