@@ -11,6 +11,7 @@ from torch import Tensor
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.draws import gumbel
+from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.replay import Replay
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import Ahead, Batch
@@ -112,6 +113,12 @@ class Context:
         self.h[window.rows] = latent.h.detach().to(torch.float16)
         self.z[window.rows] = latent.z.detach().unflatten(-1, (variables, -1)).argmax(-1).to(torch.uint8)
         self.known[window.rows] = True
+
+    def fill(self, latents: Latents) -> None:
+        """Begin with what an earlier training infers at every row."""
+        self.h.copy_(latents.h)
+        self.z.copy_(latents.z)
+        self.known.fill_(True)
 
     def tensors(self) -> dict[str, Tensor]:
         """For a checkpoint; `load` takes them back."""

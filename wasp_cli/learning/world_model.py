@@ -17,6 +17,7 @@ from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.device import mixed_precision
 from wasp_cli.learning.draws import generator, gumbel
+from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.windows import Context, Window, Windows
 from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
@@ -58,8 +59,21 @@ def train(
     seed: int,
     work: Path,
     report: Report,
+    *,
+    before: Latents | None = None,
 ) -> tuple[dict[str, list[float]], int]:
     """Minimise Eq. 6 on those rows of a replay, on the model's device; goes on from its own checkpoint in `work`.
+
+    Args:
+        model: trained in place.
+        replay: the whole dataset.
+        rows: those of it that may be learned from.
+        config: sizes and weights.
+        updates: gradient steps.
+        seed: of batches and noise.
+        work: folder of the checkpoint.
+        report: called every 20 updates.
+        before: what the model inferred at every row of the replay, where it has been trained before.
 
     Returns:
         The loss curves by term and that of the gradient norm, a value per 20 updates; and the number of updates that were left out.
@@ -73,6 +87,8 @@ def train(
     source = generator(seed, device)
     context = Context(len(replay.first), config.deter, config.variables, device)
     fresh: dict[str, Any] = {"update": 0, "skipped": 0, "curves": {name: [] for name in [*weights, "gradient_norm"]}}
+    if before is not None:
+        context.fill(before)
     counters = restore_training(work, model, optimizer, source, context) or fresh
     windows = Windows(replay, rows, config.length, config.cost_windows, device)
     compute = torch.compile(model.losses) if config.compile else model.losses

@@ -60,7 +60,8 @@ class WorldModelStage:
             return lambda share, text: job.progress(low + (high - low) * share, text)
 
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
-        curves, skipped = learning.train(model, replay, rows, config, updates, seed, job.work_dir, during(0.0, 0.85))
+        before = encode(model, replay, during(0.0, 0.1)) if "previous" in job.inputs else None
+        curves, skipped = learning.train(model, replay, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), before=before)
         model.requires_grad_(False)
         latents = encode(model, replay, during(0.85, 0.95))
         refit_heads(model, replay, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
