@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.metrics.ranking import average_precision, recall_at
+from wasp_cli.metrics.ranking import average_precision, average_precision_interval, recall_at
 from wasp_cli.metrics.windows import sums_ahead
 
 
@@ -47,6 +47,31 @@ def test_recall_of_a_constant_score_is_none_and_of_no_event_undefined() -> None:
 def test_a_constant_score_has_the_base_rate_and_no_event_has_none() -> None:
     assert average_precision(np.array([True, False, False, False]), np.zeros(4)) == pytest.approx(0.25)
     assert np.isnan(average_precision(np.zeros(4, bool), np.arange(4.0)))
+
+
+def test_the_interval_is_that_of_explicitly_resampled_episodes() -> None:
+    random = np.random.default_rng(5)
+    episode = np.repeat(np.arange(6), [30, 10, 25, 5, 40, 12])
+    event = random.random(len(episode)) < 0.05 + 0.1 * episode
+    score = np.round(event + random.normal(size=len(episode)), 1)  # with ties
+    draws = np.random.default_rng(3).multinomial(6, np.full(6, 1 / 6), 50)
+    values = []
+    for counts in draws:
+        rows = np.repeat(np.arange(len(episode)), counts[episode])
+        values.append(average_precision(event[rows], score[rows]))
+    wanted = np.quantile(values, [0.1, 0.9])
+    found = average_precision_interval(event, score, episode * 7, resamples=50, share=0.8, seed=3)
+    assert found == pytest.approx(tuple(wanted))
+    assert found[0] < average_precision(event, score) < found[1]
+
+
+def test_an_interval_needs_two_episodes_and_an_event() -> None:
+    event, score = np.array([True, False, True]), np.arange(3.0)
+    assert np.isnan(average_precision_interval(event, score, np.zeros(3))).all()
+    assert np.isnan(average_precision_interval(np.zeros(3, bool), score, np.arange(3))).all()
+    assert np.isnan(average_precision_interval(event[:0], score[:0], np.zeros(0))).all()
+    low, high = average_precision_interval(np.array([True, False]), np.array([1.0, 0.0]), np.arange(2))
+    assert low == high == 1.0, "resamples without an event say nothing"
 
 
 def test_windows_do_not_cross_episodes() -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents, roll_prior
 from wasp_cli.learning.replay import Replay
-from wasp_cli.metrics.ranking import average_precision, recall_at
+from wasp_cli.metrics.ranking import average_precision, average_precision_interval, recall_at
 from wasp_cli.metrics.reliability import calibration_error, reliability
 from wasp_cli.models.world_model import SafetyWorldModel
 
@@ -105,7 +105,8 @@ def forecast(
 def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
     """A row per imagined step.
 
-    `base` is the share of costly steps and `auprc` that of c-hat; `persistence` is that of "cost stays what it is at the start". `recall`
+    `base` is the share of costly steps and `auprc` that of c-hat, `auprc_low` and `auprc_high` a 95 % interval of it over resampled
+    episodes; `persistence` is that of "cost stays what it is at the start". `recall`
     is read at FALSE_ALARMS. `foreseen` is the share of the costs before which the alarm was up over the imagined
     window. With `onset_` only starts count that do not cost themselves. `reliability` has a row per bin.
 
@@ -123,11 +124,13 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
         calm = now == 0
         event, true_reward = replay.cost[follow] > 0, replay.reward[follow]
         base, bins = _mean(event), reliability(event, cost)
+        low, high = average_precision_interval(event, cost, replay.episode[seen.starts[going]])
         error, variance = float(((reward - true_reward) ** 2).mean()), float(true_reward.var())
         by = {kind: replay.sources[follow, i] > 0 for i, kind in enumerate(sources)}
         rows.append(
             {
-                "k": k, "base": base, "auprc": average_precision(event, cost), "persistence": average_precision(event, now),
+                "k": k, "base": base, "auprc": average_precision(event, cost), "auprc_low": low, "auprc_high": high,
+                "persistence": average_precision(event, now),
                 "onset_base": _mean(event[calm]), "onset_auprc": average_precision(event[calm], cost[calm]),
                 "recall": recall_at(event, cost, FALSE_ALARMS), "onset_recall": recall_at(event[calm], cost[calm], FALSE_ALARMS),
                 "foreseen": _mean(up[event]), "onset_foreseen": _mean(up[event & calm]),

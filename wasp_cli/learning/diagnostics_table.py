@@ -9,7 +9,8 @@ from typing import Any
 Sets = Mapping[str, Mapping[str, Any]]
 TITLES = {"held_out": "Held-out episodes of the dataset", "unseen": "Fresh episodes under operators that are not in the dataset"}
 STEPS = (
-    ("k", "k"), ("base rate", "base"), ("AUPRC", "auprc"), ("persistence", "persistence"), ("recall", "recall"),
+    ("k", "k"), ("base rate", "base"), ("AUPRC", "auprc"), ("from", "auprc_low"), ("to", "auprc_high"),
+    ("persistence", "persistence"), ("recall", "recall"),
     ("predicted / base", "predicted_over_base"), ("ECE", "calibration_error"), ("onset base", "onset_base"), ("onset AUPRC", "onset_auprc"),
     ("foreseen", "foreseen"), ("onset foreseen", "onset_foreseen"), ("reward R2", "reward_r2"),
     ("image error", "image_error"), ("copy error", "copy_error"), ("image / copy", "image_over_copy"),
@@ -40,11 +41,12 @@ def open_loop_markdown(sets: Sets) -> str:
             lines += ["Share of the costs of each source that were foreseen:", "", *_table(["k", *sources], rows), ""]
     window = next(iter(sets.values()))["window"]
     lines += [
-        "Persistence says that the cost stays what it is now, copy that the image does. Recall is at 10 % false alarms. Onset counts only",
-        "starts that do not cost themselves. Foreseen is the share of the real costs before which the safety gate would have fired: the",
-        f"expected costly steps of the window, discounted by {window['gamma']:g} a step, were above {window['threshold']:g};",
-        "false alarms is the share of windows without a cost in which they were too. ECE is the mean distance of predicted and seen over",
-        "ten bins. Image errors are squared, per pixel, for values in [0, 1].",
+        "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence says that the cost stays what it is now,",
+        "copy that the image does. Recall is at 10 % false alarms. Onset counts only starts that do not cost themselves. Foreseen is the",
+        "share of the real costs before which the safety gate would have fired: the expected costly steps of the window, discounted by",
+        f"{window['gamma']:g} a step, were above {window['threshold']:g}; false alarms is the share of windows without a cost in which",
+        "they were too. ECE is the mean distance of predicted and seen over ten bins. Image errors are squared, per pixel, for values in",
+        "[0, 1].",
     ]
     return "\n".join(lines) + "\n"
 

@@ -178,7 +178,7 @@ def reliability_figure(sets: Mapping[str, Mapping[str, Any]], shown: Sequence[in
 
 
 def horizon_figure(sets: Mapping[str, Mapping[str, Any]], path: Path) -> None:
-    """Over the imagined step: AUPRC beside its baselines, predicted over base rate, reward R2, image error over that of a copy."""
+    """Over the imagined step: AUPRC with its interval, predicted over base rate, reward R2, image error over that of a copy."""
     figure, panels = _figure(4)
     for name, table in sets.items():
         steps, colour = table["steps"], _SET_COLOURS[name]
@@ -187,6 +187,8 @@ def horizon_figure(sets: Mapping[str, Mapping[str, Any]], path: Path) -> None:
         def line(panel: Any, key: str, style: str, label: str, k: Any = k, steps: Any = steps, colour: str = colour) -> None:
             panel.plot(k, [row[key] for row in steps], style, color=colour, linewidth=1.2, markersize=3, label=label)
 
+        low, high = ([row[f"auprc_{end}"] for row in steps] for end in ("low", "high"))
+        panels[0].fill_between(k, low, high, color=colour, alpha=0.15, linewidth=0)
         for key, style, text in (("auprc", "o-", "model"), ("persistence", "--", "persistence"), ("base", ":", "base rate")):
             line(panels[0], key, style, f"{text}, {_SET_NAMES[name]}")
         for panel, key in zip(panels[1:], ("predicted_over_base", "reward_r2", "image_over_copy"), strict=True):

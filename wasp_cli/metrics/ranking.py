@@ -40,3 +40,38 @@ def recall_at(event: NDArray[np.bool_], score: NDArray[Any], false_alarms: float
     alarms = np.flatnonzero(last) + 1 - hits
     allowed = hits[alarms <= false_alarms * (len(event) - positives)]
     return float(allowed[-1]) / positives if len(allowed) else 0.0
+
+
+def average_precision_interval(
+    event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 200, share: float = 0.95, seed: int = 0
+) -> tuple[float, float]:
+    """Percentile interval of `average_precision` over resampled clusters (whole episodes); NaN where fewer than two clusters are there.
+
+    Rows of one episode resemble each other, so that thousands of rows may say little. Resamples without any event say nothing and are left
+    out.
+
+    Args:
+        event: [N].
+        score: [N].
+        cluster: [N] the episode of each row.
+        resamples: draws of as many clusters as there are, with replacement.
+        share: of the resamples that lie within the interval.
+        seed: of the draws.
+    """
+    _, place = np.unique(cluster, return_inverse=True)
+    clusters = int(place.max()) + 1 if len(place) else 0
+    if clusters < 2:
+        return float("nan"), float("nan")
+    drawn = np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1.0 / clusters), resamples)  # [R, clusters]
+    order = np.argsort(-score, kind="stable")
+    last = np.append(np.diff(score[order]) != 0, True)
+    weight = drawn[:, place[order]]  # [R, N] how often each row is drawn
+    hits = np.cumsum(weight * event[order], 1)[:, last]
+    count = np.cumsum(weight, 1)[:, last]
+    found = np.diff(hits, axis=1, prepend=0) * hits / np.maximum(count, 1)
+    with_events = hits[:, -1] > 0
+    if not with_events.any():
+        return float("nan"), float("nan")
+    values = found[with_events].sum(1) / hits[with_events, -1]
+    low, high = np.quantile(values, [(1 - share) / 2, (1 + share) / 2])
+    return float(low), float(high)
