@@ -126,7 +126,7 @@ def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
     batch, before = context.enter(window, 2)
     assert batch.first[0, 0] == 1, "nothing is known yet"
     z = torch.nn.functional.one_hot(torch.tensor([1, 0, 1]), 2).flatten().float().expand(1, 5, 6)
-    context.keep(window._replace(rows=window.rows - 1), Latent(torch.arange(20.0).reshape(1, 5, 4), z))
+    context.keep(window._replace(memory=window.memory - 1), Latent(torch.arange(20.0).reshape(1, 5, 4), z))
     batch, before = context.enter(window, 2)
     assert torch.equal(batch.first, window.batch.first)
     assert torch.equal(before.h, torch.arange(4.0).reshape(1, 4))
@@ -166,6 +166,49 @@ def test_what_followed_is_looked_up_to_the_end_of_the_episode() -> None:
             assert np.array_equal(ahead.pixels[n].numpy(), data.pixels[row + 1 + k])
     assert met == {0, 1, 2, 3, 4, 5}
     assert int((window.rows[ahead.row, ahead.step] + 5 > window.rows[ahead.row, -1]).sum()) > 0, "some lie behind their window"
+
+
+MIRROR = np.array([[1, 0], [0, -1]], np.float32)
+
+
+def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them() -> None:
+    data, source = replay((40, 30)), generator(0)
+    windows = Windows(data, np.arange(70), 5, 0.0, mirror=MIRROR)
+    window = windows.sample(60, source)
+    assert 15 < int(window.mirrored.sum()) < 45
+    ahead = windows.ahead(window, 100, 4, 100, 12, source)
+    for b, (rows, turned) in enumerate(zip(window.rows.numpy(), window.mirrored.tolist(), strict=True)):
+        side, sign = (slice(None, None, -1), -1) if turned else (slice(None), 1)
+        assert np.array_equal(window.batch.pixels[b].numpy(), data.pixels[rows][..., side])
+        assert np.array_equal(window.batch.action[b].numpy(), data.action[rows] * [1, sign])
+        assert np.array_equal(window.batch.reward[b].numpy(), data.reward[rows])
+        assert np.array_equal(window.memory[b].numpy(), rows + 70 * turned)
+    for n, (row, step) in enumerate(zip(ahead.row.tolist(), ahead.step.tolist(), strict=True)):
+        turned, begin = bool(window.mirrored[row]), int(window.rows[row, step])
+        k = int(ahead.shown[n])
+        if ahead.within[n, k]:
+            side, sign = (slice(None, None, -1), -1) if turned else (slice(None), 1)
+            assert np.array_equal(ahead.pixels[n].numpy(), data.pixels[begin + 1 + k][..., side])
+            assert np.array_equal(ahead.action[n, k].numpy(), data.action[begin + 1 + k] * [1, sign])
+    straight = Windows(data, np.arange(70), 5, 0.0).sample(60, generator(0))
+    assert not straight.mirrored.any()
+    assert torch.equal(straight.memory, straight.rows)
+
+
+def test_a_row_and_its_mirror_image_are_remembered_apart() -> None:
+    data = replay((30, 30))
+    context, windows = Context(120, 4, 3), Windows(data, np.arange(60), 5, 0.0, mirror=MIRROR)
+    window = windows.sample(1, generator(0))
+    begin = int(window.rows[0, 0])
+    assert begin % 30 > 0
+    latent = Latent(torch.arange(20.0).reshape(1, 5, 4), torch.zeros(1, 5, 6))
+    context.keep(window._replace(memory=window.rows - 1), latent)  # the row before, as it is
+    other = window._replace(memory=window.rows + 60)
+    assert context.enter(window._replace(memory=window.rows), 2)[0].first[0, 0] == 0
+    assert context.enter(other, 2)[0].first[0, 0] == 1, "of its mirror image nothing is known"
+    context.keep(other._replace(memory=other.memory - 1), latent._replace(h=latent.h + 100))
+    assert torch.equal(context.enter(other, 2)[1].h, torch.arange(4.0).reshape(1, 4) + 100)
+    assert torch.equal(context.enter(window._replace(memory=window.rows), 2)[1].h, torch.arange(4.0).reshape(1, 4))
 
 
 def test_imagined_steps_after_a_reset_do_not_count() -> None:
@@ -222,7 +265,8 @@ def test_a_dataset_that_is_too_small_says_so() -> None:
         Windows(replay((3,)), np.arange(3), 10, 0.0)
 
 
-def test_training_resumes_bit_for_bit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mirror", [None, MIRROR], ids=["straight", "mirror"])
+def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None) -> None:
     def fresh() -> torch.nn.Module:
         torch.manual_seed(0)
         return build(TINY, 2)
@@ -231,7 +275,7 @@ def test_training_resumes_bit_for_bit(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
     whole = fresh()
-    train(whole, data, ROWS, TINY, TINY.updates, 5, tmp_path / "a", silent)  # type: ignore[arg-type]
+    train(whole, data, ROWS, TINY, TINY.updates, 5, tmp_path / "a", silent, mirror=mirror)  # type: ignore[arg-type]
 
     class Interrupted(Exception):
         pass
@@ -242,9 +286,9 @@ def test_training_resumes_bit_for_bit(tmp_path: Path) -> None:
 
     partial = fresh()
     with pytest.raises(Interrupted):
-        train(partial, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", interrupt)  # type: ignore[arg-type]
+        train(partial, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", interrupt, mirror=mirror)  # type: ignore[arg-type]
     again = fresh()
-    train(again, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", silent)  # type: ignore[arg-type]
+    train(again, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", silent, mirror=mirror)  # type: ignore[arg-type]
     for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
 

@@ -25,15 +25,28 @@ class Window(NamedTuple):
     """[B, T] rows of the replay"""
     places: Tensor
     """[B, T] the same as places among the rows that may be learned from"""
+    mirrored: Tensor
+    """[B] bool: left and right are exchanged"""
+    memory: Tensor
+    """[B, T] where a `Context` remembers them: a row and its mirror image are two"""
 
 
 class Windows:
     """Random sequences of those rows of a replay that may be learned from; a share of them contains a costly step.
 
-    Everything lies on `device` (uint8 images included), so that a batch is one gather. On the CPU the replay's own memory is used.
+    Where the task has a `mirror` (see `tasks.mirror`), half of them are seen in it, with what follows. Everything lies on `device` (uint8
+    images included), so that a batch is one gather. On the CPU the replay's own memory is used.
     """
 
-    def __init__(self, replay: Replay, rows: NDArray[np.int64], length: int, cost_share: float, device: torch.device | None = None) -> None:
+    def __init__(
+        self,
+        replay: Replay,
+        rows: NDArray[np.int64],
+        length: int,
+        cost_share: float,
+        device: torch.device | None = None,
+        mirror: NDArray[np.float32] | None = None,
+    ) -> None:
         self.length, self._share = length, cost_share
         self._starts = len(rows) - length + 1
         if self._starts < 1:
@@ -43,6 +56,7 @@ class Windows:
         def there(values: NDArray[Any]) -> Tensor:
             return torch.from_numpy(values).to(place)
 
+        self._mirror = None if mirror is None else there(mirror)
         self._rows = there(rows)
         self._costly = there(np.flatnonzero(replay.cost[rows] > 0))
         self._pixels, self._action = there(replay.pixels), there(replay.action)
@@ -60,7 +74,12 @@ class Windows:
         places = start[:, None] + torch.arange(self.length, device=device)  # [B, T]
         rows = self._rows[places]
         fields = (self._pixels, self._action, self._reward, self._cost, self._terminal, self._first)
-        return Window(Batch(*(values[rows] for values in fields)), rows, places)
+        found = Batch(*(values[rows] for values in fields))
+        mirrored = torch.zeros(batch, dtype=torch.bool, device=device)
+        if self._mirror is not None:
+            mirrored = torch.rand(batch, generator=source, device=device) < 0.5
+            found = found._replace(pixels=_in_mirror(found.pixels, mirrored), action=self._turned(found.action, mirrored))
+        return Window(found, rows, places, mirrored, rows + len(self._first) * mirrored.unsqueeze(1))
 
     def ahead(self, window: Window, starts: int, horizon: int, images: int, noise: int, source: torch.Generator) -> Ahead:
         """What followed random steps of a batch, in the window or behind it: only `images` of those images are looked up.
@@ -83,8 +102,22 @@ class Windows:
         over = (places >= len(self._rows)).to(self._first.dtype)
         within = (1.0 - torch.maximum(self._first[rows], over)).cumprod(1)
         pixels = self._pixels[rows[torch.arange(images, device=device), shown]]
+        action = self._action[rows]
+        if self._mirror is not None:
+            mirrored = window.mirrored[row]
+            pixels, action = _in_mirror(pixels, mirrored[:images]), self._turned(action, mirrored)
         draws = gumbel((horizon, starts, noise), source)
-        return Ahead(row, step, self._action[rows], self._reward[rows], self._cost[rows], within, shown, pixels, draws)
+        return Ahead(row, step, action, self._reward[rows], self._cost[rows], within, shown, pixels, draws)
+
+    def _turned(self, action: Tensor, mirrored: Tensor) -> Tensor:
+        """Actions [B, T, A], those of mirrored sequences [B] as their mirror images."""
+        assert self._mirror is not None
+        return torch.where(mirrored[:, None, None], action @ self._mirror.T, action)
+
+
+def _in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
+    """Images [B, ..., width], of which some [B] are turned over."""
+    return torch.where(mirrored.view(-1, *[1] * (pixels.dim() - 1)), pixels.flip(-1), pixels)
 
 
 class Context:
@@ -101,7 +134,7 @@ class Context:
 
     def enter(self, window: Window, classes: int) -> tuple[Batch, Latent]:
         """The batch with `first` set where nothing is known of what came before, and the latents [B, .] before its first step."""
-        before = (window.rows[:, 0] - 1).clamp(min=0)
+        before = (window.memory[:, 0] - 1).clamp(min=0)
         first = window.batch.first.clone()
         first[:, 0] = torch.where(self.known[before], first[:, 0], 1.0)
         z = torch.nn.functional.one_hot(self.z[before].long(), classes).to(torch.float32)
@@ -110,15 +143,14 @@ class Context:
     def keep(self, window: Window, latent: Latent) -> None:
         """Remember the latents [B, T, .] of a batch."""
         variables = self.z.shape[1]
-        self.h[window.rows] = latent.h.detach().to(torch.float16)
-        self.z[window.rows] = latent.z.detach().unflatten(-1, (variables, -1)).argmax(-1).to(torch.uint8)
-        self.known[window.rows] = True
+        self.h[window.memory] = latent.h.detach().to(torch.float16)
+        self.z[window.memory] = latent.z.detach().unflatten(-1, (variables, -1)).argmax(-1).to(torch.uint8)
+        self.known[window.memory] = True
 
     def fill(self, latents: Latents) -> None:
-        """Begin with what an earlier training infers at every row."""
-        self.h.copy_(latents.h)
-        self.z.copy_(latents.z)
-        self.known.fill_(True)
+        """Begin with what an earlier training infers at every row; of mirror images nothing is known."""
+        rows = len(latents.h)
+        self.h[:rows], self.z[:rows], self.known[:rows] = latents.h.to(self.h), latents.z.to(self.z), True
 
     def tensors(self) -> dict[str, Tensor]:
         """For a checkpoint; `load` takes them back."""

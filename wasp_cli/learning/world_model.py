@@ -60,6 +60,7 @@ def train(
     work: Path,
     report: Report,
     *,
+    mirror: NDArray[np.float32] | None = None,
     before: Latents | None = None,
 ) -> tuple[dict[str, list[float]], int]:
     """Minimise Eq. 6 on those rows of a replay, on the model's device; goes on from its own checkpoint in `work`.
@@ -73,6 +74,7 @@ def train(
         seed: of batches and noise.
         work: folder of the checkpoint.
         report: called every 20 updates.
+        mirror: [A, A], what an action becomes in a mirror, where sequences may be seen in one.
         before: what the model inferred at every row of the replay, where it has been trained before.
 
     Returns:
@@ -85,12 +87,12 @@ def train(
     weights = loss_weights(config)
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed, device)
-    context = Context(len(replay.first), config.deter, config.variables, device)
+    context = Context(len(replay.first) * (1 if mirror is None else 2), config.deter, config.variables, device)
     fresh: dict[str, Any] = {"update": 0, "skipped": 0, "curves": {name: [] for name in [*weights, "gradient_norm"]}}
     if before is not None:
         context.fill(before)
     counters = restore_training(work, model, optimizer, source, context) or fresh
-    windows = Windows(replay, rows, config.length, config.cost_windows, device)
+    windows = Windows(replay, rows, config.length, config.cost_windows, device, mirror)
     compute = torch.compile(model.losses) if config.compile else model.losses
     model.train()
     for update in range(counters["update"], updates):

@@ -43,6 +43,7 @@ class WorldModelStage:
         from wasp_cli.learning.replay import HELD_OUT, read_replay
         from wasp_cli.learning.trained import load_world_model, save_world_model
         from wasp_cli.seeds import derive
+        from wasp_cli.tasks.mirror import mirror_of
 
         config = cast(WorldModelConfig, job.config)
         replay = read_replay(job.inputs["dataset"])
@@ -60,8 +61,11 @@ class WorldModelStage:
             return lambda share, text: job.progress(low + (high - low) * share, text)
 
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
+        mirror = mirror_of(job.task) if config.mirror else None
         before = encode(model, replay, during(0.0, 0.1)) if "previous" in job.inputs else None
-        curves, skipped = learning.train(model, replay, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), before=before)
+        curves, skipped = learning.train(
+            model, replay, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), mirror=mirror, before=before
+        )
         model.requires_grad_(False)
         latents = encode(model, replay, during(0.85, 0.95))
         refit_heads(model, replay, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))

@@ -49,6 +49,8 @@ class Goal(Navigation):
     num_steps = 1000
     reward_goal = 1.0
     reward_clip = 10.0
+    mirror = ((1.0, 0.0), (0.0, -1.0))
+    """See `tasks.mirror`: nothing is left or right here but the turning."""
 
     def __init__(
         self,

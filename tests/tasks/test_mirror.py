@@ -1,0 +1,66 @@
+"""A mirrored episode is another possible one: the same images turned over, the same rewards and costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wasp_cli.tasks.goal.look import TILE_SIDE
+from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.mirror import mirror_of
+from wasp_cli.tasks.registry import TASKS
+
+EPISODES = 8
+
+
+def reflected(snapshot: dict[str, np.ndarray[Any, Any]]) -> dict[str, np.ndarray[Any, Any]]:
+    """Left and right exchanged, about a line in the middle of a row of floor tiles: the floor stays what it is."""
+    other = {name: array.copy() for name, array in snapshot.items()}
+    for name in ("goal", "hazards", "bodies", "qpos"):
+        other[name][..., 1] = TILE_SIDE - other[name][..., 1]
+    other["qpos"][:, 2] *= -1
+    other["qvel"][:, 1:] *= -1
+    other["bodies"][..., [4, 6]] *= -1  # of a quaternion w, x, y, z the parts about x and z
+    other["speeds"][..., [1, 3, 5]] *= -1
+    other["control"][:, 1] *= -1
+    return other
+
+
+def test_a_mirrored_episode_is_seen_paid_and_punished_like_its_original() -> None:
+    matrix = mirror_of("goal1")
+    assert matrix is not None
+    task = make_task("goal1", EPISODES, action_repeat=4, observe=("pixels",))
+    twin = make_task("goal1", EPISODES, action_repeat=4, observe=("pixels",))
+    task.reset(range(EPISODES))
+    twin.reset(range(EPISODES))
+    random = np.random.default_rng(0)
+    costs = 0
+    for t in range(60):
+        if t % 10 == 0:  # motion is chaotic, so that the two would drift apart
+            seen = twin.restore(reflected(task.snapshot()))
+            original = task.restore(task.snapshot())
+            assert seen.pixels is not None
+            assert original.pixels is not None
+            off = np.abs(seen.pixels.astype(int) - original.pixels[..., ::-1].astype(int))
+            assert (off > 2).mean() < 0.002
+        action = random.uniform(-1, 1, (EPISODES, 2))
+        step, other = task.step(action), twin.step(action @ matrix.T.astype(float))
+        if t % 10 < 3:
+            np.testing.assert_allclose(other.reward, step.reward, atol=2e-3)
+            np.testing.assert_array_equal(other.cost, step.cost)
+            costs += int(step.cost.sum())
+    assert costs > 0
+
+
+@pytest.mark.parametrize("name", list(TASKS))
+def test_only_tasks_without_a_map_have_a_mirror(name: str) -> None:
+    matrix = mirror_of(name)
+    assert (matrix is not None) == name.startswith("goal")
+    if matrix is not None:
+        np.testing.assert_array_equal(matrix @ matrix, np.eye(len(matrix)))
+
+
+def test_environments_of_others_have_none() -> None:
+    assert mirror_of("tests.tasks.lights:Lights-v0") is None
