@@ -423,7 +423,7 @@ def test_behaviours_follow_their_shares() -> None:
     chosen = behaviours(MixtureConfig().model_dump(), 50, 4, np.random.default_rng(0))
     assert len(chosen) == 50
     counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
-    assert counts == {"expert": 9, "noisy": 5, "laggy": 6, "delayed": 7, "early": 3, "bursts": 4, "careless": 12, "random": 4}
+    assert counts == {"expert": 12, "noisy": 5, "laggy": 6, "delayed": 7, "early": 2, "bursts": 4, "careless": 10, "random": 4}
     assert {b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))} == {-1, 0}
 
 

@@ -61,13 +61,13 @@ class ExpertConfig(Config):
 class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
-    expert: float = assumed(0.18, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    expert: float = assumed(0.23, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
     noisy: float = assumed(0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
     laggy: float = assumed(0.12, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
     delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
     early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
     bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(0.25, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    careless: float = assumed(0.20, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
     random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
@@ -98,7 +98,7 @@ class WorldModelConfig(Config):
     unimix: float = assumed(0.01, "share of a uniform distribution mixed into every categorical", ge=0.0, lt=1.0)
     batch: int = assumed(8, "sequences per update", ge=1)
     length: int = assumed(32, "decision steps per sequence; they go on from remembered latents", ge=2)
-    updates: int = assumed(4500, "gradient steps", ge=1)
+    updates: int = assumed(4000, "gradient steps", ge=1)
     learning_rate: float = assumed(8e-4, "Adam; decays linearly over the second half to a tenth", gt=0.0)
     warmup: int = assumed(200, "updates of linear warm-up", ge=0)
     clip: float = assumed(300.0, "gradient norm", gt=0.0)
@@ -173,7 +173,7 @@ class PoliciesConfig(Config):
         0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
     )
     imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
-    labelling_rounds: int = assumed(4, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_rounds: int = assumed(2, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
     labelling_episodes: int = assumed(24, "episodes per round", ge=1)
     labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
     labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
