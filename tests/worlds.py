@@ -41,6 +41,9 @@ class Corridor:
         x = latent.h[..., 0]
         return ((x > self.low) & (x < self.high)).to(x.dtype)
 
+    def continues(self, latent: Latent) -> Tensor:
+        return torch.ones_like(latent.h[..., 0])
+
 
 class LinearCritics:
     """V_r = 0.5 x, V_c = 0.25 |x|."""

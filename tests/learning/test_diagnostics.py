@@ -87,11 +87,20 @@ def test_where_a_goal_ends_the_episode_the_goal_is_judged_too() -> None:
     data.reward[[11, 24]] = 10.0
     data.cost[:] = 0
     data.cost[24] = 1
-    perfect = Forecast(starts, data.cost[follow] + 5.0 * ~within, data.reward[follow] + 5.0 * ~within, follow, within)
+    perfect = Forecast(
+        starts,
+        data.cost[follow] + 5.0 * ~within,
+        data.reward[follow] + 5.0 * ~within,
+        data.terminal[follow] + 5.0 * ~within,
+        follow,
+        within,
+    )
     table = judge.judged_steps(data, perfect, judge.Alarm(0.3, 0.95), SOURCES)
     # At every step there is a start whose episode ends there, and what is imagined after an end does not count.
     assert [row["reward_variance"] > 0 for row in table] == [True] * 5
     assert [row["reward_r2"] for row in table] == [1.0] * 5
+    assert [(row["ends_auprc"], row["ends_over_base"]) for row in table] == [(1.0, pytest.approx(1.0))] * 5
+    assert [row["ends_base"] for row in table] == [pytest.approx((1 + (k < 3)) / within[:, k].sum()) for k in range(5)]
     assert [row["base"] for row in table] == [pytest.approx(data.cost[follow[:, k]][within[:, k]].mean()) for k in range(5)]
     assert judge.judged_window(data, perfect, judge.Alarm(0.3, 0.95))["cost_correlation"] == pytest.approx(1.0)
 
@@ -213,7 +222,8 @@ def test_the_strip_shows_onsets_and_calm_windows_frame_by_frame(tmp_path: Path) 
     film, rows = Film(data), Rows(np.arange(80))
     starts = judge.spread_starts(data, 6, 1000)
     follow, within = judge.what_followed(data, starts, 6)
-    seen = Forecast(starts, data.cost[follow], np.zeros((len(starts), 6)), follow, within)
+    nothing = np.zeros((len(starts), 6))
+    seen = Forecast(starts, data.cost[follow], nothing, nothing, follow, within)
     windows = pictures.shown_windows(data, seen)
     costly = [bool(data.cost[s + 1 : s + 7].any()) for s in starts[windows]]
     assert costly == [True] * pictures.COSTLY + [False] * pictures.CALM

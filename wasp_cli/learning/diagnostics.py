@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 
 class Forecast(NamedTuple):
-    """Imagined costs and rewards, means over samples of the prior."""
+    """Imagined costs, rewards and ends, means over samples of the prior."""
 
     starts: NDArray[np.int64]
     """[K] rows of the replay"""
@@ -38,6 +38,8 @@ class Forecast(NamedTuple):
     """[K, H] probability of a cost at the arrived state"""
     reward: Floats
     """[K, H]"""
+    ends: Floats
+    """[K, H] probability that the episode ends by its own rule in arriving there, given that it went on until then"""
     follow: NDArray[np.int64]
     """[K, H] rows that really followed; after the end of an episode its last one"""
     within: NDArray[np.bool_]
@@ -89,7 +91,7 @@ def forecast(
 ) -> Forecast:
     """Imagine from `starts` [K] under the true actions."""
     source = generator(seed)
-    cost, reward = torch.zeros(len(starts), horizon), torch.zeros(len(starts), horizon)
+    cost, reward, ends = (torch.zeros(len(starts), horizon) for _ in range(3))
     follow, within = what_followed(replay, starts, horizon)
     for begin in range(0, len(starts), CHUNK):
         here = slice(begin, begin + CHUNK)
@@ -99,16 +101,17 @@ def forecast(
             arrived = roll_prior(model, latents.at(index), actions, source)
             cost[here] += model.cost(arrived) / samples
             reward[here] += model.reward(arrived) / samples
-    return Forecast(starts, cost.numpy(), reward.numpy(), follow, within)
+            ends[here] += (1.0 - model.continues(arrived)) / samples
+    return Forecast(starts, cost.numpy(), reward.numpy(), ends.numpy(), follow, within)
 
 
 def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
     """A row per imagined step.
 
     `base` is the share of costly steps and `auprc` that of c-hat, `auprc_low` and `auprc_high` a 95 % interval of it over resampled
-    episodes; `persistence` is that of "cost stays what it is at the start". `recall`
-    is read at FALSE_ALARMS. `foreseen` is the share of the costs before which the alarm was up over the imagined
-    window. With `onset_` only starts count that do not cost themselves. `reliability` has a row per bin.
+    episodes; `persistence` is that of "cost stays what it is at the start". `recall` is read at FALSE_ALARMS. `foreseen` is the share of
+    the costs before which the alarm was up over the imagined window. With `onset_` only starts count that do not cost themselves.
+    `reliability` has a row per bin. `ends_` is about episodes that end by the task's own rule.
 
     Args:
         replay: the recorded episodes.
@@ -118,12 +121,13 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
     """
     raised = alarm.up(seen.cost * seen.within)
     rows = []
-    for k, (going, *columns) in enumerate(zip(seen.within.T, seen.follow.T, seen.cost.T, seen.reward.T, strict=True), 1):
-        follow, cost, reward = (column[going] for column in columns)
+    for k, (going, *columns) in enumerate(zip(seen.within.T, seen.follow.T, seen.cost.T, seen.reward.T, seen.ends.T, strict=True), 1):
+        follow, cost, reward, ends = (column[going] for column in columns)
         now, up = replay.cost[seen.starts[going]], raised[going]
         calm = now == 0
         event, true_reward = replay.cost[follow] > 0, replay.reward[follow]
         base, bins = _mean(event), reliability(event, cost)
+        over = replay.terminal[follow] > 0
         low, high = average_precision_interval(event, cost, replay.episode[seen.starts[going]])
         error, variance = float(((reward - true_reward) ** 2).mean()), float(true_reward.var())
         by = {kind: replay.sources[follow, i] > 0 for i, kind in enumerate(sources)}
@@ -139,6 +143,8 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
                 "calibration_error": calibration_error(bins), "reliability": [row._asdict() for row in bins],
                 "reward_r2": 1.0 - error / variance if variance else float("nan"),
                 "reward_error": error, "reward_variance": variance,
+                "ends_base": _mean(over), "ends_auprc": average_precision(over, ends),
+                "ends_over_base": float(ends.mean()) / _mean(over) if over.any() else float("nan"),
             }
         )  # fmt: skip
     return rows

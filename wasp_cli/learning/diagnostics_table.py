@@ -39,6 +39,14 @@ def open_loop_markdown(sets: Sets) -> str:
         if len(sources) > 1:
             rows = [[str(row["k"]), *(_text(row["foreseen_by_source"][kind]) for kind in sources)] for row in steps]
             lines += ["Share of the costs of each source that were foreseen:", "", *_table(["k", *sources], rows), ""]
+        if any(row["ends_base"] > 0 for row in steps):
+            rows = [[str(row["k"]), *(_text(row[f"ends_{key}"]) for key in ("base", "auprc", "over_base"))] for row in steps]
+            lines += [
+                "Episodes that end there by the task's own rule:",
+                "",
+                *_table(["k", "base rate", "AUPRC", "predicted / base"], rows),
+                "",
+            ]
     window = next(iter(sets.values()))["window"]
     lines += [
         "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence says that the cost stays what it is now,",
