@@ -17,11 +17,8 @@ from wasp_cli.learning.configs import PoliciesConfig, ReturnsConfig
 from wasp_cli.learning.dataset import Behaviour
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.policies import (
-    Drive,
     Labelled,
-    Verdict,
-    best_round,
-    compare,
+    agreement,
     drivers,
     explained,
     fit,
@@ -31,6 +28,7 @@ from wasp_cli.learning.policies import (
     new_skills,
     visit,
 )
+from wasp_cli.learning.verdicts import Drive, Verdict, best_round, compare, cost_limit
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.stages.base import no_progress
@@ -205,6 +203,27 @@ def test_the_kept_round_reached_both_or_cost_least_then_earned_most() -> None:
 
 
 def test_drives_are_means_over_episodes() -> None:
-    drive = Drive.of(np.array([1.0, 3.0]), np.array([0.0, 5.0]), np.array([7.0, 6.0]), enough=7)
-    shown = {"return": 2.0, "cost": 2.5, "goals": 6.5, "success": 0.5, "return_sd": 1.0, "cost_sd": 2.5, "episodes": 2}
+    drive = Drive.of(np.array([1.0, 3.0]), np.array([0.0, 5.0]), np.array([7.0, 6.0]), enough=7, env_steps=np.array([400.0, 200.0]))
+    shown = {"return": 2.0, "cost": 2.5, "goals": 6.5, "success": 0.5, "return_sd": 1.0, "cost_sd": 2.5, "episodes": 2, "env_steps": 300.0}
     assert drive.shown() == shown
+
+
+def test_the_cost_limit_by_hand() -> None:
+    config = PoliciesConfig(cost_allowance=2.0)
+    taught = [Drive(20.0, 3.0, 9.0, 1.0, env_steps=150.0), Drive(20.0, 5.0, 9.0, 1.0, env_steps=250.0)]
+    # 4 per episode, and half of 2 per 1000 of the 500 env steps that an episode may have: 4.5 in 200 env steps.
+    assert cost_limit(taught, 100.0, config, 500) == pytest.approx(22.5)
+    assert cost_limit(taught, 400.0, config, 500) == pytest.approx(11.25), "who takes twice as long must cost half as much per step"
+    free = PoliciesConfig(cost_allowance=0.0)
+    assert cost_limit([Drive(20.0, 0.0, 9.0, 1.0, env_steps=500.0)], 500.0, free, 500) == 1.0, "the excess is counted in its units"
+
+
+def test_policies_agree_where_imagined_latents_are_the_filtered_ones() -> None:
+    torch.manual_seed(0)
+    skills = new_skills([PrivilegedPolicy(3, [4], 1)] * 2, [0.5, 1.0], 3, CONFIG)
+    alike = states(300, 1, 0.0)
+    assert agreement(skills, alike) == {"0.5": 1.0, "1": 1.0}
+    shares = agreement(skills, states(300, 1, 2.0))
+    mine, theirs = (skills.at(1.0)(latents.at(torch.arange(300)).features) for latents in states(300, 1, 2.0)[:2])
+    assert shares["1"] == pytest.approx((1 - (mine - theirs).square().mean() / mine.var(correction=0)).item(), rel=1e-4)
+    assert shares["1"] < 1

@@ -14,10 +14,8 @@ import torch
 from tests.artifacts import tiny_artifacts
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.configs import PoliciesConfig, ReinforceConfig, ReturnsConfig
-from wasp_cli.learning.expert import EpisodeSums
+from wasp_cli.learning.configs import ReinforceConfig, ReturnsConfig
 from wasp_cli.learning.filtered_env import FilteredTask
-from wasp_cli.learning.policies import cost_limit
 from wasp_cli.learning.reinforce import reinforce
 from wasp_cli.learning.value_warmup import ValueWarmup
 from wasp_cli.methods.base import Parts
@@ -109,14 +107,6 @@ def test_the_multiplier_rises_while_the_cost_is_above_its_limit(parts: Parts) ->
     task, actor = Staggered(4), parts.skills.expert
     run = [reinforce(actor, task, parts.world_model, short, limit, "t", 0, no_progress)[1] for limit in (1.0, 1e9)]  # type: ignore[arg-type]
     assert run[0][-1]["multiplier"] > short.multiplier_init > run[1][-1]["multiplier"]
-
-
-def test_the_cost_limit_by_hand() -> None:
-    config = PoliciesConfig(cost_allowance=2.0)
-    zeros = np.zeros(2)
-    sums = EpisodeSums(zeros, np.array([3.0, 5.0]), zeros, zeros, np.array([150.0, 250.0]))
-    # 4 per episode, and half of 2 per 1000 of the 500 env steps that an episode may have: 4.5 in 200 env steps.
-    assert cost_limit(sums, config, 500) == pytest.approx(22.5)
 
 
 def test_a_folder_of_the_default_logger_is_never_left(parts: Parts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

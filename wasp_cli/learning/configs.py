@@ -151,7 +151,7 @@ class ReinforceConfig(Config):
     rollout: int = assumed(128, "decision steps per environment and update", ge=1)
     epochs: int = assumed(4, "passes over a rollout", ge=1)
     batch: int = assumed(512, "minibatch", ge=2)
-    learning_rate: float = assumed(2e-4, "Adam; decays linearly to a tenth; 4e-4 unlearned what was distilled", gt=0.0)
+    learning_rate: float = assumed(2e-4, "Adam; decays linearly to a tenth; low, so that what was distilled is kept", gt=0.0)
     gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
     log_std_init: float = assumed(-1.2, "initial exploration")
     log_std_floor: float = assumed(-1.6, "keeps exploring")

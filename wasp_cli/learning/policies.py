@@ -19,7 +19,6 @@ from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour, Commander
 from wasp_cli.learning.draws import generator
-from wasp_cli.learning.expert import EpisodeSums
 from wasp_cli.learning.latents import Latents, roll_prior
 from wasp_cli.learning.replay import Replay
 from wasp_cli.methods.human import HumanOnly
@@ -173,6 +172,21 @@ def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
     return found
 
 
+@torch.no_grad()
+def agreement(skills: Skills, states: Labelled) -> dict[str, float]:
+    """How alike each policy acts on filtered latents and on imagined ones of the same states: the share of its own variance.
+
+    Operators act on both. A reinforced policy has met the filtered ones only, and has left the labels that `explained` compares with.
+    """
+    index = torch.arange(states.labels.shape[1])
+    filtered, imagined = states.filtered.at(index).features, states.imagined.at(index).features
+    found = {}
+    for fraction in skills.fractions:
+        mine, theirs = skills.at(fraction)(filtered), skills.at(fraction)(imagined)
+        found[f"{fraction:g}"] = float(1 - (mine - theirs).square().mean() / mine.var(0, correction=0).mean().clamp(min=1e-9))
+    return found
+
+
 def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
     """Who drives each episode of a labelling round.
 
@@ -242,82 +256,6 @@ def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, f
     """Episodes of one latent skill without mistakes and without assistance."""
     operator = Operator(skills.at(fraction), task.action_size, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds)
-
-
-class Drive(NamedTuple):
-    """Means over evaluation episodes, with what tells how far they can be trusted."""
-
-    return_: float
-    cost: float
-    """Env steps that cost, per episode."""
-    goals: float
-    success: float
-    """Share of the episodes with enough goals."""
-    return_sd: float = 0.0
-    """Standard deviation over the episodes."""
-    cost_sd: float = 0.0
-    episodes: int = 0
-
-    def shown(self) -> dict[str, float]:
-        """By the names that people read."""
-        return {name.rstrip("_"): value for name, value in self._asdict().items()}
-
-    @classmethod
-    def of(cls, returns: NDArray[np.floating], costs: NDArray[np.floating], goals: NDArray[np.floating], enough: int) -> Drive:
-        """From the sums [B] of whole episodes; `enough` goals are a success."""
-        means = float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean())
-        return cls(*means, float(returns.std()), float(costs.std()), len(returns))
-
-
-class Verdict(NamedTuple):
-    """A latent policy beside the privileged one on the same episodes."""
-
-    return_share: float
-    """Latent return / privileged return; 1 plus the difference in units of its size where the privileged return is not positive."""
-    cost_ratio: float | None
-    """Latent cost / privileged cost; None where the privileged policy cost nothing."""
-    excess_cost: float
-    """Cost per episode beyond what is allowed; 0 within it."""
-    shortfall: float
-    """The lacking share of the wanted return plus the excess cost in units of the allowed one; 0 where both are reached."""
-    reached: bool
-    """Enough return and no excess cost."""
-
-
-def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps: int) -> Verdict:
-    """Hold a latent policy against the privileged one.
-
-    The allowed cost is `cost_ratio` times the privileged cost, or the privileged cost plus `cost_allowance` per 1000 env steps if that is
-    more: a ratio to almost nothing says nothing. `env_steps` is the time limit of an episode.
-    """
-    size = max(abs(privileged.return_), 1e-9)
-    share = 1.0 + (latent.return_ - privileged.return_) / size
-    allowed = max(config.cost_ratio * privileged.cost, privileged.cost + config.cost_allowance * env_steps / 1000)
-    excess = max(0.0, latent.cost - allowed)
-    ratio = latent.cost / privileged.cost if privileged.cost > 0 else None
-    lacking = 0.0 if share >= config.return_share else 1.0 - share / config.return_share
-    shortfall = lacking + excess / max(allowed, 1.0)
-    return Verdict(share, ratio, excess, shortfall, shortfall == 0.0)
-
-
-def cost_limit(privileged: EpisodeSums, config: PoliciesConfig, env_steps: int) -> float:
-    """What a reinforced policy may cost per 1000 env steps: as much as the privileged one, and half of what `compare` always allows.
-
-    Args:
-        privileged: its episodes.
-        config: the allowance.
-        env_steps: the time limit of an episode; episodes that end sooner have the allowance of a whole one.
-    """
-    allowed = privileged.costs.mean() + 0.5 * config.cost_allowance * env_steps / 1000
-    return float(1000 * allowed / privileged.env_steps.mean())
-
-
-def best_round(verdicts: Sequence[Verdict]) -> int:
-    """The first round that reached both, where none did the one that fell least short.
-
-    Return and cost weigh alike: by the cost alone a policy that hardly moves would win.
-    """
-    return min(range(len(verdicts)), key=lambda number: verdicts[number].shortfall)
 
 
 def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:

@@ -1,6 +1,6 @@
 """Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents, in the real task through the filter.
 
-A privileged teacher never shows how to look for what a camera does not see, so that more of its labels cannot teach it; reward can.
+Labels of a teacher that knows where the goal is do not show how to look for a goal that no camera sees; reward can.
 """
 
 from __future__ import annotations
@@ -51,7 +51,6 @@ def reinforce(
     Returns:
         A better actor of the same layers, frozen, and the learning curve.
     """
-    torch.manual_seed(derive("reinforce-weights", name, seed))
     env = FilteredTask(task, model, SeedStream("reinforce-episode", name, seed))
     env.normalise = env.spread = True
     better = copy.deepcopy(actor).train().requires_grad_(True)

@@ -43,7 +43,7 @@ def recall_at(event: NDArray[np.bool_], score: NDArray[Any], false_alarms: float
 
 
 def average_precision_interval(
-    event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 200, share: float = 0.95, seed: int = 0
+    event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, share: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:
     """Percentile interval of `average_precision` over resampled clusters (whole episodes); NaN where fewer than two clusters are there.
 

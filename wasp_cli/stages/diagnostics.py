@@ -7,12 +7,12 @@ Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from typing import Any, cast
 
 from wasp_cli.learning.configs import DiagnosticsConfig
 from wasp_cli.stages.base import Job
+from wasp_cli.stages.finite import finite_json
 
 SHOWN = (1, 5, 10, 15)
 """Imagined steps that the summary and the pictures of reliability show."""
@@ -84,7 +84,7 @@ class DiagnosticsStage:
                     pictures.open_loop_film(strips, job.out_dir / "open_loop.gif")
         pictures.reliability_figure(sets, SHOWN, job.out_dir / "reliability.png")
         pictures.horizon_figure(sets, job.out_dir / "horizon.png")
-        (job.out_dir / "diagnostics.json").write_text(json.dumps(_json(sets), indent=1, allow_nan=False))
+        (job.out_dir / "diagnostics.json").write_text(finite_json(sets))
         (job.out_dir / "open_loop.md").write_text(open_loop_markdown(sets))
         return _summary(sets)
 
@@ -101,12 +101,3 @@ def _summary(sets: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         summary[f"{prefix}auprc_any"] = round(sets[name]["window"]["auprc"], 3)
     last = sets["held_out"]["steps"][-1]
     return summary | {f"image_over_copy@{last['k']}": round(last["image_over_copy"], 3)}
-
-
-def _json(value: Any) -> Any:
-    """JSON has no number that is not finite: null."""
-    if isinstance(value, Mapping):
-        return {name: _json(part) for name, part in value.items()}
-    if isinstance(value, list):
-        return [_json(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

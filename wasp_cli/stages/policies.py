@@ -2,9 +2,10 @@
 
 Where labels do not bring the latent expert close enough to the privileged one, it is reinforced in the task. Artifact: `skills.safetensors`
 (+ .json); `evaluation.json`: every latent skill beside its privileged checkpoint on the same episodes of the real task, every round, and
-how much of the labels the actors explain; `reinforcement.json`: the curve of the reinforcement, where there was one.
+how much of the labels the actors explain; `reinforcement.json`: the curve of the reinforcement, where there was one. Nothing of it goes on
+after an interruption: the stage begins anew.
 
-A round is kept by `learning.policies.best_round`, the reinforcement being the last. Rounds are judged on episodes of their own, so that the
+A round is kept by `learning.verdicts.best_round`, the reinforcement being the last. Rounds are judged on episodes of their own, so that the
 evaluation of the kept one on other episodes is not flattered by the choice.
 """
 
@@ -16,6 +17,10 @@ from typing import Any, cast
 
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.stages.base import Job
+from wasp_cli.stages.finite import finite_json
+
+LIMIT_BATCHES = 4
+"""Times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement."""
 
 
 class PoliciesStage:
@@ -33,6 +38,7 @@ class PoliciesStage:
         import torch
 
         from wasp_cli.learning import policies as learning
+        from wasp_cli.learning import verdicts as verdict
         from wasp_cli.learning.expert import EpisodeSums, evaluate_privileged, load_skill
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.reinforce import reinforce
@@ -60,17 +66,16 @@ class PoliciesStage:
         # -- the two drivers on the same episodes
         blind, sighted = task(config.evaluation_episodes, "privileged"), task(config.evaluation_episodes, "pixels")
 
-        def drive(sums: EpisodeSums) -> learning.Drive:
-            return learning.Drive.of(sums.returns, sums.costs, sums.goals, enough)
+        def drive(sums: EpisodeSums) -> verdict.Drive:
+            return verdict.Drive.of(sums.returns, sums.costs, sums.goals, enough, sums.env_steps)
 
-        def latent(index: int, seeds: list[int]) -> learning.Drive:
+        def latent(index: int, seeds: list[int]) -> verdict.Drive:
             loop = learning.latent_episodes(sighted, model, skills, fractions[index], seeds)
-            return learning.Drive.of(loop.reward.sum(0), loop.cost_env.sum(0), loop.goals.sum(0), enough)
+            return verdict.Drive.of(loop.reward.sum(0), loop.cost_env.sum(0), loop.goals.sum(0), enough, loop.env_steps.sum(0))
 
         env_steps = blind.max_decisions * job.settings["action_repeat"]
         judges = [seed("policies-judge", i) for i in range(config.evaluation_episodes)]
-        taught = evaluate_privileged(blind, experts[-1], judges)
-        wanted, limit = drive(taught), learning.cost_limit(taught, config, env_steps)
+        wanted = drive(evaluate_privileged(blind, experts[-1], judges))
 
         # -- distillation
         labelled = learning.label(
@@ -85,12 +90,12 @@ class PoliciesStage:
         # -- labelling rounds
         visited: list[learning.Labelled] = []
         weights: list[dict[str, torch.Tensor]] = []
-        verdicts: list[learning.Verdict] = []
+        verdicts: list[verdict.Verdict] = []
         rounds: list[dict[str, Any]] = []
 
         def judge(said: str, at: float, **how: Any) -> None:
             found = latent(-1, judges)
-            verdicts.append(learning.compare(found, wanted, config, env_steps))
+            verdicts.append(verdict.compare(found, wanted, config, env_steps))
             weights.append(copy.deepcopy(skills.state_dict()))
             rounds.append({**how, **found.shown(), **verdicts[-1]._asdict()})
             job.progress(at, f"{said}: return {found.return_:.1f} of {wanted.return_:.1f}, cost {found.cost:.1f} of {wanted.cost:.1f}")
@@ -110,15 +115,20 @@ class PoliciesStage:
 
         # -- reinforcement
         if not verdicts[-1].reached and config.reinforce.interactions:
-            skills.load_state_dict(weights[learning.best_round(verdicts)])
+            best = verdict.best_round(verdicts)
+            skills.load_state_dict(weights[best])
+            # Its limit comes from episodes of their own, and many, since none of them needs a camera.
+            batches = [[seed("policies-limit", k, i) for i in range(config.evaluation_episodes)] for k in range(LIMIT_BATCHES)]
+            taught = [drive(evaluate_privileged(blind, experts[-1], seeds)) for seeds in batches]
+            limit = verdict.cost_limit(taught, rounds[best]["env_steps"], config, env_steps)
             alone = task(config.reinforce.envs, "pixels")
             better, curve = reinforce(
                 skills.expert, alone, model, config.reinforce, limit, job.task, seed("policies-reinforce"), during(0.6, 0.9)
             )
             skills.expert.load_state_dict(better.state_dict())
-            judge("reinforced", 0.9, reinforced=config.reinforce.interactions)
-            (job.out_dir / "reinforcement.json").write_text(json.dumps(curve, indent=1))
-        kept = learning.best_round(verdicts)
+            judge("reinforced", 0.9, reinforced=int(curve[-1]["interactions"]), cost_limit=limit)
+            (job.out_dir / "reinforcement.json").write_text(finite_json(curve))
+        kept = verdict.best_round(verdicts)
         skills.load_state_dict(weights[kept])
         learning.save_skills(skills, job.out_dir, model.feature_size, config.hidden, model.action_size)
 
@@ -128,17 +138,24 @@ class PoliciesStage:
         for index, fraction in enumerate(fractions):
             job.progress(0.9 + 0.1 * index / len(fractions), f"evaluating the skill at {fraction:g}")
             both = latent(index, seeds), drive(evaluate_privileged(blind, experts[index], seeds))
-            judged = learning.compare(*both, config, env_steps)
+            judged = verdict.compare(*both, config, env_steps)
             evaluation[f"{fraction:g}"] = {"latent": both[0].shown(), "privileged": both[1].shown(), **judged._asdict()}
-        shares = learning.explained(skills, rest)
-        written = {"skills": evaluation, "rounds": rounds, "kept_round": kept, "judged_against": wanted.shown(), "explained": shares}
-        (job.out_dir / "evaluation.json").write_text(json.dumps(written, indent=1))
+        shares, agree = learning.explained(skills, rest), learning.agreement(skills, rest)
+        written = {
+            "skills": evaluation,
+            "rounds": rounds,
+            "kept_round": kept,
+            "judged_against": wanted.shown(),
+            "explained": shares,
+            "agreement": agree,
+        }
+        (job.out_dir / "evaluation.json").write_text(finite_json(written))
         final = evaluation[f"{fractions[-1]:g}"]
         return {
             "return": final["latent"]["return"], "cost": final["latent"]["cost"],
             "privileged_return": final["privileged"]["return"], "privileged_cost": final["privileged"]["cost"],
             "return_share": final["return_share"], "cost_ratio": final["cost_ratio"], "reached": final["reached"],
-            "rounds": len(rounds) - 1, "kept_round": kept, "reinforced": "reinforced" in rounds[kept],
+            "rounds": sum("labelled" in row for row in rounds) - 1, "kept_round": kept, "reinforced": "reinforced" in rounds[kept],
             "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
-            "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3),
+            "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3), "agreement": round(agree[f"{fractions[-1]:g}"], 3),
         }  # fmt: skip

@@ -5,12 +5,12 @@ Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, cast
 
 from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.stages.base import Job
+from wasp_cli.stages.finite import finite_json
 
 
 class ResidualStage:
@@ -36,5 +36,5 @@ class ResidualStage:
         save_weights(
             policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)
         )
-        (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
+        (job.out_dir / "curve.json").write_text(finite_json(curve))
         return {name: curve[-1][name] for name in ("interactions", "cost_per_1000", "multiplier")}

@@ -1,0 +1,125 @@
+"""Which rounds the stage of the policies makes, and which it keeps. How well actors drive is scripted; everything else is real."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.learning.test_dataset import job as dataset_job
+from tests.learning.test_dataset import root as root  # a fixture
+from wasp_cli.learning import policies, reinforce
+from wasp_cli.learning.configs import PoliciesConfig, WorldModelConfig
+from wasp_cli.learning.latents import encode, save_latents
+from wasp_cli.learning.replay import read_replay
+from wasp_cli.learning.trained import save_world_model
+from wasp_cli.learning.world_model import build
+from wasp_cli.models.policy import LatentPolicy, Skills
+from wasp_cli.stages.base import no_progress
+from wasp_cli.stages.policies import PoliciesStage
+
+CONFIG = PoliciesConfig(
+    hidden=(8,), updates=3, batch=16, labelling_rounds=1, labelling_episodes=1, labelling_updates=3, evaluation_episodes=1
+)
+GOOD = 1e6
+
+
+@pytest.fixture(scope="module")
+def inputs(root: Path) -> dict[str, Path]:
+    torch.manual_seed(1)
+    (root / "seeing").mkdir()
+    model = build(WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16), 2)
+    save_world_model(model, root / "seeing")
+    save_latents(encode(model, read_replay(root / "whole"), no_progress), root / "seeing")
+    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "seeing"}
+
+
+class Run:
+    """A run of the stage in which the latent drives have these returns, in their order, and reinforcement adds 1 to every weight."""
+
+    def __init__(self, inputs: dict[str, Path], root: Path, patch: pytest.MonkeyPatch, returns: list[float], **changed: Any) -> None:
+        self.judged: list[dict[str, Any]] = []
+        self.began: dict[str, Any] | None = None
+        self.limit = 0.0
+        script = iter([*returns, 0.0, 0.0])  # the last two evaluate both skills
+
+        def drive(task: Any, model: Any, skills: Skills, fraction: float, seeds: Any) -> Any:
+            self.judged.append(copy.deepcopy(skills.state_dict()))
+            zeros = np.zeros((250, len(seeds)))
+            reward = zeros + next(script) / 250
+            return SimpleNamespace(reward=reward, cost_env=zeros, goals=zeros, env_steps=zeros + 4)
+
+        def better(actor: LatentPolicy, task: Any, model: Any, config: Any, limit: float, *rest: Any) -> Any:
+            self.began, self.limit = copy.deepcopy(actor.state_dict()), limit
+            changed = copy.deepcopy(actor)
+            with torch.no_grad():
+                for parameter in changed.parameters():
+                    parameter.add_(1.0)
+            return changed, [{"interactions": 128.0, "return": float("nan")}]
+
+        patch.setattr(policies, "latent_episodes", drive)
+        patch.setattr(reinforce, "reinforce", better)
+        name = f"run{len(list(root.iterdir()))}"
+        config = CONFIG.model_copy(update=changed)
+        job = dataclasses.replace(dataset_job(root, name), kind="policies", config=config, settings={"action_repeat": 4}, inputs=inputs)
+        self.summary = PoliciesStage().run(job)
+        self.folder = root / name
+        self.evaluation = json.loads((self.folder / "evaluation.json").read_text())
+        self.kept = policies.load_skills(self.folder).state_dict()
+
+
+Start = Callable[..., Run]
+
+
+@pytest.fixture
+def start(inputs: dict[str, Path], root: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
+    return lambda returns, **changed: Run(inputs, root, monkeypatch, returns, **changed)
+
+
+def same(a: dict[str, Any], b: dict[str, Any], skill: str = "") -> bool:
+    return all(torch.equal(value, b[name]) for name, value in a.items() if name.startswith(skill))
+
+
+def test_a_round_that_reaches_the_bounds_ends_the_training(start: Start) -> None:
+    run = start([-GOOD, GOOD])
+    assert run.began is None
+    assert same(run.kept, run.judged[1])
+    assert (run.summary["rounds"], run.summary["kept_round"], run.summary["reinforced"]) == (1, 1, False)
+    assert not (run.folder / "reinforcement.json").exists()
+
+
+def test_reinforcement_begins_with_the_best_round_and_changes_the_expert_alone(start: Start) -> None:
+    run = start([-GOOD, -2 * GOOD, GOOD])
+    assert run.began is not None
+    assert same({f"actors.1.{name}": value for name, value in run.began.items()}, run.judged[0])
+    assert not same(run.judged[0], run.judged[1], "actors.1")
+    assert same(run.kept, run.judged[0], "actors.0")
+    assert torch.equal(run.kept["actors.1.net.0.weight"], run.judged[0]["actors.1.net.0.weight"] + 1.0)
+    assert (run.summary["rounds"], run.summary["kept_round"], run.summary["reinforced"]) == (1, 2, True)
+    last = run.evaluation["rounds"][-1]
+    assert (last["reinforced"], last["cost_limit"]) == (128, run.limit)
+    assert run.limit >= 1.25 * 1000 / 1000, "the privileged cost, and half of what is always allowed"
+    text = (run.folder / "reinforcement.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail) == [{"interactions": 128.0, "return": None}]
+
+
+def test_a_reinforcement_that_made_it_worse_is_not_kept(start: Start) -> None:
+    run = start([-2 * GOOD, -GOOD, -3 * GOOD])
+    assert run.began is not None
+    assert same(run.kept, run.judged[1])
+    assert (run.summary["kept_round"], run.summary["reinforced"]) == (1, False)
+
+
+def test_without_interactions_nothing_is_reinforced(start: Start) -> None:
+    run = start([-GOOD, -GOOD], reinforce=CONFIG.reinforce.model_copy(update={"interactions": 0}))
+    assert run.began is None
+    assert len(run.evaluation["rounds"]) == 2
+    assert set(run.evaluation["agreement"]) == {"0.5", "1"}

@@ -1,0 +1,97 @@
+"""Latent policies held against the privileged one on the same episodes, and which round of training is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.learning.configs import PoliciesConfig
+
+Sums = NDArray[Any]
+
+
+class Drive(NamedTuple):
+    """Means over evaluation episodes, with what tells how far they can be trusted."""
+
+    return_: float
+    cost: float
+    """Env steps that cost, per episode."""
+    goals: float
+    success: float
+    """Share of the episodes with enough goals."""
+    return_sd: float = 0.0
+    """Standard deviation over the episodes."""
+    cost_sd: float = 0.0
+    episodes: int = 0
+    env_steps: float = 0.0
+    """Length of an episode."""
+
+    def shown(self) -> dict[str, float]:
+        """By the names that people read."""
+        return {name.rstrip("_"): value for name, value in self._asdict().items()}
+
+    @classmethod
+    def of(cls, returns: Sums, costs: Sums, goals: Sums, enough: int, env_steps: Sums) -> Drive:
+        """From the sums [B] of whole episodes; `enough` goals are a success."""
+        means = float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean())
+        return cls(*means, float(returns.std()), float(costs.std()), len(returns), float(env_steps.mean()))
+
+
+class Verdict(NamedTuple):
+    """A latent policy beside the privileged one on the same episodes."""
+
+    return_share: float
+    """Latent return / privileged return; 1 plus the difference in units of its size where the privileged return is not positive."""
+    cost_ratio: float | None
+    """Latent cost / privileged cost; None where the privileged policy cost nothing."""
+    excess_cost: float
+    """Cost per episode beyond what is allowed; 0 within it."""
+    shortfall: float
+    """The lacking share of the wanted return plus the excess cost in units of the allowed one; 0 where both are reached."""
+    reached: bool
+    """Enough return and no excess cost."""
+
+
+def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps: int) -> Verdict:
+    """Hold a latent policy against the privileged one.
+
+    The allowed cost is `cost_ratio` times the privileged cost, or the privileged cost plus `cost_allowance` per 1000 env steps if that is
+    more: a ratio to almost nothing says nothing. `env_steps` is the time limit of an episode.
+    """
+    size = max(abs(privileged.return_), 1e-9)
+    share = 1.0 + (latent.return_ - privileged.return_) / size
+    allowed = max(config.cost_ratio * privileged.cost, privileged.cost + config.cost_allowance * env_steps / 1000)
+    excess = max(0.0, latent.cost - allowed)
+    ratio = latent.cost / privileged.cost if privileged.cost > 0 else None
+    lacking = 0.0 if share >= config.return_share else 1.0 - share / config.return_share
+    shortfall = lacking + excess / max(allowed, 1.0)
+    return Verdict(share, ratio, excess, shortfall, shortfall == 0.0)
+
+
+def cost_limit(taught: Sequence[Drive], env_steps: float, config: PoliciesConfig, limit: int) -> float:
+    """What a reinforced policy may cost per 1000 env steps: per episode as much as the privileged one, and half of what `compare` allows.
+
+    Args:
+        taught: batches of episodes of the privileged expert, equally many in each.
+        env_steps: length of an episode of the latent expert, from which the reinforcement starts; one that takes longer than its teacher
+            must cost less per step.
+        config: the allowance.
+        limit: the time limit of an episode in env steps.
+
+    Returns:
+        At least 1: the multiplier follows the excess in units of the limit.
+    """
+    cost, length = (float(np.mean([getattr(drive, name) for drive in taught])) for name in ("cost", "env_steps"))
+    allowed = cost + 0.5 * config.cost_allowance * limit / 1000
+    return max(1.0, 1000 * allowed / max(length, env_steps))
+
+
+def best_round(verdicts: Sequence[Verdict]) -> int:
+    """The first round that reached both, where none did the one that fell least short.
+
+    Return and cost weigh alike: by the cost alone a policy that hardly moves would win.
+    """
+    return min(range(len(verdicts)), key=lambda number: verdicts[number].shortfall)
