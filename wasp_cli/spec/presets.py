@@ -39,7 +39,7 @@ _SMOKE: Document = {
     "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2},
 }  # fmt: skip
 
-# Some eight minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
+# Minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
 # many small updates of the world model beat few large ones.
 _QUICK: Document = {
     "episodes": 10,
