@@ -190,7 +190,7 @@ def horizon_figure(sets: Mapping[str, Mapping[str, Any]], path: Path) -> None:
         low, high = ([row[f"auprc_{end}"] for row in steps] for end in ("low", "high"))
         panels[0].fill_between(k, low, high, color=colour, alpha=0.15, linewidth=0)
         for key, style, text in (("auprc", "o-", "model"), ("persistence", "--", "persistence"), ("base", ":", "base rate")):
-            line(panels[0], key, style, f"{text}, {_SET_NAMES[name]}")
+            line(panels[0], key, style, text if table is next(iter(sets.values())) else "_")  # colours are named in the other panels
         for panel, key in zip(panels[1:], ("predicted_over_base", "reward_r2", "image_over_copy"), strict=True):
             line(panel, key, "o-", _SET_NAMES[name])
     titles = ("cost AUPRC", "predicted cost / base rate", "reward R2", "image error / error of a copy")
