@@ -11,7 +11,7 @@ import torch
 from scipy.stats import spearmanr
 from torch import Tensor
 
-from tests.learning.test_training import replay
+from tests.learning.recordings import replay
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, reliability_picture, returns_ahead, spearman
 from wasp_cli.learning.critics import Starts, imagine, train_critics

@@ -16,7 +16,8 @@ import pytest
 import torch
 from PIL import Image
 
-from tests.learning.test_training import SOURCES, commander, replay
+from tests.learning.recordings import SOURCES, replay
+from tests.learning.test_behaviours import commander
 from wasp_cli.learning.configs import DatasetConfig
 from wasp_cli.learning.contact_sheet import _COSTLY, EDGE, FRAME, FRAMES, GAP, TITLE, contact_sheet
 from wasp_cli.learning.contents import ALL, contents, contents_markdown, contents_of, unseen_sources, warnings

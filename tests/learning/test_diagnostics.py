@@ -12,9 +12,9 @@ import pytest
 import torch
 from PIL import Image
 
+from tests.learning.recordings import SOURCES, replay
 from tests.learning.test_dataset import job as dataset_job
 from tests.learning.test_dataset import root  # noqa: F401 - a fixture
-from tests.learning.test_training import SOURCES, replay
 from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
 from wasp_cli.learning import pictures

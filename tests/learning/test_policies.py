@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
+from tests.learning.recordings import replay
 from tests.learning.test_loops import Staggered
-from tests.learning.test_training import replay
 from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.configs import PoliciesConfig, ReturnsConfig
 from wasp_cli.learning.dataset import Behaviour

@@ -39,6 +39,7 @@ def test_incomplete_grid(grid: Callable[..., list[Wanted]]) -> None:
         cell.path.unlink()
     frame = read_frame(wanted)
     texts = [RENDERERS["md"](table) for table in (main_table(frame), ablation_table(frame)) if table is not None]
+    assert all("INCOMPLETE: 6 of 25 cells are missing" in text for text in texts)
     compare("incomplete.md", "\n".join(texts))
 
 
