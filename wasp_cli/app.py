@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import os
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from wasp_cli import __version__
+from wasp_cli.app_bench import bench_app
+from wasp_cli.options import JobsOption, ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, folder_of, print_json
 
 if TYPE_CHECKING:
     from wasp_cli.plan.cell import Cell
@@ -20,12 +19,6 @@ if TYPE_CHECKING:
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
     from wasp_cli.store.layout import Layout
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-INTERRUPTED = 130
-PIPE_CLOSED = 141
 
 app = typer.Typer(
     name="wasp",
@@ -36,74 +29,6 @@ app = typer.Typer(
     "A spec (a YAML file in specs/) says what to run; results/ keeps what came out, and nothing is computed twice.",
     epilog="Start here:  [bold]wasp run specs/quickstart.yaml[/]   ·   then:  [bold]wasp report results/[/]",
 )
-
-SpecArgument = Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML file, for example specs/quickstart.yaml.", show_default=False)]
-
-
-def _folder(value: str | Path) -> Path:
-    if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
-        raise typer.BadParameter("the name of the folder is empty")
-    return Path(value)
-
-
-ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=_folder, help="Where results are kept.")]
-TaskOption = Annotated[str | None, typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False)]
-JobsOption = Annotated[
-    int | None,
-    typer.Option(
-        "--jobs",
-        "-j",
-        min=0,
-        metavar="N",
-        help="Worker processes at most; 0 computes in this process. (default: all cores)",
-        show_default=False,
-    ),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a value of the spec, as if it stood in the file. Repeatable.",
-        show_default=False,
-    ),
-]
-
-
-def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback.
-
-    Expected are also the refusals of the system: a full disk, a folder without permission, a reader of stdout that went away.
-    """
-
-    @functools.wraps(command)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
-        from wasp_cli.errors import WaspError
-
-        try:
-            result = command(*args, **kwargs)
-            sys.stdout.flush()
-            return result
-        except (WaspError, OSError) as error:
-            from wasp_cli.console import report_error, silence
-            from wasp_cli.errors import refusal
-
-            if isinstance(error, OSError):
-                silence(sys.stdout)  # what it still holds would raise again at the end
-            if os.environ.get("WASP_DEBUG"):
-                raise
-            if isinstance(error, BrokenPipeError):
-                raise typer.Exit(PIPE_CLOSED) from None
-            expected = error if isinstance(error, WaspError) else refusal(error)
-            report_error(expected)
-            raise typer.Exit(expected.exit_code) from None
-        except KeyboardInterrupt:
-            if os.environ.get("WASP_DEBUG"):
-                raise
-            print("interrupted", file=sys.stderr)
-            raise typer.Exit(INTERRUPTED) from None
-
-    return wrapped
 
 
 def _version(wanted: bool) -> None:
@@ -166,7 +91,7 @@ def plan(
     loaded = restricted(load(spec, set_ or ()), task)
     laid_out = plan_against(lay_out(loaded.spec), Layout(results))
     if json:
-        _print_json({"spec": loaded.spec.name, **laid_out.as_json()})
+        print_json({"spec": loaded.spec.name, **laid_out.as_json()})
     else:
         show(laid_out, out(), max(cores() if jobs is None else jobs, 1))
 
@@ -200,7 +125,7 @@ def check(
 @app.command(epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1[/]")
 @expected_errors
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", parser=_folder, help="A results folder.")] = Path("results"),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", parser=folder_of, help="A results folder.")] = Path("results"),
     spec: Annotated[
         str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
     ] = None,
@@ -255,6 +180,7 @@ tasks_app = typer.Typer(
     epilog="[bold]wasp tasks[/]   ·   [bold]wasp tasks show goal1 --seed 3[/]   ·   [bold]wasp tasks --json | jq '.[].gym_id'[/]",
 )
 app.add_typer(tasks_app, name="tasks")
+app.add_typer(bench_app, name="bench")
 
 
 @tasks_app.callback()
@@ -279,7 +205,7 @@ def tasks(
     # By import string, as workers load stages: tasks need MuJoCo, and the command line does without it.
     found = load_target("wasp_cli.tasks.describe:describe")()
     if json:
-        _print_json([asdict(task) for task in found])
+        print_json([asdict(task) for task in found])
         return
     out().print(task_table(found))
     out().print("Any gymnasium id is a task too: docs/own_task.md", markup=False, soft_wrap=True)
@@ -353,13 +279,6 @@ def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], part
     out().print(f"report: {page} (its tables as Markdown and CSV, and the figure, are beside it)", markup=False, soft_wrap=True)
     out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
     return report
-
-
-def _print_json(value: Any) -> None:
-    import json
-
-    json.dump(value, sys.stdout, indent=1)
-    sys.stdout.write("\n")
 
 
 def main() -> None:

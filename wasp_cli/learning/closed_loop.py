@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.methods.base import Assistant, Record
+from wasp_cli.methods.base import Assistant, Decision
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
@@ -39,7 +39,8 @@ class Loop(NamedTuple):
     """[T, B, A] the operator's command within the bounds"""
     action: Array
     """[T, B, A] the executed action"""
-    records: list[Record]
+    decisions: list[Decision]
+    """[T]"""
     decision_ms: Array
     """[T] wall time of `decide` in milliseconds, divided by the batch"""
     h: Tensor | None
@@ -102,7 +103,7 @@ def run_episodes(
     assistant.reset(torch.ones(batch, dtype=torch.bool), method_seeds)
     names = ("reward", "cost", "cost_env", "env_steps", "goals", "alive", "terminated", "a_h", "action")
     rows: dict[str, list[Array]] = {name: [] for name in names}
-    records: list[Record] = []
+    decisions: list[Decision] = []
     times: list[float] = []
     kept: list[Latent] = []
     ended = np.zeros(batch, bool)
@@ -122,7 +123,7 @@ def run_episodes(
             ("a_h", a_h.numpy()), ("action", action.numpy()),
         ):  # fmt: skip
             rows[name].append(np.array(value))
-        records.append(decision.record)
+        decisions.append(decision)
         if keep_latents:
             kept.append(latent)
         seen, ended = step.observation, step.ended.copy()
@@ -133,7 +134,7 @@ def run_episodes(
     stacked = {name: np.stack(values) for name, values in rows.items()}
     h = torch.stack([latent.h for latent in kept]) if keep_latents else None
     z = torch.stack([latent.z for latent in kept]) if keep_latents else None
-    return Loop(**stacked, records=records, decision_ms=np.array(times, np.float32), h=h, z=z)
+    return Loop(**stacked, decisions=decisions, decision_ms=np.array(times, np.float32), h=h, z=z)
 
 
 def expert_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, seeds: Sequence[int], *, keep_latents: bool = False) -> Loop:

@@ -8,50 +8,30 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.metrics.episode import GATE_NONE
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
 
-
-class Record(NamedTuple):
-    """What a decision leaves behind, the same fields for every method; NaN (-1 for `safe`) where undefined."""
-
-    gate: Tensor
-    """int8 [B]"""
-    g_cost: Tensor
-    """[B] nominal cost return of the safety gate (Eq. 9)"""
-    delta_g: Tensor
-    """[B] gain of the task gate (Eq. 12)"""
-    signal: Tensor
-    """[B] the method's own decision signal (IDA: ensemble vote)"""
-    safe: Tensor
-    """int16 [B] |F_s| of the last iteration (Eq. 14)"""
-    case2_share: Tensor
-    """[B] share of the iterations that were in Case II"""
+if TYPE_CHECKING:
+    # Training drives the task with assistants too, and must not run again when decisions leave more behind.
+    from wasp_cli.methods.record import Planned, Record
 
 
 class Decision(NamedTuple):
-    """The executed action [B, A], within the bounds, and its record."""
+    """What an assistant decided for B episodes."""
 
     action: Tensor
-    record: Record
-
-
-def blank_record(batch: int, gate: int = GATE_NONE) -> Record:
-    """A record with every optional field undefined."""
-    nan = torch.full((batch,), torch.nan)
-    return Record(
-        torch.full((batch,), gate, dtype=torch.int8), nan.clone(), nan.clone(), nan.clone(),
-        torch.full((batch,), -1, dtype=torch.int16), nan.clone(),
-    )  # fmt: skip
+    """[B, A] to be executed, within the bounds"""
+    record: Record | None = None
+    """what there is to say of it; None: the commands stand, and nothing was computed"""
+    planned: Planned | None = None
+    """the plans, of methods that plan"""
 
 
 @dataclass(frozen=True)

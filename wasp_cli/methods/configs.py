@@ -51,11 +51,15 @@ class WASPConfig(Config):
     )
     feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
     alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
-    tau_c: float = assumed(0.3, "expected costly decision steps within H above which the safety gate fires", gt=0.0)
+    tau_c: float = assumed(0.3, "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires", gt=0.0)
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the re-scored gain under the unimpaired expert")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
     tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
     bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the plain sum over H ranks better")
+    continuation: bool = deviates(
+        True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"
+    )
+    case2_memory: int = assumed(4, "decisions for which the plan that Case II chose stays a candidate, shifted", ge=0)
     initial_std: float = assumed(0.5, "standard deviation of the first residual distribution", gt=0.0)
     std_floor: float = assumed(0.05, "keeps the distribution from collapsing", gt=0.0)
     momentum: float = assumed(0.1, "weight of the old mean in a CEM update", ge=0.0, lt=1.0)

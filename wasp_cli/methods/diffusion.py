@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.methods.base import Decision, Parts, blank_record
+from wasp_cli.methods.base import Decision, Parts
 from wasp_cli.methods.configs import DiffusionConfig
 from wasp_cli.methods.noise import DecisionNoise, normal
+from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.methods.base import Decision, Parts, blank_record
+from wasp_cli.methods.base import Decision, Parts
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
 
@@ -22,4 +22,4 @@ class HumanOnly:
         """Nothing is kept."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        return Decision(a_h, blank_record(len(a_h)))
+        return Decision(a_h)

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.methods.base import Decision, Heldout, Parts, blank_record
+from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import IDAConfig
+from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.models.ensemble import QEnsemble

@@ -15,7 +15,7 @@ class MethodInfo:
     title: str
     """Name in tables."""
     target: str
-    """Import string of the `Assistant` class."""
+    """Import string of what makes the `Assistant` from its configuration and `Parts`."""
     config: str
     """Import string of its config model."""
     needs: tuple[str, ...] = ()
@@ -43,7 +43,7 @@ METHODS: Registry[MethodInfo] = Registry(
         MethodInfo(
             "wasp",
             "WASP",
-            "wasp_cli.methods.wasp.assistant:WASP",
+            "wasp_cli.methods.wasp.assistant:wasp",
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
             calibrated=True,

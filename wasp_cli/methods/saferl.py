@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.methods.base import Decision, Parts, blank_record
+from wasp_cli.methods.base import Decision, Parts
+from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.models.residual import ResidualPolicy

@@ -37,6 +37,30 @@ GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False)
+class Plans:
+    """What was planned in T decision steps; NaN (-1 in `safe`) where nothing was. L residual steps, I iterations."""
+
+    residuals: Floats
+    """[T, L, A] the chosen sequence"""
+    safe: Ints
+    """[T, I] |F_s| of every iteration (Eq. 14)"""
+    case2: Bools
+    """[T, I] whether the iteration was in Case II"""
+    cost: Floats
+    """[T] predicted cost return of the sequence"""
+    reward: Floats
+    """[T] its predicted reward return"""
+    alone_cost: Floats
+    """[T] predicted cost return of the commands alone, on the same rollouts"""
+    alone_reward: Floats
+    """[T] their predicted reward return"""
+
+    def share(self) -> Floats:
+        """[T] share of the iterations in Case II"""
+        return np.where(self.safe[:, -1] >= 0, self.case2.mean(1), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """The decision steps of one finished episode. Undefined numbers are NaN, an undefined `safe` is -1."""
 
@@ -58,14 +82,14 @@ class Trajectory:
     """[T] one of GATE_*"""
     g_cost: Floats
     """[T] estimated cost return of the nominal command (Eq. 9)"""
+    g_return: Floats
+    """[T] estimated reward return of the nominal command (Eq. 10)"""
     delta_g: Floats
     """[T] estimated gain of the probe's winner (Eq. 12)"""
     signal: Floats
     """[T] the method's own decision value, such as IDA's vote"""
-    case2_share: Floats
-    """[T] share of the planner's iterations that were Case II"""
-    safe: Ints
-    """[T] safe candidates in the planner's last iteration"""
+    plans: Plans | None = None
+    """of a method that plans"""
 
     def __post_init__(self) -> None:
         steps = len(self.reward)
@@ -74,8 +98,11 @@ class Trajectory:
         for field in fields(self):
             shape = np.shape(getattr(self, field.name))
             wanted = (steps, *np.shape(self.a)[1:]) if field.name in ("a", "a_h") else (steps,)
-            if shape != wanted:
+            if shape != wanted and field.name != "plans":
                 raise ValueError(f"{field.name} has shape {shape}, not {wanted}")
+        for name, shape in _plan_shapes(self.plans, steps, np.shape(self.a)[1]) if self.plans is not None else ():
+            if np.shape(getattr(self.plans, name)) != shape:
+                raise ValueError(f"plans.{name} has shape {np.shape(getattr(self.plans, name))}, not {shape}")
         for name in ("reward", "a", "a_h"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"{name} is not finite")
@@ -90,6 +117,16 @@ class Trajectory:
         """[T] ||a - a_h||, exactly 0 where it is rounding."""
         norm: Floats = np.linalg.norm(np.asarray(self.a, np.float64) - np.asarray(self.a_h, np.float64), axis=1)
         return np.where(norm > INTERVENED, norm, 0.0)
+
+
+def _plan_shapes(plans: Plans, steps: int, actions: int) -> list[tuple[str, tuple[int, ...]]]:
+    """The shape that every field of `plans` should have in T steps."""
+    per_step = [field.name for field in fields(plans) if field.name not in ("residuals", "safe", "case2")]
+    searched = (steps, *np.shape(plans.safe)[1:])
+    return [
+        ("residuals", (steps, *np.shape(plans.residuals)[1:2], actions)), ("safe", searched), ("case2", searched),
+        *((name, (steps,)) for name in per_step),
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -135,7 +172,8 @@ def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float
     intervened = deviation > 0.0
     cost, goals = int(trajectory.cost_env.sum()), int(trajectory.goals.sum())
     success = goals >= success_goals
-    planned = ~np.isnan(trajectory.case2_share)
+    share = np.full(steps, np.nan) if trajectory.plans is None else trajectory.plans.share()
+    planned = ~np.isnan(share)
     jumps = np.square(np.diff(trajectory.a, axis=0)).sum(1)
     return EpisodeMetrics(
         decisions=steps,
@@ -158,7 +196,7 @@ def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float
         smoothness=float(jumps.mean()) if steps > 1 else None,
         safety_gate=float((trajectory.gate == GATE_SAFETY).mean()),
         task_gate=float((trajectory.gate == GATE_TASK).mean()),
-        case2=float(trajectory.case2_share[planned].mean()) if planned.any() else None,
+        case2=float(share[planned].mean()) if planned.any() else None,
     )
 
 

@@ -33,7 +33,7 @@ from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
 CELL_FILE = "cell.parquet"
 """Name of the table inside the artifact of a cell."""
 
-VERSION = 1
+VERSION = 2
 """Grows with every change of SCHEMA; a file of a newer version is refused."""
 
 VERSION_KEY = b"wasp.cell"
@@ -51,13 +51,25 @@ STEP = pa.struct(
         pa.field("deviation", pa.float32(), nullable=False),
         pa.field("gate", pa.int8(), nullable=False),
         pa.field("g_cost", pa.float32()),
+        pa.field("g_return", pa.float32()),
         pa.field("delta_g", pa.float32()),
         pa.field("signal", pa.float32()),
-        pa.field("safe", pa.int16()),
-        pa.field("case2_share", pa.float32()),
+        pa.field("plan_cost", pa.float32()),
+        pa.field("plan_return", pa.float32()),
+        pa.field("alone_cost", pa.float32()),
+        pa.field("alone_return", pa.float32()),
+        pa.field("safe", pa.list_(pa.int16())),
+        pa.field("case2", pa.list_(pa.bool_())),
+        pa.field("plan", pa.list_(pa.float32())),
     ]
 )
-"""A decision step; the meaning of the fields is that of `metrics.episode.Trajectory`."""
+"""A decision step; the meaning of the fields is that of `metrics.episode.Trajectory` and `Plans`. `safe` and `case2` have an entry per
+iteration, `plan` the L residuals one after the other; all that concerns a plan is null where nothing was planned."""
+PLANNED = {
+    "plan_cost": "cost", "plan_return": "reward", "alone_cost": "alone_cost", "alone_return": "alone_reward",
+    "safe": "safe", "case2": "case2", "plan": "residuals",
+}  # fmt: skip
+"""Fields of STEP that come from `Plans`, with their names there."""
 
 IDENTITY = (
     pa.field("task", pa.string(), nullable=False),
@@ -204,19 +216,41 @@ def _steps(trajectories: Sequence[Trajectory]) -> pa.Array:
 
     lengths = [trajectory.steps for trajectory in trajectories]
     columns: dict[str, pa.Array] = {"t": pa.array(np.concatenate([np.arange(n) for n in lengths]), pa.int32())}
+    planned = _planned(trajectories)
     for field in list(STEP)[1:]:
-        values = flat(field.name)
-        if pa.types.is_list(field.type):
-            ends = np.arange(0, values.size + 1, values.shape[1], dtype=np.int32)
-            columns[field.name] = pa.ListArray.from_arrays(ends, pa.array(values.astype(np.float32).ravel()), type=field.type)
-        elif field.name == "safe":
-            columns[field.name] = pa.array(values.astype(np.int16), field.type, mask=values < 0)
-        elif pa.types.is_float32(field.type):
-            columns[field.name] = pa.array(values.astype(np.float32), field.type, from_pandas=True)  # NaN becomes null
-        else:
-            columns[field.name] = pa.array(values).cast(field.type)
+        if field.name in PLANNED:
+            columns[field.name] = pa.nulls(sum(lengths), field.type) if planned is None else _array_of(planned[field.name], field.type)
+            continue
+        columns[field.name] = _array_of(flat(field.name), field.type)
     steps = pa.StructArray.from_arrays(list(columns.values()), fields=list(STEP))
     return pa.ListArray.from_arrays(np.cumsum([0, *lengths], dtype=np.int32), steps, type=pa.list_(STEP))
+
+
+def _planned(trajectories: Sequence[Trajectory]) -> dict[str, NDArray[Any]] | None:
+    """The fields of PLANNED over all steps, masked where nothing was planned; None of a method that does not plan."""
+    plans = [trajectory.plans for trajectory in trajectories if trajectory.plans is not None]
+    if len(plans) != len(trajectories):
+        return None
+    columns = {name: np.concatenate([np.asarray(getattr(each, source)) for each in plans]) for name, source in PLANNED.items()}
+    nothing = columns["safe"][:, -1] < 0
+    columns["plan"] = columns["plan"].reshape(len(nothing), -1)
+    return {
+        name: np.ma.masked_array(values, np.broadcast_to(nothing.reshape(-1, *[1] * (values.ndim - 1)), values.shape))
+        for name, values in columns.items()
+    }
+
+
+def _array_of(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
+    """A column of steps [T] or of lists [T, K]; masked rows and NaN outside of lists are null."""
+    mask = np.ma.getmaskarray(values)
+    data = np.ma.getdata(values)
+    if pa.types.is_list(kind):
+        ends = np.arange(0, data.size + 1, data.shape[1], dtype=np.int32)
+        inner = pa.array(data.ravel()).cast(kind.value_type)
+        return pa.ListArray.from_arrays(ends, inner, type=kind, mask=pa.array(mask[:, 0]))
+    if pa.types.is_float32(kind):
+        return pa.array(data.astype(np.float32), kind, from_pandas=True, mask=mask)  # NaN becomes null
+    return pa.array(data, mask=mask).cast(kind)
 
 
 def read_episodes(paths: Iterable[Path]) -> pa.Table:
@@ -241,7 +275,14 @@ def read_steps(path: Path) -> pa.Table:
     lengths = np.asarray(nested.value_lengths())
     flat = nested.flatten()
     episode = pa.array(np.repeat(np.asarray(table["episode"]), lengths), pa.int32())
-    return pa.table([episode, *(flat.field(i) for i in range(STEP.num_fields))], names=["episode", *(field.name for field in STEP)])
+    known = {flat.type.field(i).name: i for i in range(flat.type.num_fields)}
+    # An older file has fewer fields, or one of another type: what it does not say is null.
+    found = [
+        flat.field(known[field.name]) if field.name in known and flat.type.field(known[field.name]).type == field.type
+        else pa.nulls(len(flat), field.type)
+        for field in STEP
+    ]  # fmt: skip
+    return pa.table([episode, *found], names=["episode", *(field.name for field in STEP)])
 
 
 def same_rows(a: Path, b: Path) -> bool:

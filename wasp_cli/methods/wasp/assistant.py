@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
-from wasp_cli.methods.base import Decision, Heldout, Parts, blank_record
+from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, normal, uniform
+from wasp_cli.methods.record import Planned, blank_record
+from wasp_cli.methods.wasp.calibration import TAU_R_FALLBACK, Signals
 from wasp_cli.methods.wasp.gates import Gain, probe, safety_gate
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
 from wasp_cli.methods.wasp.residual import Plan, plan_residuals, propose
@@ -23,9 +25,6 @@ from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.weights import load_weights, read_arguments
 from wasp_cli.operators.base import Operator
 
-TAU_R_FALLBACK = 0.5
-"""tau_r where it is to be calibrated and no calibration exists yet."""
-
 
 def effective(config: WASPConfig) -> WASPConfig:
     """The configuration that a variant stands for: `no-rollout` is a single imagined step with both critics."""
@@ -34,33 +33,43 @@ def effective(config: WASPConfig) -> WASPConfig:
     return config
 
 
+def wasp(config: Config, parts: Parts) -> WASP:
+    """WASP over the trained world model and critics."""
+    path = parts.inputs["critics"] / "critics.safetensors"
+    critics = LatentCritics(**read_arguments(path))
+    load_weights(critics, path)
+    whole = cast(WASPConfig, config)
+    imagination = Imagination(parts.world_model, critics, effective(whole), parts.gamma_r, parts.gamma_c, parts.lam)
+    return WASP(whole, imagination, parts.thresholds)
+
+
 class WASP:
     """The assistant. Decisions of a batch are independent; each draws from its own episode's stream."""
 
-    def __init__(self, config: Config, parts: Parts) -> None:
-        self.whole = cast(WASPConfig, config)
-        self.config = effective(self.whole)
-        path = parts.inputs["critics"] / "critics.safetensors"
-        critics = LatentCritics(**read_arguments(path))
-        load_weights(critics, path)
-        self.imagination = Imagination(parts.world_model, critics, self.config, parts.gamma_r, parts.gamma_c, parts.lam)
+    def __init__(self, config: WASPConfig, imagination: Imagination, thresholds: Mapping[str, float]) -> None:
+        """WASP over any world model; `imagination` has the effective configuration of the variant."""
+        self.whole, self.config, self.imagination = config, imagination.config, imagination
         # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
         own = self.config.variant == "no-rollout"
-        self.tau_c = parts.thresholds.get("tau_c", self.config.tau_c) if own else self.config.tau_c
-        calibrated = parts.thresholds.get("tau_r", TAU_R_FALLBACK)
+        self.tau_c = thresholds.get("tau_c", self.config.tau_c) if own else self.config.tau_c
+        calibrated = thresholds.get("tau_r", TAU_R_FALLBACK)
         self.tau_r = calibrated if self.config.tau_r == "calibrated" else float(self.config.tau_r)
         self.noise = DecisionNoise()
         self.plan = torch.zeros(0)  # [B, L, A] of the last decision
         self.warm = torch.zeros(0, dtype=torch.bool)  # [B] it intervened
+        self.kept = torch.zeros(0)  # [B, L, A] what Case II chose last, shifted to now
+        self.kept_for = torch.zeros(0, dtype=torch.long)  # [B] decisions for which it stays a candidate
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
         size = (len(rows), self.config.residual_steps, self.imagination.model.action_size)
         if self.plan.shape != size:
             self.plan, self.warm = torch.zeros(size), torch.zeros(len(rows), dtype=torch.bool)
+            self.kept, self.kept_for = torch.zeros(size), torch.zeros(len(rows), dtype=torch.long)
         # A plan never crosses the boundary of an episode.
-        self.plan = torch.where(rows.view(-1, 1, 1), torch.zeros_like(self.plan), self.plan)
-        self.warm = self.warm & ~rows
+        self.plan = torch.where(rows.view(-1, 1, 1), 0.0, self.plan)
+        self.kept = torch.where(rows.view(-1, 1, 1), 0.0, self.kept)
+        self.warm, self.kept_for = self.warm & ~rows, torch.where(rows, 0, self.kept_for)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         """Both gates, then a plan for the decisions where one fired."""
@@ -68,23 +77,29 @@ class WASP:
         start = Situation(latent, a_h, operator, torch.arange(batch))
         generators = self.noise.next()
         record = blank_record(batch)
-        action, gate = a_h.clone(), record.gate
+        action, gate, delta_g = a_h.clone(), record.gate, record.delta_g
+        planned = Planned.nothing(batch, self.config.iterations, *self.plan.shape[1:])
         plan, warm = torch.zeros_like(self.plan), torch.zeros_like(self.warm)
+        recovering = torch.zeros_like(self.warm)
 
         gate_draws = self._draws(generators, operator, self.config.gate_rollouts)
-        g_cost = self.imagination.nominal(start, gate_draws).cost  # Eq. 9
-        fired = safety_gate(g_cost, self.tau_c)
+        nominal = self.imagination.nominal(start, gate_draws)
+        fired = safety_gate(nominal.cost, self.tau_c)  # Eq. 9
         if self.config.variant == "task-only":
             fired = torch.zeros_like(fired)
         # The candidates meet the gate's own draws: where it fired, doing nothing is not suddenly safe.
         search_draws = gate_draws.first(self.config.rollouts)
-        delta_g, safe, case2 = record.delta_g, record.safe, record.case2_share
 
         def carry_out(rows: Tensor, made: Plan, kind: int) -> None:
             action[rows] = (a_h[rows] + made.residuals[:, 0]).clamp(-1, 1)  # Eq. 18
             gate[rows] = kind
-            plan[rows], warm[rows] = made.residuals, True
-            safe[rows], case2[rows] = made.safe.to(safe.dtype), made.case2_share
+            plan[rows], warm[rows], recovering[rows] = made.residuals, True, ~made.found_safe
+            found = (
+                made.residuals, made.safe.to(torch.int16), made.case2, made.predicted.cost, made.predicted.reward,
+                made.alone.cost, made.alone.reward,
+            )  # fmt: skip
+            for field, value in zip(planned, found, strict=True):
+                field[rows] = value
 
         rows = fired.nonzero().flatten()
         if len(rows):
@@ -102,42 +117,37 @@ class WASP:
                 chosen = rows[worth]
                 carry_out(chosen, self._plan(start.select(chosen), search_draws.rows(chosen), generators, first), GATE_TASK)
 
+        self._remember(plan, warm, recovering)
+        return Decision(action, record._replace(g_cost=nominal.cost, g_return=nominal.reward), planned)
+
+    def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
+        """Keep the plans for the next decision, and those of Case II for some more."""
         self.plan, self.warm = plan, warm
-        record = record._replace(gate=gate, g_cost=g_cost, delta_g=delta_g, safe=safe, case2_share=case2)
-        return Decision(action, record)
+        self.kept_for = torch.where(recovering, self.config.case2_memory, (self.kept_for - 1).clamp(min=0))
+        kept = shifted(torch.where(recovering.view(-1, 1, 1), plan, self.kept))
+        self.kept = torch.where((self.kept_for > 0).view(-1, 1, 1), kept, 0.0)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
         """The distribution of both gates' signals under the unimpaired expert: tau_r and quantiles for tau_c."""
-        gains, costs, whole_costs = [], [], []
-        whole = dataclasses.replace(self.imagination, config=self.whole.model_copy(update={"variant": "full"}))
         everyone = torch.ones(len(heldout.a_h), dtype=torch.bool)
         self.reset(everyone, [seed + i for i in range(len(heldout.a_h))])
         generators = self.noise.next()
-        for chunk in torch.arange(len(heldout.a_h)).split(64):
+        whole = replace(self.imagination, config=self.whole.model_copy(update={"variant": "full"}))
+        cost, whole_cost, gain = [], [], []
+        for chunk in everyone.nonzero().flatten().split(64):
             own = [generators[i] for i in chunk.tolist()]
             start = Situation(heldout.latent.rows(chunk), heldout.a_h[chunk], operator, chunk)
             draws = self._draws(own, operator, self.config.gate_rollouts, self.whole.horizon)
-            whole_costs.append(whole.nominal(start, draws).cost)
+            whole_cost.append(whole.nominal(start, draws).cost)
             draws = draws.steps(self.config.horizon)
-            costs.append(self.imagination.nominal(start, draws).cost)
+            cost.append(self.imagination.nominal(start, draws).cost)
             fresh = self._draws(own, operator, self.config.gate_rollouts)
             candidates = propose(*self._start_distribution(chunk), normal(own, self.config.probe, *self.plan.shape[1:]))
-            gains.append((start, candidates, draws.first(self.config.rollouts), fresh))
-        cost = torch.cat(costs)
-        # The same share of the expert's decisions for every variant: for the whole method that is its tau_c itself.
-        rate = float((torch.cat(whole_costs) > self.whole.tau_c).float().mean())
-        tau_c = self.tau_c if self.config.variant != "no-rollout" else _quantile(cost, 1.0 - rate)
-        gain = torch.cat([probe(self.imagination, *case, tau_c).delta_g for case in gains])
-        quiet = gain[(cost <= tau_c) & gain.isfinite()]  # the task gate is asked only where safety is silent
-        free = cost_ahead == 0
-        return {
-            "tau_c": tau_c,
-            "tau_r": max(_quantile(quiet, self.config.tau_r_quantile), self.config.tau_r_floor) if len(quiet) else TAU_R_FALLBACK,
-            "gain_median": _quantile(quiet, 0.5), "gain_p90": _quantile(quiet, 0.90), "gain_p95": _quantile(quiet, 0.95),
-            "g_cost_median": _quantile(cost, 0.5), "g_cost_p90": _quantile(cost, 0.90), "g_cost_p95": _quantile(cost, 0.95),
-            "g_cost_free_p90": _quantile(cost[free], 0.90), "g_cost_free_p95": _quantile(cost[free], 0.95),
-            "safety_rate": float((cost > tau_c).float().mean()),
-        }  # fmt: skip
+            gain.append((start, candidates, draws.first(self.config.rollouts), fresh))
+        found = Signals(torch.cat(cost), torch.cat(whole_cost), cost_ahead)
+        tau_c = found.own_tau_c(self.whole.tau_c) if self.config.variant == "no-rollout" else self.tau_c
+        gains = torch.cat([probe(self.imagination, *case, tau_c).delta_g for case in gain])
+        return found.thresholds(tau_c, gains, self.config)
 
     def _probe(self, start: Situation, candidates: Tensor, search: Draws, generators: Sequence[np.random.Generator]) -> Gain:
         own = [generators[i] for i in start.rows.tolist()]
@@ -146,7 +156,7 @@ class WASP:
 
     def _candidates(self, rows: Tensor, generators: Sequence[np.random.Generator]) -> Tensor:
         own = [generators[i] for i in rows.tolist()]
-        return propose(*self._start_distribution(rows), normal(own, self.config.probe, *self.plan.shape[1:]))
+        return propose(*self._start_distribution(rows), normal(own, self.config.probe, *self.plan.shape[1:]), self.kept[rows])
 
     def _plan(
         self, start: Situation, draws: Draws, generators: Sequence[np.random.Generator], first: tuple[Tensor, Returns] | None
@@ -156,12 +166,12 @@ class WASP:
         normals = normal(own, config.iterations, config.candidates, *self.plan.shape[1:])
         mean, _ = self._start_distribution(start.rows)
         fresh = self._draws(own, start.operator, config.gate_rollouts) if config.finalists else None
-        return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first, fresh)
+        kept = self.kept[start.rows]
+        return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first=first, fresh=fresh, kept=kept)
 
     def _start_distribution(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""
-        shifted = torch.cat([self.plan[rows, 1:], torch.zeros_like(self.plan[rows, :1])], 1)
-        mean = torch.where(self.warm[rows].view(-1, 1, 1), shifted, torch.zeros_like(shifted))
+        mean = torch.where(self.warm[rows].view(-1, 1, 1), shifted(self.plan[rows]), 0.0)
         return mean, torch.full_like(mean, self.config.initial_std)
 
     def _draws(self, generators: Sequence[np.random.Generator], operator: Operator, rollouts: int, horizon: int | None = None) -> Draws:
@@ -171,6 +181,6 @@ class WASP:
         )
 
 
-def _quantile(values: Tensor, q: float) -> float:
-    """A quantile, NaN of nothing."""
-    return float(torch.quantile(values, q)) if len(values) else float("nan")
+def shifted(plan: Tensor) -> Tensor:
+    """What is left of plans [B, L, A] one decision later, with 0 appended."""
+    return torch.cat([plan[:, 1:], torch.zeros_like(plan[:, :1])], 1)

@@ -7,7 +7,7 @@ R = B * N * M rows of one call to the model.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -17,6 +17,14 @@ from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
 from wasp_cli.models.base import Critics, Latent, WorldModel
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.noise import DrawnNoise
+
+
+class EndingWorldModel(WorldModel, Protocol):
+    """A world model that also says whether the episode goes on."""
+
+    def continues(self, latent: Latent) -> Tensor:
+        """[...] probability that the episode has not ended at the arrived state."""
+        ...
 
 
 class Draws(NamedTuple):
@@ -71,7 +79,7 @@ class Returns(NamedTuple):
 class Imagination:
     """The frozen models and constants of every imagined return."""
 
-    model: WorldModel
+    model: EndingWorldModel
     critics: Critics
     config: WASPConfig
     gamma_r: float
@@ -108,8 +116,9 @@ class Imagination:
             seen_h.append(latent.h)
             seen_z.append(latent.z)
         arrived = Latent(torch.stack(seen_h), torch.stack(seen_z))  # [H, R, .]; every head runs once, on all of them
-        reward = td_lambda(self.model.reward(arrived), self.critics.value_r(arrived), self.gamma_r, self.lam)
-        cost = self._cost_return(arrived)
+        keep = self.model.continues(arrived) if self.config.continuation else None
+        reward = td_lambda(self.model.reward(arrived), self.critics.value_r(arrived), self.gamma_r, self.lam, keep)
+        cost = self._cost_return(arrived, keep)
         shape = (batch, candidates, rollouts)
         return Returns(reward.view(shape).mean(-1), cost.view(shape).mean(-1), effort.view(shape).mean(-1))
 
@@ -120,12 +129,12 @@ class Imagination:
         found = self.returns(start, nothing, draws)
         return Returns(found.reward.squeeze(1), found.cost.squeeze(1), found.effort.squeeze(1))
 
-    def _cost_return(self, arrived: Latent) -> Tensor:
+    def _cost_return(self, arrived: Latent, keep: Tensor | None) -> Tensor:
         """G^(c) over arrived latents [H, R, .]: Eq. 8 in full, or the discounted sum over H without V_c."""
         cost = self.model.cost(arrived)
         if self.config.bootstrap_cost:
-            return td_lambda(cost, self.critics.value_c(arrived), self.gamma_c, self.lam)
-        return discounted_sum(cost, self.gamma_c)
+            return td_lambda(cost, self.critics.value_c(arrived), self.gamma_c, self.lam, keep)
+        return discounted_sum(cost, self.gamma_c, keep)
 
 
 def _over_candidates(draws: Tensor, candidates: int) -> Tensor:

@@ -14,16 +14,20 @@ from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
 
 
 class Plan(NamedTuple):
-    """The selected residual sequences."""
+    """The selected residual sequences and how the search went."""
 
     residuals: Tensor
     """[B, L, A]"""
     found_safe: Tensor
     """[B] whether the selected sequence is feasible"""
     safe: Tensor
-    """[B] |F_s| of the last iteration"""
-    case2_share: Tensor
-    """[B] share of the iterations with fewer than N_f safe candidates"""
+    """[B, I] |F_s| of every iteration"""
+    case2: Tensor
+    """[B, I] whether it was fewer than N_f"""
+    predicted: Returns
+    """of the selected sequence [B], on the rollouts that decided"""
+    alone: Returns
+    """of the commands without residuals [B], on the same rollouts"""
 
 
 class Pool(NamedTuple):
@@ -53,21 +57,24 @@ class _Search:
     """by S_task among feasible candidates"""
     recovery: Pool
     """by -S_safe among all"""
-    safe: Tensor
-    case2: Tensor
+    safe: list[Tensor]
+    """[B] of every iteration"""
 
 
-def propose(mean: Tensor, std: Tensor, normals: Tensor) -> Tensor:
-    """Candidates [B, N, L, A]: the first without residual, the second the mean, the others sampled.
+def propose(mean: Tensor, std: Tensor, normals: Tensor, kept: Tensor | None = None) -> Tensor:
+    """Candidates [B, N, L, A]: the first without residual, the second the mean, the third an older plan if there is one, others sampled.
 
     Args:
         mean, std: [B, L, A].
         normals: standard normal [B, N, L, A].
+        kept: [B, L, A].
     """
     sampled = (mean.unsqueeze(1) + std.unsqueeze(1) * normals).clamp(-2, 2)
     sampled[:, 0] = 0
     if sampled.shape[1] > 1:
         sampled[:, 1] = mean
+    if kept is not None and sampled.shape[1] > 2:
+        sampled[:, 2] = kept
     return sampled
 
 
@@ -78,8 +85,10 @@ def plan_residuals(
     normals: Tensor,
     draws: Draws,
     tau_c: float,
+    *,
     first: tuple[Tensor, Returns] | None = None,
     fresh: Draws | None = None,
+    kept: Tensor | None = None,
 ) -> Plan:
     """Optimise residual sequences for B decisions.
 
@@ -93,34 +102,45 @@ def plan_residuals(
         first: candidates [B, N', L, A] and returns of a batch that already has been evaluated; it is the first iteration.
         fresh: rollouts for scoring the finalists again. The best of some thousand estimates is biased: most plans that looked
             safe in the search are not on other draws. Without them the best as scored is selected, as the paper says.
+        kept: a sequence [B, L, A] that is a candidate and a finalist too, whatever the search thinks of it: the shifted plan of an earlier
+            recovery, so that an escape once begun is not given up for one that is no better. Zeros where there is none.
     """
     config = imagination.config
+    nothing = torch.zeros_like(mean).unsqueeze(1)  # [B, 1, L, A]
     size = max(1, config.finalists)
-    nothing = Pool(mean.new_full((len(mean), size), -torch.inf), torch.zeros_like(mean).unsqueeze(1).repeat(1, size, 1, 1))
-    search = _Search(
-        mean=mean, std=torch.full_like(mean, config.initial_std), task=nothing, recovery=nothing,
-        safe=mean.new_zeros(len(mean)), case2=mean.new_zeros(len(mean)),
-    )  # fmt: skip
+    empty = Pool(mean.new_full((len(mean), size), -torch.inf), nothing.repeat(1, size, 1, 1))
+    search = _Search(mean, torch.full_like(mean, config.initial_std), empty, empty, [])
     for i in range(normals.shape[1]):
         if i == 0 and first is not None:
             candidates, returns = first
         else:
-            candidates = propose(search.mean, search.std, normals[:, i])
+            candidates = propose(search.mean, search.std, normals[:, i], kept if i == 0 else None)
             returns = imagination.returns(start, candidates, draws)
         _update(search, candidates, returns, config, tau_c)
-    task, recovery = search.task, search.recovery
-    if fresh is not None:
-        finalists = torch.cat([torch.zeros_like(mean).unsqueeze(1), task.plans, recovery.plans], 1)
+    finalists = torch.cat([nothing, *([] if kept is None else [kept.unsqueeze(1)]), search.task.plans, search.recovery.plans], 1)
+    if fresh is None:
+        task, recovery = search.task, search.recovery
+    else:
         again = imagination.returns(start, finalists, fresh)
-        feasible = again.cost <= tau_c
-        empty = Pool(task.score[:, :1].new_full((len(mean), 1), -torch.inf), torch.zeros_like(finalists[:, :1]))
-        task = empty.add(torch.where(feasible, task_score(again, config.alpha), -torch.inf), finalists)
-        recovery = empty.add(-safe_score(again, config.alpha, tau_c), finalists)
+        task, recovery = _ranked(finalists, again, config, tau_c)
     found = task.score[:, 0] > -torch.inf
-    # Case I only: without a feasible candidate there is nothing to choose, and the command stays.
-    otherwise = torch.zeros_like(mean) if config.variant == "no-case2" else recovery.plans[:, 0]
+    # Case I only: without a feasible candidate there is nothing to choose, and the command stays. The same where every score is undefined.
+    otherwise = torch.where(recovery.score[:, 0].isfinite().view(-1, 1, 1), recovery.plans[:, 0], 0.0)
+    if config.variant == "no-case2":
+        otherwise = torch.zeros_like(mean)
     chosen = torch.where(found.view(-1, 1, 1), task.plans[:, 0], otherwise)
-    return Plan(chosen, found, search.safe, search.case2 / normals.shape[1])
+    pair = imagination.returns(start, torch.cat([nothing, chosen.unsqueeze(1)], 1), draws if fresh is None else fresh)
+    safe = torch.stack(search.safe, 1)
+    alone, predicted = (Returns(*(field[:, i] for field in pair)) for i in range(2))
+    return Plan(chosen, found, safe, safe < config.feasible, predicted, alone)
+
+
+def _ranked(plans: Tensor, returns: Returns, config: WASPConfig, tau_c: float) -> tuple[Pool, Pool]:
+    """The best of a batch by S_task among its feasible ones, and by -S_safe among all."""
+    none = Pool(plans.new_full((len(plans), 1), -torch.inf), torch.zeros_like(plans[:, :1]))
+    feasible = returns.cost <= tau_c
+    by_task = none.add(torch.where(feasible, task_score(returns, config.alpha), -torch.inf), plans)
+    return by_task, none.add(-safe_score(returns, config.alpha, tau_c), plans)
 
 
 def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPConfig, tau_c: float) -> None:
@@ -128,19 +148,19 @@ def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPC
     s_task = task_score(returns, config.alpha)
     s_safe = safe_score(returns, config.alpha, tau_c)
     feasible = returns.cost <= tau_c  # F_s of Eq. 14
-    search.safe = feasible.sum(-1).to(s_task.dtype)
-    enough = search.safe >= config.feasible  # Case I
-    search.case2 = search.case2 + (~enough).to(s_task.dtype)
+    safe = feasible.sum(-1).to(s_task.dtype)
+    search.safe.append(safe)
+    enough = safe >= config.feasible  # Case I
 
     ranked_task = torch.where(feasible, s_task, -torch.inf)
     search.task = search.task.add(ranked_task, candidates)
     search.recovery = search.recovery.add(-s_safe, candidates)
 
     if config.variant == "no-case2":
-        score, wanted = ranked_task, search.safe.clamp(max=config.elites)
+        score, wanted = ranked_task, safe.clamp(max=config.elites)
     else:
         score = torch.where(enough.unsqueeze(-1), ranked_task, -s_safe)
-        wanted = torch.where(enough, search.safe.clamp(max=config.elites), torch.full_like(search.safe, config.feasible))
+        wanted = torch.where(enough, safe.clamp(max=config.elites), torch.full_like(safe, config.feasible))
     size = min(max(config.elites, config.feasible), candidates.shape[1])
     top = score.topk(size, -1)
     # A fixed number of ranks and a mask instead of gathered subsets: no row can borrow an elite that is none.

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 
-def td_lambda(signal: Tensor, value: Tensor, gamma: float, lam: float) -> Tensor:
+def td_lambda(signal: Tensor, value: Tensor, gamma: float, lam: float, keep: Tensor | None = None) -> Tensor:
     """G_t of Eq. 8 for rollouts of H steps.
 
     Args:
@@ -14,24 +14,17 @@ def td_lambda(signal: Tensor, value: Tensor, gamma: float, lam: float) -> Tensor
         value: V-hat at the arrived states k + 1 = 1..H: [H, ...]; the last row is the bootstrap of Eq. 7.
         gamma: discount per decision step.
         lam: lambda in (0, 1].
+        keep: probability that the episode goes on after the arrived states k + 1 = 1..H, [H, ...]; it multiplies the discount. Without it
+            no episode ends.
 
     Returns:
         [...]: the return at k = 0.
     """
-    return td_lambda_all(signal, value, gamma, lam)[0]
+    return td_lambda_all(signal, value, gamma, lam, keep)[0]
 
 
 def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float, keep: Tensor | None = None) -> Tensor:
-    """G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`.
-
-    Args:
-        signal: see there.
-        value: see there.
-        gamma: see there.
-        lam: see there.
-        keep: probability that the episode goes on after the arrived states k + 1 = 1..H, [H, ...]; it multiplies the discount. Without it
-            no episode ends.
-    """
+    """G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`."""
     future = value[-1]
     found = []
     for k in range(len(signal) - 1, -1, -1):
@@ -41,6 +34,6 @@ def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float, keep:
     return torch.stack(found[::-1])
 
 
-def discounted_sum(signal: Tensor, gamma: float) -> Tensor:
+def discounted_sum(signal: Tensor, gamma: float, keep: Tensor | None = None) -> Tensor:
     """sum_k gamma^k x_{t+k} over [H, ...]: Eq. 8 with lambda = 1 and nothing beyond the horizon."""
-    return td_lambda(signal, torch.zeros_like(signal), gamma, 1.0)
+    return td_lambda(signal, torch.zeros_like(signal), gamma, 1.0, keep)
