@@ -127,8 +127,9 @@ def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results: Path) -
     full = steps("full").to_pylist()
     for step in full:
         assert step["g_cost"] is not None
-        assert (step["safe"] is not None) == (step["gate"] in (1, 2))
-        assert (step["case2_share"] is not None) == (step["gate"] in (1, 2))
+        assert step["g_return"] is not None
+        for name in ("safe", "case2", "plan", "plan_cost", "plan_return", "alone_cost", "alone_return"):
+            assert (step[name] is not None) == (step["gate"] in (1, 2))
         if step["gate"] == 0:
             assert step["deviation"] == 0
     thresholds = read_episodes([cells(results)["wasp", "full"]])

@@ -13,6 +13,7 @@ from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Heldout, Parts
+from wasp_cli.methods.record import blank_record
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
@@ -52,10 +53,10 @@ def operator(parts: Parts, rows: list[int]) -> Operator:
 
 @torch.inference_mode()
 def drive(parts: Parts, made: Assistant, rows: list[int]) -> tuple[Tensor, Tensor, list[Any]]:
-    """Commands and actions [T, B, A] of a few decisions for some of the rows, and the records."""
+    """Commands and actions [T, B, A] of a few decisions for some of the rows, and the decisions."""
     who = operator(parts, rows)
     made.reset(torch.ones(len(rows), dtype=torch.bool), [7 + r for r in rows])
-    commands, actions, records = [], [], []
+    commands, actions, decisions = [], [], []
     for t in range(STEPS):
         whole = latents(parts, ROWS, t)
         latent = whole.rows(torch.tensor(rows))
@@ -65,20 +66,26 @@ def drive(parts: Parts, made: Assistant, rows: list[int]) -> tuple[Tensor, Tenso
         assert torch.equal(a_h, before), "an assistant must not change the command it was given"
         commands.append(before)
         actions.append(decision.action)
-        records.append(decision.record)
-    return torch.stack(commands), torch.stack(actions), records
+        decisions.append(decision)
+    return torch.stack(commands), torch.stack(actions), decisions
 
 
 @pytest.mark.parametrize(("name", "variant"), CASES)
 def test_actions_are_within_bounds_and_records_have_their_shapes(parts: Parts, name: str, variant: str) -> None:
-    commands, actions, records = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
+    commands, actions, decisions = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
     assert actions.shape == commands.shape == (STEPS, ROWS, 2)
     assert torch.isfinite(actions).all()
     assert actions.abs().max() <= 1
-    for record in records:
+    for decision in decisions:
+        record = decision.record or blank_record(ROWS)
         assert all(field.shape == (ROWS,) for field in record)
         assert record.gate.dtype == torch.int8
-        assert record.safe.dtype == torch.int16
+        if decision.planned is not None:
+            assert all(len(field) == ROWS for field in decision.planned)
+            planned = decision.planned.safe[:, -1] >= 0
+            assert torch.equal(planned, (record.gate == 1) | (record.gate == 2))
+            assert decision.planned.residuals[planned].isfinite().all()
+            assert decision.planned.residuals[~planned].isnan().all()
 
 
 @pytest.mark.parametrize(("name", "variant"), CASES)
@@ -97,8 +104,8 @@ def test_an_episode_does_not_depend_on_those_beside_it(parts: Parts, name: str, 
 
 @pytest.mark.parametrize(("name", "variant"), CASES)
 def test_where_no_gate_fired_the_command_stands(parts: Parts, name: str, variant: str) -> None:
-    commands, actions, records = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
-    silent = torch.stack([record.gate for record in records]) == 0
+    commands, actions, decisions = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
+    silent = torch.stack([(decision.record or blank_record(ROWS)).gate for decision in decisions]) == 0
     assert torch.equal(actions[silent], commands[silent])
 
 
@@ -147,8 +154,8 @@ def test_an_untrained_residual_is_exactly_zero(parts: Parts) -> None:
 
 def test_the_variants_of_wasp_switch_off_what_they_name(parts: Parts) -> None:
     def gates(variant: str, **changes: Any) -> set[int]:
-        _, _, records = drive(parts, assistant(parts, "wasp", variant, **changes), list(range(ROWS)))
-        return set(torch.stack([record.gate for record in records]).flatten().tolist())
+        _, _, decisions = drive(parts, assistant(parts, "wasp", variant, **changes), list(range(ROWS)))
+        return set(torch.stack([(decision.record or blank_record(ROWS)).gate for decision in decisions]).flatten().tolist())
 
     eager = {"tau_c": 1.2, "tau_r": -10.0}
     assert 2 in gates("full", **eager)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from tests.plans import joined, plans_of
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, Trajectory, episode_metrics, pool
 
 
@@ -24,12 +25,12 @@ def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
         "a": np.zeros((steps, 2)),
         "gate": np.zeros(steps, np.int8),
         "g_cost": undefined,
+        "g_return": undefined,
         "delta_g": undefined,
         "signal": undefined,
-        "case2_share": undefined,
-        "safe": np.full(steps, -1),
     }
-    return Trajectory(**(fields | {name: np.asarray(value) for name, value in changes.items()}))
+    plans = changes.pop("plans", None)
+    return Trajectory(**(fields | {name: np.asarray(value) for name, value in changes.items()}), plans=plans)
 
 
 def columns(rows: list[EpisodeMetrics]) -> dict[str, Any]:
@@ -47,7 +48,7 @@ def test_by_hand() -> None:
         a_h=[[0, 0], [0.5, 0], [0, 0], [1, 1]],
         a=[[0, 0], [0.5, 0.3], [0.04, 0], [1, 1]],
         gate=[0, 1, 2, 0],
-        case2_share=[np.nan, 0.5, 0.0, np.nan],
+        plans=plans_of([np.nan, 0.5, 0.0, np.nan]),
     )
     row = episode_metrics(episode, success_goals=2, safe_cost=3.0)
     assert (row.decisions, row.env_steps, row.goals, row.cost) == (4, 14, 2, 4)
@@ -131,20 +132,18 @@ def test_pooling_is_the_metric_of_the_joined_steps(episodes: int, seed: int) -> 
 
     def invent(steps: int) -> Trajectory:
         cost_env = rng.integers(0, 3, steps)
-        case2 = np.where(rng.random(steps) < 0.5, rng.random(steps), np.nan)
+        case2 = np.where(rng.random(steps) < 0.5, rng.integers(0, 5, steps) / 4, np.nan)
         a, a_h = rng.uniform(-1, 1, (2, steps, 2)) * (rng.random((steps, 1)) < 0.5)
         gate = rng.integers(0, 3, steps)
-        return trajectory(steps, cost=cost_env > 0, cost_env=cost_env, a=a, a_h=a_h, gate=gate, case2_share=case2)
+        return trajectory(steps, cost=cost_env > 0, cost_env=cost_env, a=a, a_h=a_h, gate=gate, plans=plans_of(case2))
 
     parts = [invent(int(rng.integers(1, 9))) for _ in range(episodes)]
-    joined = trajectory(
+    one = trajectory(
         sum(part.steps for part in parts),
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("cost", "cost_env", "a", "a_h", "gate", "case2_share")
-        },
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in ("cost", "cost_env", "a", "a_h", "gate")},
+        plans=joined([part.plans for part in parts if part.plans is not None]),
     )
-    whole, pooled = episode_metrics(joined, 1, 25.0), pool(columns([episode_metrics(part, 1, 25.0) for part in parts]))
+    whole, pooled = episode_metrics(one, 1, 25.0), pool(columns([episode_metrics(part, 1, 25.0) for part in parts]))
     for name in ("viol", "viol_env", "int_rate", "int_rate_05", "int_rate_10", "mag", "mag_int", "safety_gate", "task_gate", "case2"):
         expected = getattr(whole, name)
         assert pooled[name][0] == pytest.approx(np.nan if expected is None else expected, nan_ok=True)
@@ -158,6 +157,11 @@ def test_pooling_is_the_metric_of_the_joined_steps(episodes: int, seed: int) -> 
 def test_refuses_what_cannot_be_measured(changes: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"reward|shape|finite"):
         trajectory(**changes)
+
+
+def test_refuses_plans_of_other_steps() -> None:
+    with pytest.raises(ValueError, match=r"plans\.residuals has shape \(3, 3, 2\), not \(4, 3, 2\)"):
+        trajectory(plans=plans_of([0.5, np.nan, 0.0]))
 
 
 def test_refuses_an_empty_episode() -> None:

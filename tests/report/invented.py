@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.plans import plans_of
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.report.frame import Wanted
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
@@ -34,10 +35,10 @@ def invent(start: int, goals: int, intervene: float, risk: float, steps: int = 2
         a=np.where(acts[:, None], a_h + np.array([0.375, 0.5]), a_h),
         gate=np.where(acts, 1, 0),
         g_cost=undefined,
+        g_return=undefined,
         delta_g=undefined,
         signal=undefined,
-        case2_share=np.where(acts, 0.5, np.nan),
-        safe=np.where(acts, 30, -1),
+        plans=plans_of(np.where(acts, 0.5, np.nan), 30),
     )
 
 

@@ -9,10 +9,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from tests.plans import plans_of
 from wasp_cli.errors import StoreError
-from wasp_cli.metrics.episode import Trajectory, episode_metrics
+from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
 from wasp_cli.store import tables
-from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes, read_steps, same_rows, write_cell
+from wasp_cli.store.tables import PLANNED, STEP, VERSION_KEY, CellIdentity, Thresholds, read_episodes, read_steps, same_rows, write_cell
 
 CELL = CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3)
 
@@ -32,10 +33,10 @@ def invent(seed: int, steps: int) -> Trajectory:
         a=np.where(acts[:, None], -a_h, a_h),
         gate=np.where(acts, 1, 0).astype(np.int8),
         g_cost=rng.random(steps),
+        g_return=rng.random(steps),
         delta_g=np.where(acts, 0.5, np.nan),
         signal=np.full(steps, np.nan),
-        case2_share=np.where(acts, 0.25, np.nan),
-        safe=np.where(acts, 17, -1),
+        plans=plans_of(np.where(acts, 0.25, np.nan)),
     )
 
 
@@ -79,9 +80,16 @@ def test_steps_round_trip(write: Callable[..., Path]) -> None:
         assert step["a_h"] == episode.a_h[t].astype(np.float32).tolist()
         assert step["deviation"] == np.float32(episode.deviation[t])
         assert step["cost"] == (step["cost_env"] > 0)
-        assert step["safe"] == (17 if step["gate"] else None)
-        assert step["case2_share"] == (0.25 if step["gate"] else None)
+        assert step["g_return"] == np.float32(episode.g_return[t])
         assert step["signal"] is None
+        planned = ("plan", "safe", "case2", "plan_cost", "plan_return", "alone_cost", "alone_return")
+        if not step["gate"]:
+            assert all(step[name] is None for name in planned)
+            continue
+        assert step["safe"] == [17] * 4
+        assert step["case2"] == [True, False, False, False]
+        assert step["plan"] == [0.0, 0.25, 0.5, 0.75, 1.0, 1.25]
+        assert [step[name] for name in planned[3:]] == [t / 8 + i for i in range(4)]
 
 
 def test_the_unimpaired_operator_has_no_value(write: Callable[..., Path]) -> None:
@@ -110,7 +118,8 @@ def test_every_column_is_written_from_its_own_field() -> None:
     """The schema and the dataclasses name the same things, so that a new metric cannot be forgotten in one of them."""
     metrics = {"return" if name == "return_" else name for name in tables.EpisodeMetrics.__dataclass_fields__}
     assert {field.name for field in tables.METRICS} == metrics
-    assert {field.name for field in tables.STEP} == set(Trajectory.__dataclass_fields__) | {"t", "deviation"}
+    assert {field.name for field in tables.STEP} == (set(Trajectory.__dataclass_fields__) - {"plans"}) | {"t", "deviation", *PLANNED}
+    assert set(PLANNED.values()) == set(Plans.__dataclass_fields__)
 
 
 def test_truncated_file(write: Callable[..., Path]) -> None:
@@ -149,9 +158,9 @@ def test_missing_file(tmp_path: Path) -> None:
 
 
 def test_newer_version_is_refused(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"2"}))
+    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"3"}))
     path = write()
-    with pytest.raises(StoreError, match="table version 2, this wasp reads up to 1") as caught:
+    with pytest.raises(StoreError, match="table version 3, this wasp reads up to 2") as caught:
         read_episodes([path])
     assert caught.value.hint is not None
     assert "upgrade" in caught.value.hint
@@ -184,3 +193,20 @@ def test_duckdb_unnests_the_steps(write: Callable[..., Path]) -> None:
     duckdb = pytest.importorskip("duckdb")
     found = duckdb.sql(f"select episode, unnest(steps, recursive := true) from '{write()}'").fetchall()
     assert len(found) == 15
+
+
+def test_a_table_of_the_first_version_reads_with_nulls(write: Callable[..., Path], tmp_path: Path) -> None:
+    """Version 1 had `safe` as one number, `case2_share`, and nothing else of a plan."""
+    whole = pq.read_table(write())
+    steps = whole["steps"].combine_chunks()
+    flat = steps.flatten()
+    kept = {field.name: flat.field(field.name) for field in STEP if field.name not in (*PLANNED, "g_return")}
+    kept |= {"safe": pa.array([3] * len(flat), pa.int16()), "case2_share": pa.array([0.5] * len(flat), pa.float32())}
+    old = pa.ListArray.from_arrays(steps.offsets, pa.StructArray.from_arrays(list(kept.values()), names=list(kept)))
+    table = whole.set_column(whole.schema.get_field_index("steps"), "steps", old).replace_schema_metadata({VERSION_KEY: b"1"})
+    path = tmp_path / "old.parquet"
+    pq.write_table(table, path)
+    assert read_episodes([path]).num_rows == 3
+    again = read_steps(path)
+    assert again["reward"].equals(read_steps(write("new.parquet"))["reward"])
+    assert all(again[name].null_count == again.num_rows for name in (*PLANNED, "g_return"))

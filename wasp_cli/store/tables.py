@@ -249,7 +249,7 @@ def _array_of(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
         inner = pa.array(data.ravel()).cast(kind.value_type)
         return pa.ListArray.from_arrays(ends, inner, type=kind, mask=pa.array(mask[:, 0]))
     if pa.types.is_float32(kind):
-        return pa.array(data.astype(np.float32), kind, from_pandas=True, mask=mask)  # NaN becomes null
+        return pa.array(data.astype(np.float32), kind, mask=mask | np.isnan(data))
     return pa.array(data, mask=mask).cast(kind)
 
 

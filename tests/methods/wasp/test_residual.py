@@ -85,8 +85,11 @@ def test_a_whole_search_equals_its_literal_reading(seed: int, feasible: int) -> 
         mean = settings.momentum * mean + (1 - settings.momentum) * new
     torch.testing.assert_close(found.residuals[0], literal_plan(settings, batches))
     case2 = [int((returns.cost <= TAU).sum()) < feasible for _, returns in batches]
-    assert found.case2_share[0] == pytest.approx(sum(case2) / 3)
-    assert int(found.safe[0]) == int((batches[-1][1].cost <= TAU).sum())
+    assert found.case2[0].tolist() == case2
+    assert found.safe[0].tolist() == [int((returns.cost <= TAU).sum()) for _, returns in batches]
+    predicted = model.returns(start, found.residuals.unsqueeze(1), draws)
+    assert [float(field[0]) for field in found.predicted] == [float(field[0, 0]) for field in predicted]
+    assert [float(field[0]) for field in found.alone] == [0.0, 1.0, 0.0]
 
 
 def test_decisions_of_a_batch_do_not_touch_each_other() -> None:
@@ -109,7 +112,7 @@ def test_without_a_safe_candidate_the_lowest_safety_score_is_chosen() -> None:
     normals = torch.rand(1, 2, 40, 2, 1)  # never below -0.4: nothing is safe
     found = plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU)
     assert not bool(found.found_safe)
-    assert float(found.case2_share) == 1.0
+    assert bool(found.case2.all())
     assert (found.residuals == 0).all()  # every cost is alike, so the least effort wins
 
 
@@ -134,6 +137,40 @@ def test_broken_rollouts_are_never_chosen() -> None:
     found = plan_residuals(model, start, torch.zeros(1, 2, 1), torch.randn(1, 5, 40, 2, 1), draws, TAU)
     assert torch.isfinite(found.residuals).all()
     assert -0.6 <= float(found.residuals[0, 0, 0]) <= -0.4
+
+
+def test_where_every_rollout_is_broken_the_command_stands() -> None:
+    class Broken(Scripted):
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+            return Returns(*(torch.full_like(field, torch.nan) for field in super().returns(start, residuals, draws)))
+
+    start, draws = nowhere(1)
+    for settings in (config(), config(finalists=0), config(variant="no-case2")):
+        model = Broken(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+        fresh = draws if settings.finalists else None
+        found = plan_residuals(model, start, torch.full((1, 2, 1), 0.3), torch.randn(1, 5, 40, 2, 1), draws, TAU, fresh=fresh)
+        assert (found.residuals == 0).all()
+        assert not bool(found.found_safe)
+
+
+def test_a_kept_plan_is_a_candidate_and_a_finalist() -> None:
+    """Only one narrow escape is safe, which no sample meets: it is found if and only if it was kept."""
+
+    class Narrow(Scripted):
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+            cost = ((residuals - 1.25).abs().amax((-2, -1)) > 1e-6).to(residuals.dtype)
+            return Returns(torch.zeros_like(cost), cost, residuals.square().sum((-2, -1)))
+
+    start, draws = nowhere(1)
+    normals = torch.randn(1, 3, 40, 2, 1, generator=torch.Generator().manual_seed(0))
+    for settings in (config(iterations=3, finalists=0), config(iterations=3)):
+        model = Narrow(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+        fresh = draws if settings.finalists else None
+        without = plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU, fresh=fresh)
+        kept = plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU, fresh=fresh, kept=torch.full((1, 2, 1), 1.25))
+        assert not bool(without.found_safe)
+        assert bool(kept.found_safe)
+        assert (kept.residuals == 1.25).all()
 
 
 def test_the_first_candidates_are_nothing_and_the_mean() -> None:

@@ -1,0 +1,31 @@
+"""Invented plans for invented episodes."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from wasp_cli.metrics.episode import Plans
+
+ITERATIONS, STEPS, ACTIONS = 4, 3, 2
+
+
+def plans_of(share: Any, safe: int = 17) -> Plans:
+    """Plans whose share of iterations in Case II is `share` [T], a multiple of a quarter; nothing was planned where it is NaN."""
+    share = np.asarray(share, np.float64)
+    nothing = np.isnan(share)
+    in_case2 = np.arange(ITERATIONS) < (ITERATIONS * np.nan_to_num(share))[:, None]
+    numbers = np.where(nothing, np.nan, np.arange(len(share)) / 8)
+    return Plans(
+        residuals=np.where(nothing[:, None, None], np.nan, np.arange(STEPS * ACTIONS).reshape(STEPS, ACTIONS) / 4),
+        safe=np.where(nothing[:, None], -1, np.full((len(share), ITERATIONS), safe)),
+        case2=in_case2 & ~nothing[:, None],
+        cost=numbers, reward=1 + numbers, alone_cost=2 + numbers, alone_reward=3 + numbers,
+    )  # fmt: skip
+
+
+def joined(parts: list[Plans]) -> Plans:
+    """One after the other."""
+    return Plans(**{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Plans)})
