@@ -49,6 +49,11 @@ class WASPConfig(Config):
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
     )
+    recheck: bool = deviates(
+        True,
+        "the command stands where it is safe on the finalists' fresh rollouts after all and no plan gains more than tau_r; "
+        "the paper corrects whenever the safety gate has fired",
+    )
     feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
     alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
     tau_c: float = assumed(0.3, "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires", gt=0.0)

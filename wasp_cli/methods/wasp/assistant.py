@@ -82,8 +82,7 @@ class WASP:
         plan, warm = torch.zeros_like(self.plan), torch.zeros_like(self.warm)
         recovering = torch.zeros_like(self.warm)
 
-        gate_draws = self._draws(generators, operator, self.config.gate_rollouts)
-        nominal = self.imagination.nominal(start, gate_draws)
+        nominal, gate_draws = self._nominal(start, generators)
         fired = safety_gate(nominal.cost, self.tau_c)  # Eq. 9
         if self.config.variant == "task-only":
             fired = torch.zeros_like(fired)
@@ -103,7 +102,8 @@ class WASP:
 
         rows = fired.nonzero().flatten()
         if len(rows):
-            carry_out(rows, self._plan(start.select(rows), search_draws.rows(rows), generators, None), GATE_SAFETY)
+            made = self._plan(start.select(rows), search_draws.rows(rows), generators, None)
+            carry_out(rows, self._rechecked(made), GATE_SAFETY)
 
         rows = (~fired).nonzero().flatten()
         if len(rows) and self.config.variant != "safety-only":
@@ -119,6 +119,14 @@ class WASP:
 
         self._remember(plan, warm, recovering)
         return Decision(action, record._replace(g_cost=nominal.cost, g_return=nominal.reward), planned)
+
+    def nominal(self, latent: Latent, a_h: Tensor, operator: Operator) -> Returns:
+        """What the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
+        return self._nominal(Situation(latent, a_h, operator, torch.arange(len(a_h))), self.noise.next())[0]
+
+    def _nominal(self, start: Situation, generators: Sequence[np.random.Generator]) -> tuple[Returns, Draws]:
+        draws = self._draws(generators, start.operator, self.config.gate_rollouts)
+        return self.imagination.nominal(start, draws), draws
 
     def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
         """Keep the plans for the next decision, and those of Case II for some more."""
@@ -168,6 +176,17 @@ class WASP:
         fresh = self._draws(own, start.operator, config.gate_rollouts) if config.finalists else None
         kept = self.kept[start.rows]
         return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first=first, fresh=fresh, kept=kept)
+
+    def _rechecked(self, made: Plan) -> Plan:
+        """The command stands where the gate had fired by chance: it is safe on fresh rollouts, and the plan gains no more than noise."""
+        if not (self.config.recheck and self.config.finalists):
+            return made
+        worth = made.predicted.reward - made.alone.reward > (torch.inf if self.config.variant == "safety-only" else self.tau_r)
+        stands = (made.alone.cost <= self.tau_c) & ~worth
+        return made._replace(
+            residuals=torch.where(stands.view(-1, 1, 1), 0.0, made.residuals),
+            predicted=Returns(*(torch.where(stands, *fields) for fields in zip(made.alone, made.predicted, strict=True))),
+        )
 
     def _start_distribution(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""

@@ -1,0 +1,179 @@
+"""What a decision of WASP costs, beside the time of its floating-point operations as plain matrix products in the same run.
+
+Untrained weights: the arithmetic does not depend on them. Both gates are opened or shut by their thresholds, so that each kind of decision
+is timed as it runs in the closed loop.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch.profiler import ProfilerActivity, profile
+from torch.utils.flop_counter import FlopCounterMode
+
+from wasp_cli.learning.configs import CriticsConfig, PoliciesConfig, ReturnsConfig, WorldModelConfig
+from wasp_cli.learning.world_model import build
+from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.wasp.assistant import WASP, effective
+from wasp_cli.methods.wasp.imagine import Imagination
+from wasp_cli.models.base import Latent
+from wasp_cli.models.critics import LatentCritics
+from wasp_cli.models.policy import Skills
+from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.noise import EpisodeNoise
+
+ACTIONS = 2
+NEVER = 1e9
+"""A threshold that nothing exceeds."""
+ROOF_SHAPES = ((300, 256, 768), (300, 512, 512), (1024, 512, 512))
+"""[M, K] x [K, N] of the plain products: the planner's own shapes; the fastest is the roof."""
+THRESHOLDS = {"gate": (NEVER, NEVER), "quiet": (NEVER, NEVER), "safety": (-NEVER, NEVER), "task": (NEVER, -NEVER)}
+"""(tau_c, tau_r) under which each kind of decision comes about."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One kind of decision."""
+
+    kind: str
+    """`gate`: the nominal rollouts alone; `quiet`: both gates, silent; `safety`, `task`: the planner after that gate"""
+    ms: float
+    """fastest, for the whole batch"""
+    ms_p50: float
+    """median"""
+    gflop: float
+    """floating-point operations of its matrix products, 1e9"""
+    ratio: float
+    """time over that of the same operations as plain matrix products"""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A planner on the models of a preset."""
+
+    batch: int
+    threads: int
+    roof: float
+    """plain matrix products, GFLOP/s"""
+    timings: tuple[Timing, ...]
+    shares: Mapping[str, float]
+    """share of the time of a `safety` decision by operator, the largest first"""
+
+    def ms(self, kind: str) -> float:
+        """Fastest time of a kind per episode of the batch."""
+        return next(timing.ms for timing in self.timings if timing.kind == kind) / self.batch
+
+    def mean_ms(self, safety: float, task: float) -> float:
+        """Mean decision where the gates fire at these rates. The probe comes before a task decision and after a silent safety gate."""
+        return safety * self.ms("safety") + task * self.ms("task") + (1 - safety - task) * self.ms("quiet")
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        return asdict(self) | {"shares": dict(self.shares)}
+
+
+def bench_planner(
+    world_model: WorldModelConfig, policies: PoliciesConfig, critics: CriticsConfig, wasp: WASPConfig, returns: ReturnsConfig,
+    *, batch: int, threads: int, repeats: int,
+) -> Bench:  # fmt: skip
+    """Time every kind of decision for `batch` episodes side by side."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        with torch.inference_mode():
+            return _bench(_Setup(world_model, policies, critics, wasp, returns, batch), batch, threads, repeats)
+    finally:
+        torch.set_num_threads(before)
+
+
+class _Setup:
+    """An assistant of untrained models and a laggy operator."""
+
+    def __init__(
+        self, world_model: WorldModelConfig, policies: PoliciesConfig, critics: CriticsConfig, wasp: WASPConfig, returns: ReturnsConfig,
+        batch: int,
+    ) -> None:  # fmt: skip
+        torch.manual_seed(0)
+        model = build(world_model, ACTIONS).eval().requires_grad_(False)
+        values = LatentCritics(model.feature_size, critics.hidden, critics.bins, critics.reach).requires_grad_(False)
+        skills = Skills([1.0], model.feature_size, policies.hidden, ACTIONS).requires_grad_(False)
+        owner = Human(skill=skills.at, action_size=ACTIONS, decision_seconds=0.1)
+        self.imagination = Imagination(model, values, effective(wasp), returns.gamma_r, returns.gamma_c, returns.lam)
+        self.operator: Operator = build_operator("laggy", 0.7, owner, EpisodeNoise(list(range(batch))), batch)
+        self.latent: Latent = model.initial(batch)
+        self.a_h = self.operator.command(self.latent.features)
+        self.assistant = WASP(wasp, self.imagination, {})
+        self.batch = batch
+
+    def decision(self, kind: str) -> Callable[[], Any]:
+        """A call that makes one decision of a kind, each time the same one."""
+        seeds = list(range(self.batch))
+        everyone = torch.ones(self.batch, dtype=torch.bool)
+
+        def decide() -> None:
+            self.assistant.reset(everyone, seeds)
+            self.assistant.tau_c, self.assistant.tau_r = THRESHOLDS[kind]
+            self.assistant.decide(self.latent, self.a_h, self.operator)
+
+        def gate() -> None:
+            self.assistant.reset(everyone, seeds)
+            self.assistant.nominal(self.latent, self.a_h, self.operator)
+
+        return gate if kind == "gate" else decide
+
+
+def _bench(setup: _Setup, batch: int, threads: int, repeats: int) -> Bench:
+    works = {kind: setup.decision(kind) for kind in THRESHOLDS}
+    times: dict[str, list[float]] = {kind: [] for kind in works}
+    roof = 0.0
+    for work in works.values():
+        work()
+    # Roof and decisions in turn, so that a neighbour on the machine slows both down.
+    for _ in range(repeats):
+        roof = max(roof, matrix_rate())
+        for kind, work in works.items():
+            times[kind].append(_seconds(work))
+    timings = []
+    for kind, work in works.items():
+        with FlopCounterMode(display=False) as counter:
+            work()
+        flop = counter.get_total_flops()
+        best, middle = min(times[kind]), sorted(times[kind])[len(times[kind]) // 2]
+        timings.append(Timing(kind, 1000 * best, 1000 * middle, flop / 1e9, best * roof / flop))
+    return Bench(batch, threads, roof / 1e9, tuple(timings), _shares(works["safety"]))
+
+
+def matrix_rate(shapes: Sequence[tuple[int, int, int]] = ROOF_SHAPES, repeats: int = 20) -> float:
+    """Floating-point operations per second of plain matrix products: the fastest shape."""
+    best = 0.0
+    for m, k, n in shapes:
+        a, b, out = torch.randn(m, k), torch.randn(k, n), torch.empty(m, n)
+
+        def multiply(a: torch.Tensor = a, b: torch.Tensor = b, out: torch.Tensor = out) -> None:
+            torch.mm(a, b, out=out)
+
+        multiply()
+        best = max(best, 2 * m * k * n / min(_seconds(multiply) for _ in range(repeats)))
+    return best
+
+
+def _seconds(work: Callable[[], Any]) -> float:
+    begun = time.perf_counter()
+    work()
+    return time.perf_counter() - begun
+
+
+def _shares(work: Callable[[], Any], most: int = 8) -> dict[str, float]:
+    """Share of the self time by operator: what the time is spent on besides the matrix products."""
+    with profile(activities=[ProfilerActivity.CPU]) as profiled:
+        work()
+    rows = {row.key.removeprefix("aten::"): float(row.self_cpu_time_total) for row in profiled.key_averages()}
+    total = sum(rows.values())
+    ranked = sorted(rows.items(), key=lambda row: -row[1])
+    shares = {name: spent / total for name, spent in ranked[:most]}
+    return shares | {"the rest": 1.0 - sum(shares.values())}
