@@ -117,3 +117,35 @@ def test_observing_step_by_step_is_observing_the_sequence() -> None:
             latent = Latent(h, rssm.sample(rssm.posterior(h, projected[:, t]), noise[:, t]))
     torch.testing.assert_close(latent.h, seen.latent.h[:, -1])
     assert torch.equal(latent.z, seen.latent.z[:, -1])
+
+
+def test_the_recurrence_reads_the_action_at_every_scale() -> None:
+    model = RSSM(action=2, embed=6, deter=8, hidden=8, variables=3, classes=4, unimix=0.01, action_scales=(1.0, 0.1))
+    action = torch.tensor([[0.5, -0.05], [1.0, -0.2]])
+    torch.testing.assert_close(model.scaled(action), torch.tensor([[0.5, -0.05, 1.0, -0.5], [1.0, -0.2, 1.0, -1.0]]))
+    assert (model.scaled(-action) == -model.scaled(action)).all(), "a mirror turns the action over, and so what is read of it"
+
+
+def test_a_saturated_motor_is_learned_as_such() -> None:
+    """A torque at its limit from 0.02 on: read at one scale it is a slope, and half an action seems to do half as much."""
+
+    def error(scales: tuple[float, ...]) -> float:
+        torch.manual_seed(0)
+        model = RSSM(action=1, embed=4, deter=16, hidden=32, variables=8, classes=8, unimix=0.01, action_scales=scales)
+        read = torch.nn.Linear(16, 1)
+        optimizer = torch.optim.Adam([*model.parameters(), *read.parameters()], lr=3e-3)
+        source = torch.Generator().manual_seed(1)
+
+        def loss(a: torch.Tensor) -> torch.Tensor:
+            # Whatever the state is beside it.
+            z = torch.nn.functional.one_hot(torch.randint(8, (len(a), 8), generator=source), 8).float().flatten(1)
+            return (read(model.recur(Latent(torch.zeros(len(a), 16), z), a)) - (a / 0.02).clamp(-1, 1)).square().mean()
+
+        for _ in range(400):
+            optimizer.zero_grad()
+            loss(2 * torch.rand(256, 1, generator=source) - 1).backward()
+            optimizer.step()
+        with torch.no_grad():
+            return float(loss(torch.linspace(-0.3, 0.3, 101).unsqueeze(-1)))
+
+    assert error((1.0, 0.3, 0.1, 0.03)) < 0.2 * error((1.0,))

@@ -96,6 +96,10 @@ class WorldModelConfig(Config):
     depth: int = assumed(16, "channels of the first convolution", ge=1)
     head: int = assumed(128, "width of the two layers of each head", ge=1)
     unimix: float = assumed(0.01, "share of a uniform distribution mixed into every categorical", ge=0.0, lt=1.0)
+    action_scales: Annotated[tuple[Annotated[float, Field(gt=0.0)], ...], Field(min_length=1)] = assumed(
+        (1.0, 0.3, 0.1, 0.03),
+        "the recurrence reads clip(a / s, -1, 1) for each s: motors saturate, here at 0.02 to 0.05",
+    )
     batch: int = assumed(8, "sequences per update", ge=1)
     length: int = assumed(32, "decision steps per sequence; they go on from remembered latents", ge=2)
     updates: int = assumed(4000, "gradient steps", ge=1)
@@ -201,6 +205,25 @@ class CriticsConfig(Config):
     slow: float = assumed(
         0.2, "share of the online critic that enters the target critic per update; at 0.02 V_r takes thousands", gt=0.0, le=1.0
     )
+
+
+class GateSignalsConfig(Config):
+    """Which number foresees costs best at the safety gate, on fresh Human-only episodes."""
+
+    operators: dict[str, tuple[float, ...]] = assumed(
+        {"laggy": (0.7,), "noisy": (0.4,), "reaction-time": (0.24,), "limited-skill": (0.25,)},
+        "who drives, besides the unimpaired operator; a skill that the expert has no checkpoint of is left out",
+    )
+    episodes: int = assumed(8, "fresh episodes of each operator", ge=1)
+    window: int = from_paper(15, "W, section 5.3: a cost within it is to be foreseen", ge=1)
+    horizon: int = from_paper(15, "H, section 5.1", ge=1)
+    rollouts: int = assumed(8, "M: imagined futures of the operator, the same for every signal", ge=1)
+    first_steps: int = assumed(5, "imagined steps of the short sum; L", ge=1)
+    gammas: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = assumed(
+        (0.9, 0.95, 0.99, 0.997), "discounts at which V_c is compared, besides gamma_c; V_c at another discount is trained here"
+    )
+    threshold: float = assumed(0.3, "tau_c, at which the gate is judged", gt=0.0)
+    critics: CriticsConfig = CriticsConfig(updates=500)
 
 
 class HeldoutConfig(Config):

@@ -31,7 +31,7 @@ SHOWN = 20
 
 def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
     """An untrained model of the configured sizes."""
-    names = ("deter", "hidden", "variables", "classes", "depth", "head", "unimix", "reward_scale", "cost_weight")
+    names = ("deter", "hidden", "variables", "classes", "depth", "head", "unimix", "reward_scale", "cost_weight", "action_scales")
     return SafetyWorldModel(Sizes(action=action, **{name: getattr(config, name) for name in names}))
 
 

@@ -6,6 +6,7 @@ A step is indexed by arrival: h_t follows from (h_{t-1}, z_{t-1}, a_{t-1}); z_t 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -29,11 +30,18 @@ class Observed(NamedTuple):
 class RSSM(nn.Module):
     """f_theta, p_theta and q_theta of Eq. 6."""
 
-    def __init__(self, *, action: int, embed: int, deter: int, hidden: int, variables: int, classes: int, unimix: float) -> None:
+    scales: Tensor
+
+    def __init__(
+        self, *, action: int, embed: int, deter: int, hidden: int, variables: int, classes: int, unimix: float,
+        action_scales: Sequence[float] = (1.0,),
+    ) -> None:  # fmt: skip
         super().__init__()
+        # Constructor arguments define the scales; they are not stored with the weights.
+        self.register_buffer("scales", torch.tensor(tuple(action_scales)).unsqueeze(-1), persistent=False)  # [K, 1]
         self.deter, self.variables, self.classes, self.unimix = deter, variables, classes, unimix
         self.flat = variables * classes
-        self.inputs = nn.Sequential(nn.Linear(self.flat + action, hidden), nn.LayerNorm(hidden), nn.SiLU())
+        self.inputs = nn.Sequential(nn.Linear(self.flat + len(action_scales) * action, hidden), nn.LayerNorm(hidden), nn.SiLU())
         self.cell = nn.GRUCell(hidden, deter)
         self.prior_net = nn.Sequential(nn.Linear(deter, hidden), nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat))
         # The first posterior layer in two halves: the image half needs no recurrence and runs once for a whole sequence.
@@ -48,8 +56,16 @@ class RSSM(nn.Module):
 
     def recur(self, latent: Latent, action: Tensor) -> Tensor:
         """h_{t+1} = f_theta(h_t, z_t, a_t): [B, D]."""
-        h: Tensor = self.cell(self.inputs(torch.cat([latent.z, action], -1)), latent.h)
+        h: Tensor = self.cell(self.inputs(torch.cat([latent.z, self.scaled(action)], -1)), latent.h)
         return h
+
+    def scaled(self, action: Tensor) -> Tensor:
+        """The action as the recurrence reads it, [..., K * A]: clip(a / s, -1, 1) for every scale s.
+
+        Motors saturate: a torque may be at its limit from |a| = 0.02 on. A smooth layer takes such a step for a slope, and a planner then
+        finds corrections that do something in the model and nothing in the world.
+        """
+        return (action.unsqueeze(-2) / self.scales).clamp(-1, 1).flatten(-2)
 
     def prior(self, h: Tensor) -> Tensor:
         """Log-probabilities of p_theta(z | h): [..., S, C]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,6 +30,7 @@ class Sizes:
     unimix: float
     reward_scale: float
     cost_weight: float
+    action_scales: Sequence[float] = (1.0,)
 
 
 class Batch(NamedTuple):
@@ -84,6 +86,7 @@ class SafetyWorldModel(nn.Module):
         self.rssm = RSSM(
             action=sizes.action, embed=self.encoder.size, deter=sizes.deter, hidden=sizes.hidden,
             variables=sizes.variables, classes=sizes.classes, unimix=sizes.unimix,
+            action_scales=sizes.action_scales,
         )  # fmt: skip
         self.feature_size = sizes.deter + self.rssm.flat
         self.noise_size = self.rssm.flat

@@ -1,0 +1,37 @@
+"""A decision of WASP beside the same floating-point operations as plain matrix products, measured in the same run."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import pytest
+import torch
+
+from wasp_cli.learning.planner_bench import THRESHOLDS, _Setup, matrix_rate
+from wasp_cli.spec.bench import bench_configs
+
+THREADS = min(2, os.cpu_count() or 1)
+
+
+@pytest.mark.parametrize("planner", ["paper", "cpu"])
+@pytest.mark.parametrize("kind", THRESHOLDS)
+def test_decision(benchmark: Any, planner: str, kind: str) -> None:
+    """One episode, all cores of a small machine: the operator is waiting."""
+    torch.set_num_threads(THREADS)
+    try:
+        with torch.inference_mode():
+            decide = _Setup(*bench_configs(None)[planner], 1).decision(kind)  # type: ignore[arg-type]
+            roof = matrix_rate()
+            benchmark.pedantic(decide, rounds=5, warmup_rounds=1)
+            from torch.utils.flop_counter import FlopCounterMode
+
+            with FlopCounterMode(display=False) as counter:
+                decide()
+    finally:
+        torch.set_num_threads(1)
+    flop = counter.get_total_flops()
+    assert flop > 0
+    benchmark.extra_info["gflop"] = flop / 1e9
+    benchmark.extra_info["roof_gflop_per_s"] = roof / 1e9
+    benchmark.extra_info["time_over_products"] = benchmark.stats.stats.min * roof / flop
