@@ -10,6 +10,7 @@ import typer
 
 from wasp_cli import __version__
 from wasp_cli.app_bench import bench_app
+from wasp_cli.app_explain import explain_app
 from wasp_cli.options import JobsOption, ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, folder_of, print_json
 
 if TYPE_CHECKING:
@@ -181,6 +182,7 @@ tasks_app = typer.Typer(
 )
 app.add_typer(tasks_app, name="tasks")
 app.add_typer(bench_app, name="bench")
+app.add_typer(explain_app)
 
 
 @tasks_app.callback()

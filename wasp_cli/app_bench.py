@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from wasp_cli import console
 from wasp_cli.options import ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, print_json
-from wasp_cli.report.table import terminal
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its speed, and its ceiling with a perfect model.")
 
@@ -35,8 +33,10 @@ def planner(
 
     Two planners on the same models: the paper's sizes with one rollout per candidate, and those of the spec.
     """
+    from wasp_cli import console
     from wasp_cli.registry import load_target
     from wasp_cli.report.bench_table import bench_table, notes
+    from wasp_cli.report.table import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.spec.bench import bench_configs
 
@@ -82,7 +82,9 @@ def ceiling(
 
     The planner is the spec's; operator and imagination use the expert that a run of this spec has trained.
     """
+    from wasp_cli import console
     from wasp_cli.report.ceiling_table import ceiling_table
+    from wasp_cli.report.table import terminal
     from wasp_cli.run.ceiling import measure_ceiling
     from wasp_cli.run.session import cores
 

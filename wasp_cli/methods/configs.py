@@ -45,7 +45,7 @@ class WASPConfig(Config):
     elites: int = from_paper(100, "N_e, section 5.1", ge=1)
     iterations: int = from_paper(6, "I, section 5.1", ge=1)
     rollouts: int = assumed(1, "M: rollouts per candidate, with common random numbers over candidates", ge=1)
-    gate_rollouts: int = assumed(4, "rollouts of the nominal gate and of every second scoring", ge=1)
+    gate_rollouts: int = assumed(8, "rollouts of the nominal gate and of every second scoring", ge=1)
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
     )

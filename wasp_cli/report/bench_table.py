@@ -56,14 +56,14 @@ def bench_table(found: Mapping[str, Benched]) -> Table:
         for name, bench in found.items()
         for timing in bench.timings
     ]
-    last = next(reversed(found.values()))
+    last = list(found.values())[-1]
     episodes = f"{last.batch} episode{'s side by side' if last.batch > 1 else ''}"
     threads = f"{last.threads} thread{'s' if last.threads > 1 else ''}"
-    meanings = (
+    said = (
         f"{episodes}, {threads}; plain matrix products reach {last.roof:.0f} GFLOP/s in the same run.",
         "; ".join(f"{kind}: {meaning}" for kind, meaning in MEANINGS.items()) + ".",
     )
-    return Table("planner", "A decision of WASP", ("Planner", "Decision"), COLUMNS, tuple(rows), meanings=meanings)
+    return Table("planner", "A decision of WASP", ("Planner", "Decision"), COLUMNS, tuple(rows), said)
 
 
 def notes(name: str, bench: Benched) -> Iterator[str]:

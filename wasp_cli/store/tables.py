@@ -7,6 +7,7 @@
 
     read_episodes(paths)   the episode columns of many cells, in the order of `paths`; steps are not read from disk
     read_steps(path)       the steps of one cell, flat: `episode`, then the fields of STEP
+    read_times(path)       the decision times of its episodes;  read_version(path)   the table version it was written with
     same_rows(a, b)        whether two files hold the same rows, timing aside
 
 A cell is one atomic file, and other tools read it, such as DuckDB:
@@ -283,6 +284,24 @@ def read_steps(path: Path) -> pa.Table:
         for field in STEP
     ]  # fmt: skip
     return pa.table([episode, *found], names=["episode", *(field.name for field in STEP)])
+
+
+def read_times(path: Path) -> list[NDArray[np.float64]]:
+    """[T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side.
+
+    Raises:
+        StoreError: as `read_episodes`.
+    """
+    return [np.asarray(times, np.float64) for times in _read(path, ("decision_ms",))["decision_ms"].to_pylist()]
+
+
+def read_version(path: Path) -> int:
+    """The table version that a cell was written with: what later versions added is null in its rows.
+
+    Raises:
+        StoreError: as `read_episodes`.
+    """
+    return int(_read(path, ("episode",)).schema.metadata[VERSION_KEY])
 
 
 def same_rows(a: Path, b: Path) -> bool:

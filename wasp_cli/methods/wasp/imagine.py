@@ -7,6 +7,7 @@ R = B * N * M rows of one call to the model.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import torch
@@ -25,6 +26,15 @@ class EndingWorldModel(WorldModel, Protocol):
     def continues(self, latent: Latent) -> Tensor:
         """[...] probability that the episode has not ended at the arrived state."""
         ...
+
+
+class Arrived(Latent):
+    """Latents that several heads read: h and z of all steps are joined once for all of them."""
+
+    @cached_property
+    def features(self) -> Tensor:
+        """[..., D + Z]"""
+        return super().features
 
 
 class Draws(NamedTuple):
@@ -115,7 +125,7 @@ class Imagination:
             latent = self.model.imagine(latent, action, noise[k])
             seen_h.append(latent.h)
             seen_z.append(latent.z)
-        arrived = Latent(torch.stack(seen_h), torch.stack(seen_z))  # [H, R, .]; every head runs once, on all of them
+        arrived = Arrived(torch.stack(seen_h), torch.stack(seen_z))  # [H, R, .]; every head runs once, on all of them
         keep = self.model.continues(arrived) if self.config.continuation else None
         reward = td_lambda(self.model.reward(arrived), self.critics.value_r(arrived), self.gamma_r, self.lam, keep)
         cost = self._cost_return(arrived, keep)

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
+from wasp_cli.store.artifact import publish, staging_folder, write_record
+from wasp_cli.store.find import find_cell
+from wasp_cli.store.layout import Layout
+
+KEYS = {
+    "0123456789abcdef0123": "goal1 s0 wasp laggy=0.7",
+    "0123ffffffffffffffff": "goal1 s0 wasp/no-case2 laggy=0.7",
+    "aaaa0000000000000000": "goal1 s1 wasp laggy=0.7",
+    "bbbb0000000000000000": "race1 s0 human noisy=0.4",
+}
+
+
+def store(layout: Layout, key: str, label: str, started_at: str = "2026-05-01T12:34:56+00:00", **further: Any) -> Path:
+    staging = staging_folder(layout, key)
+    (staging / "cell.parquet").write_bytes(b"rows")
+    manifest = {"key": key, "kind": "evaluate", "label": label, "provenance": {"started_at": started_at}, **further}
+    return publish(layout, "evaluate", key, staging, manifest)
+
+
+@pytest.fixture
+def layout(tmp_path: Path) -> Layout:
+    layout = Layout(tmp_path / "results")
+    layout.prepare()
+    for key, label in KEYS.items():
+        store(layout, key, label)
+    return layout
+
+
+@pytest.mark.parametrize("text", ["01234", "0123456789abcdef0123", "  01234 ", "012345678"])
+def test_the_beginning_of_a_key(layout: Layout, text: str) -> None:
+    found = find_cell(layout, text)
+    assert found.key == "0123456789abcdef0123"
+    assert found.path == layout.store / "evaluate" / "0123456789abcdef0123" / "cell.parquet"
+    assert (found.label, found.date) == ("goal1 s0 wasp laggy=0.7", "2026-05-01 12:34")
+
+
+def test_capitals_of_a_key_do_not_count(layout: Layout) -> None:
+    assert find_cell(layout, "AAAA").key == "aaaa0000000000000000"
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("goal1 s0 wasp laggy=0.7", "0123456789abcdef0123"),
+        ("goal1 s0 wasp/no-case2 laggy=0.7", "0123ffffffffffffffff"),
+        ("goal1  s1 wasp laggy=0.7 ", "aaaa0000000000000000"),
+        ("Goal1 s1 WASP laggy=0.7", "aaaa0000000000000000"),
+        ("goal1 wasp/no-case2 laggy=0.7 seed 0", "0123ffffffffffffffff"),  # as reports name it
+    ],
+)
+def test_a_label(layout: Layout, text: str, key: str) -> None:
+    assert find_cell(layout, text).key == key
+
+
+def test_a_label_is_not_a_part_of_one(layout: Layout) -> None:
+    with pytest.raises(UnknownName):
+        find_cell(layout, "goal1 s0 wasp")
+
+
+def test_several_are_listed_newest_first(layout: Layout) -> None:
+    store(layout, "cccc0000000000000000", "goal1 s0 wasp laggy=0.7", "2026-06-01T00:00:00+00:00")
+    with pytest.raises(UsageError) as caught:
+        find_cell(layout, "goal1 s0 wasp laggy=0.7")
+    assert caught.value.exit_code == 2
+    assert caught.value.message.splitlines() == [
+        "'goal1 s0 wasp laggy=0.7' names 2 evaluations, newest first:",
+        "  cccc0000000000000000  goal1 s0 wasp laggy=0.7  2026-06-01 00:00",
+        "  0123456789abcdef0123  goal1 s0 wasp laggy=0.7  2026-05-01 12:34",
+    ]
+    with pytest.raises(UsageError, match="'0123' names 2 evaluations") as caught:
+        find_cell(layout, "0123")
+    assert "no-case2" in caught.value.message
+    for i in range(20):
+        store(layout, f"dddd{i:016x}", "race1 s0 human noisy=0.4")
+    with pytest.raises(UsageError, match="and 8 more"):
+        find_cell(layout, "dddd")
+
+
+def test_paths(layout: Layout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = layout.artifact("evaluate", "aaaa0000000000000000")
+    for path in (folder, folder / "cell.parquet", f"{folder}/"):
+        found = find_cell(Layout(tmp_path / "nowhere"), str(path))
+        assert (found.key, found.path) == ("aaaa0000000000000000", folder / "cell.parquet")
+    copy = tmp_path / "copy of a cell.parquet"
+    copy.write_bytes(b"rows")
+    alone = find_cell(layout, str(copy))
+    assert (alone.key, alone.label, alone.date, alone.setting("axes", "method")) == (None, None, "", None)
+    monkeypatch.chdir(folder.parent.parent)
+    assert find_cell(Layout(Path("nowhere")), "evaluate/bbbb0000000000000000").key == "bbbb0000000000000000"
+    with pytest.raises(UsageError, match="holds no cell"):
+        find_cell(layout, str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "text", ["../../x", "../evaluate/0123456789abcdef0123/../x", "/etc/shadow/x", "\0", "x" * 5000, "", "  ", "~", "*"]
+)
+def test_what_names_nothing_opens_nothing(layout: Layout, text: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        find_cell(layout, text)
+    assert caught.value.exit_code == 2
+
+
+def test_a_label_that_looks_like_a_path_stays_a_label(layout: Layout) -> None:
+    store(layout, "eeee0000000000000000", "../../x")
+    assert find_cell(layout, "../../x").path == layout.artifact("evaluate", "eeee0000000000000000") / "cell.parquet"
+
+
+def test_a_folder_that_is_no_key_is_no_cell(layout: Layout) -> None:
+    odd = layout.kind("evaluate") / "zzzz-odd"
+    odd.mkdir()
+    write_record(odd / "manifest.json", {"label": "odd"})
+    for text in ("zzzz", "odd"):
+        with pytest.raises(UsageError):
+            find_cell(layout, text)
+
+
+def test_suggestions(layout: Layout) -> None:
+    with pytest.raises(UnknownName) as caught:
+        find_cell(layout, "goal1 s0 wasp lagy=0.7")
+    assert "did you mean 'goal1 s0 wasp laggy=0.7'" in str(caught.value.hint)
+    with pytest.raises(UnknownName) as caught:
+        find_cell(layout, "deadbeef")
+    assert "say a key" in str(caught.value.hint)
+    with pytest.raises(UsageError, match="too short for a key"):
+        find_cell(layout, "012")
+
+
+def test_nothing_there(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="holds none"):
+        find_cell(Layout(tmp_path / "results"), "goal1 s0 wasp laggy=0.7")
+    (tmp_path / "results").write_text("")
+    with pytest.raises((UsageError, StoreError)):
+        find_cell(Layout(tmp_path / "results"), "0123")
+
+
+def test_a_cell_that_failed_says_why(layout: Layout) -> None:
+    write_record(layout.failure("ffff0000000000000000"), {"kind": "evaluate", "label": "goal1 s2 ida noisy=0.4", "message": "out of disk"})
+    layout.failure("ffff0000000000000001").write_text("{", encoding="utf-8")
+    for text in ("goal1 s2 ida noisy=0.4", "ffff0000000000000000"):
+        with pytest.raises(UsageError, match="it failed last with: out of disk"):
+            find_cell(layout, text)
+
+
+def test_a_damaged_manifest_hides_no_other_cell(layout: Layout) -> None:
+    layout.manifest("evaluate", "bbbb0000000000000000").write_text("{", encoding="utf-8")
+    assert find_cell(layout, "goal1 s1 wasp laggy=0.7").key == "aaaa0000000000000000"
+    with pytest.raises(ArtifactError, match="damaged"):
+        find_cell(layout, "bbbb")
+
+
+def test_odd_manifests_are_read_with_care(layout: Layout) -> None:
+    store(layout, "eeee0000000000000000", "odd", started_at="", axes=["wasp"])
+    found = find_cell(layout, "eeee")
+    assert found.setting("axes", "method_config", "horizon") is None
+    assert found.date == ""

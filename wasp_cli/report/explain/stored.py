@@ -1,0 +1,200 @@
+"""One episode of a cell, as it is stored, with what the manifest says of its method.
+
+Letters: T decisions of the episode, A actions, L residual steps, I iterations of the planner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
+from wasp_cli.store.find import FoundCell
+from wasp_cli.store.tables import Thresholds, read_episodes, read_steps, read_times, read_version
+from wasp_cli.tasks.registry import TASKS
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHOD: "method"}
+"""The gate that called for a correction; `method` is a rule of a method without WASP's gates."""
+
+NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
+PREDICTED = ("plan_cost", "plan_return", "alone_cost", "alone_return")
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What the manifest says of the method; None where there is no manifest, or the method has no such constant."""
+
+    horizon: int | None = None
+    """H"""
+    residual_steps: int | None = None
+    """L"""
+    candidates: int | None = None
+    """N"""
+    probe: int | None = None
+    """N_probe"""
+    feasible: int | None = None
+    """N_f"""
+    bootstrap_cost: bool | None = None
+    """whether V_c stands for what lies behind H (Eq. 7)"""
+    gamma_c: float | None = None
+    vote: float | None = None
+    """share of IDA's ensemble, from -1 to 1, above which it takes over"""
+    action_repeat: int | None = None
+    """env steps of a decision"""
+    decision_seconds: float | None = None
+    """simulated time of a decision; None of a task that is not ours"""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One stored episode."""
+
+    cell: FoundCell
+    row: Mapping[str, Any]
+    """The episode columns of `store.tables`"""
+    episodes: int
+    """in the cell, all decided side by side"""
+    version: int
+    """of the table"""
+    gate: NDArray[np.int64]
+    """[T]"""
+    costly: Bools
+    """[T] any cost within the decision"""
+    a_h: Floats
+    """[T, A]"""
+    a: Floats
+    """[T, A]"""
+    numbers: Mapping[str, Floats]
+    """NUMBERS and PREDICTED, [T] each; NaN is undefined"""
+    safe: tuple[tuple[int, ...] | None, ...]
+    """T times: I counts |F_s|, or None where nothing was planned"""
+    case2: tuple[tuple[bool, ...] | None, ...]
+    """T times: I"""
+    plan: tuple[tuple[float, ...] | None, ...]
+    """T times: L residuals of A numbers, one after the other"""
+    ms: Floats
+    """[T] decision time, as stored: divided by the episodes that were decided side by side"""
+    constants: Constants
+
+    @property
+    def decisions(self) -> int:
+        """T"""
+        return len(self.gate)
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """In force; None where the method has none."""
+        return Thresholds(*(number(self.row[name]) for name in ("tau_c", "tau_r", "tau_q")))
+
+    def at(self, name: str, t: int) -> float | None:
+        """A number of decision t; None where it is undefined."""
+        return number(float(self.numbers[name][t]))
+
+    @property
+    def gated(self) -> bool:
+        """Whether it has WASP's gates."""
+        fired = np.isin(self.gate, (GATE_SAFETY, GATE_TASK)).any()
+        return bool(fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_c is not None)
+
+    @property
+    def selective(self) -> bool:
+        """Whether it decides when to intervene, so that it can miss a cost. Human-only never does, a blend of all commands always does."""
+        return bool(self.gated or np.isfinite(self.numbers["signal"]).any() or len(set(self.gate.tolist())) > 1)
+
+    @property
+    def intervened(self) -> Bools:
+        """[T]"""
+        deviated: Bools = self.numbers["deviation"] > INTERVENED
+        return deviated
+
+    @property
+    def missed(self) -> Bools:
+        """[T] cost was paid and no gate had fired."""
+        missed: Bools = self.costly & (self.gate == GATE_NONE) & self.selective
+        return missed
+
+
+def read_episode(cell: FoundCell, episode: int) -> Episode:
+    """One episode of a cell.
+
+    Raises:
+        UsageError: the cell has no such episode.
+        StoreError: the table cannot be read.
+    """
+    rows = read_episodes([cell.path])
+    numbers = rows["episode"].to_pylist()
+    if not numbers:
+        raise StoreError(f"{cell.path} has no episodes")
+    if episode not in numbers:
+        raise UsageError(f"there is no episode {episode}", f"this cell has the episodes {min(numbers)} to {max(numbers)}")
+    place = numbers.index(episode)
+    flat = read_steps(cell.path)
+    mine = flat.filter(np.asarray(flat["episode"]) == episode)
+    row = rows.slice(place, 1).to_pylist()[0]
+    return Episode(
+        cell=cell,
+        row=row,
+        episodes=len(numbers),
+        version=read_version(cell.path),
+        # A value that this version does not know can only be a rule of some method.
+        gate=np.array([gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64),
+        costly=np.asarray(mine["cost"].to_pylist(), bool),
+        a_h=np.asarray(mine["a_h"].to_pylist(), np.float64).reshape(mine.num_rows, -1),
+        a=np.asarray(mine["a"].to_pylist(), np.float64).reshape(mine.num_rows, -1),
+        numbers={name: _floats(mine[name].to_pylist()) for name in NUMBERS + PREDICTED},
+        safe=_lists(mine["safe"].to_pylist()),
+        case2=_lists(mine["case2"].to_pylist()),
+        plan=_lists(mine["plan"].to_pylist()),
+        ms=read_times(cell.path)[place],
+        constants=_constants(cell, row),
+    )
+
+
+def _floats(values: list[float | None]) -> Floats:
+    """Real numbers; null and infinities are NaN."""
+    found = np.array([math.nan if value is None else value for value in values], np.float64)
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def _lists(values: list[list[Any] | None]) -> tuple[tuple[Any, ...] | None, ...]:
+    """An empty list says as little as none; NaN inside is no plan either."""
+    return tuple(None if not value or any(part is None or part != part for part in value) else tuple(value) for value in values)
+
+
+def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
+    """A manifest may be of another version, so that a value of another type counts as unknown."""
+
+    def of(name: str, kind: type) -> Any:
+        value = cell.setting("axes", "method_config", name)
+        return value if type(value) is kind else None
+
+    counts = {name: of(name, int) for name in ("horizon", "residual_steps", "candidates", "probe", "feasible")}
+    bootstrap = of("bootstrap_cost", bool)
+    if row["assistant_variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
+        counts["horizon"] = counts["residual_steps"] = 1
+        bootstrap = True
+    gamma_c, repeat = cell.setting("settings", "returns", "gamma_c"), cell.setting("settings", "action_repeat")
+    repeat = repeat if isinstance(repeat, int) else None
+    seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
+    return Constants(
+        **counts,
+        bootstrap_cost=bootstrap,
+        gamma_c=gamma_c if isinstance(gamma_c, float) else None,
+        vote=of("vote", float),
+        action_repeat=repeat,
+        decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
+    )
+
+
+def number(value: float | None) -> float | None:
+    """None where it is undefined."""
+    return None if value is None or not math.isfinite(value) else float(value)
