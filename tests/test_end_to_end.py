@@ -23,6 +23,7 @@ methods: [human, ida, diffusion, saferl, wasp, expert]
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
+stages: [diagnostics, gate_signals]
 seeds: [4]
 episodes: 2
 wasp: {tau_c: 0.05, tau_r: 0.0}      # untrained models see little: gates that fire all the same

@@ -47,8 +47,7 @@ def average_precision_interval(
 ) -> tuple[float, float]:
     """Percentile interval of `average_precision` over resampled clusters (whole episodes); NaN where fewer than two clusters are there.
 
-    Rows of one episode resemble each other, so that thousands of rows may say little. Resamples without any event say nothing and are left
-    out.
+    Rows of one episode resemble each other, so that thousands of rows may say little.
 
     Args:
         event: [N].
@@ -58,10 +57,21 @@ def average_precision_interval(
         share: of the resamples that lie within the interval.
         seed: of the draws.
     """
+    return percentiles(average_precision_resampled(event, score, cluster, resamples=resamples, seed=seed), share)
+
+
+def average_precision_resampled(
+    event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, seed: int = 0
+) -> NDArray[np.float64]:
+    """`average_precision` [resamples] on resampled clusters; empty where fewer than two clusters are there.
+
+    The draws depend on the clusters and the seed alone, so that two scores can be compared draw by draw. Resamples without any event say
+    nothing and are left out. Arguments as in `average_precision_interval`.
+    """
     _, place = np.unique(cluster, return_inverse=True)
     clusters = int(place.max()) + 1 if len(place) else 0
     if clusters < 2:
-        return float("nan"), float("nan")
+        return np.zeros(0)
     drawn = np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1.0 / clusters), resamples)  # [R, clusters]
     order = np.argsort(-score, kind="stable")
     last = np.append(np.diff(score[order]) != 0, True)
@@ -70,8 +80,13 @@ def average_precision_interval(
     count = np.cumsum(weight, 1)[:, last]
     found = np.diff(hits, axis=1, prepend=0) * hits / np.maximum(count, 1)
     with_events = hits[:, -1] > 0
-    if not with_events.any():
+    values: NDArray[np.float64] = found[with_events].sum(1) / hits[with_events, -1]
+    return values
+
+
+def percentiles(values: NDArray[np.float64], share: float = 0.95) -> tuple[float, float]:
+    """The interval in which the middle `share` of the values lies; NaN of nothing."""
+    if not len(values):
         return float("nan"), float("nan")
-    values = found[with_events].sum(1) / hits[with_events, -1]
     low, high = np.quantile(values, [(1 - share) / 2, (1 + share) / 2])
     return float(low), float(high)

@@ -24,6 +24,8 @@ COLUMNS = (
     ("policies", Column("privileged_cost", "privileged", digits=1, spread=False, optional=True)),
     ("critics", Column("rank_r", "rank V_r")),
     ("critics", Column("rank_c", "rank V_c")),
+    ("gate_signals", Column("auprc", "Gate AUPRC", optional=True)),
+    ("gate_signals", Column("auprc_bootstrap", "with V_c", optional=True)),
 )
 """Stage and the number of its summary. Stages that do not tell a number leave its column out."""
 MEASURES = (
@@ -122,10 +124,12 @@ def _stages(training: Training, notes: tuple[str, ...]) -> Table:
     for i, (task, number) in enumerate(places):
         own = [part for stage in stages for part in training.parts(task, stage, number)]
         rows.append(Row((task_title(task), str(number) + _share(training, own)), tuple(values[i] for values in shown)))
-    meanings = (
+    meanings: tuple[str, ...] = (
         "The latent expert drives by the world model's filter; beside it the privileged one that it was distilled from. rank: correlation "
         "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off.",
     )
+    if any(column.key.startswith("gate_signals.") for column in columns):
+        meanings += ("Gate AUPRC: of the safety gate's signal for a cost ahead, under several operators; with V_c: of Eq. 8 as written.",)
     return Table("training", "Trained parts", ("Task", "Round"), tuple(columns), tuple(rows), notes, meanings, ranked=False)
 
 

@@ -25,6 +25,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage"),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage"),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage"),
+        StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage"),
         StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage"),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage"),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage"),

@@ -1,0 +1,87 @@
+"""How well each signal of a gate ranks decisions by whether a cost follows, and what the gate's own value is worth as a number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.learning.gate_signals import GATE, Watched
+from wasp_cli.metrics.ranking import average_precision, average_precision_resampled, percentiles, recall_at
+
+FALSE_ALARMS = 0.1
+"""Share of the decisions without a cost ahead at which a recall is read."""
+RESAMPLES = 400
+"""Of whole episodes, per interval."""
+SWEEP = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
+"""Thresholds at which a gate is looked at besides its own."""
+GROUPS = 10
+"""Groups of equally many decisions in a reliability curve."""
+
+Floats = NDArray[Any]
+Bools = NDArray[np.bool_]
+Row = dict[str, Any]
+
+
+def judged(rows: Watched, threshold: float, rival: str) -> Row:
+    """A table of every signal, the gate at its threshold and at others, and its reliability.
+
+    `base` is the share of the decisions with a cost among the next W, `auprc` that of a signal for it with a 95 % interval over resampled
+    episodes, `recall` is read at FALSE_ALARMS. `behind` is by how much the AUPRC is below the gate's own, on the same resampled episodes.
+    With `onset_` only decisions count before which there was no cost.
+
+    Args:
+        rows: the decisions.
+        threshold: tau_c.
+        rival: a signal that is looked at beside the gate's own: at the threshold at which it fires as often, and at all the others.
+    """
+    event, calm = rows.ahead > 0, ~rows.before
+    own = rows.signals[GATE]
+    table: Row = {"episodes": len(np.unique(rows.episode)), "decisions": len(event), "base": _mean(event), "onset_base": _mean(event[calm])}
+    resampled = average_precision_resampled(event, own, rows.episode, resamples=RESAMPLES)
+    table["signals"] = {name: _ranked(rows, score, resampled) for name, score in rows.signals.items()}
+    real = float(rows.discounted.mean()) if len(event) else float("nan")
+    table["gate"] = alarms(rows, GATE, threshold) | {"predicted_over_real": _mean(own) / real if real else float("nan")}
+    alike = float(np.quantile(rows.signals[rival], 1.0 - table["gate"]["fires"])) if len(event) else float("nan")
+    table["rival"] = alarms(rows, rival, alike)
+    table["sweep"] = {name: [alarms(rows, name, value) for value in SWEEP] for name in (GATE, rival)}
+    return table | {"reliability": reliability_groups(own, rows.discounted, event)}
+
+
+def alarms(rows: Watched, name: str, threshold: float) -> Row:
+    """A gate that fires where a signal is above a threshold.
+
+    `fires` is the share of all decisions, `precision` how many of these a cost followed, `foreseen` the share of the decisions before a
+    cost at which it fires, `false_alarms` the share of the others.
+    """
+    event, calm, up = rows.ahead > 0, ~rows.before, rows.signals[name] > threshold
+    return {
+        "threshold": threshold, "fires": _mean(up), "precision": _mean(event[up]),
+        "foreseen": _mean(up[event]), "false_alarms": _mean(up[~event]),
+        "onset_foreseen": _mean(up[event & calm]), "onset_false_alarms": _mean(up[~event & calm]),
+    }  # fmt: skip
+
+
+def reliability_groups(predicted: Floats, real: Floats, event: Bools) -> list[Row]:
+    """Ten groups of equally many decisions by prediction: mean prediction, mean of what followed, share of decisions with any cost."""
+    groups = [group for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS) if len(group)]
+    return [{"predicted": _mean(predicted[g]), "real": _mean(real[g]), "any": _mean(event[g]), "size": len(g)} for g in groups]
+
+
+def _ranked(rows: Watched, score: Floats, own: Floats) -> Row:
+    """A signal's columns; `own` is the AUPRC of the gate's own signal on the resampled episodes."""
+    event, calm = rows.ahead > 0, ~rows.before
+    auprc = average_precision(event, score)
+    resampled = average_precision_resampled(event, score, rows.episode, resamples=RESAMPLES)
+    low, high = percentiles(resampled)
+    behind_low, behind_high = percentiles(own - resampled)
+    return {
+        "auprc": auprc, "auprc_low": low, "auprc_high": high, "recall": recall_at(event, score, FALSE_ALARMS),
+        "behind": average_precision(event, rows.signals[GATE]) - auprc, "behind_low": behind_low, "behind_high": behind_high,
+        "onset_auprc": average_precision(event[calm], score[calm]), "onset_recall": recall_at(event[calm], score[calm], FALSE_ALARMS),
+    }  # fmt: skip
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if len(values) else float("nan")
