@@ -200,9 +200,7 @@ def around(world: Fork, room: float = 0.12) -> Policy:
         turn = torch.atan2(aside, along) + half
         turn = torch.where((along > 0) & (turn > 0), turn, 0.0)
         way = direction(world.goal - place)
-        turned = torch.stack(
-            [way[..., 0] * turn.cos() - way[..., 1] * turn.sin(), way[..., 0] * turn.sin() + way[..., 1] * turn.cos()], -1
-        )
+        turned = torch.stack([way[..., 0] * turn.cos() - way[..., 1] * turn.sin(), way[..., 0] * turn.sin() + way[..., 1] * turn.cos()], -1)
         return steered(turned, speed)
 
     return command
@@ -224,6 +222,7 @@ def driver(world: PointWorld, policy: Policy, seconds: float = REACTION, batch: 
 
 
 # -- the closed loop --------------------------------------------------------------------------------------------------
+
 
 def settings(variant: str = "full", **changes: object) -> WASPConfig:
     """WASP's configuration in these scenes: its defaults. Nothing is calibrated here, so tau_r is the fallback of an uncalibrated gate."""
@@ -270,6 +269,11 @@ class Drive(NamedTuple):
     def intervened(self) -> Array:
         """[T, B] whether the executed action differs from the command."""
         return self.alive & (np.linalg.norm(self.action - self.a_h, axis=-1) > INTERVENED)
+
+    @property
+    def arrived(self) -> Array:
+        """[B] whether the goal was reached; the last step counts as not."""
+        return ~self.alive[-1]
 
     @property
     def length(self) -> Array:
@@ -337,7 +341,15 @@ def drive(
 
 @torch.inference_mode()
 def imagined(
-    world: PointWorld, operator: Operator, latent: Latent, a_h: Tensor, horizon: int, copies: int, *, plan: Tensor | None = None, seed: int = 0
+    world: PointWorld,
+    operator: Operator,
+    latent: Latent,
+    a_h: Tensor,
+    horizon: int,
+    copies: int,
+    *,
+    plan: Tensor | None = None,
+    seed: int = 0,
 ) -> Array:
     """K imagined rollouts from one row, of the driver alone as the safety gate sees them, or of a plan and him (Eq. 13).
 

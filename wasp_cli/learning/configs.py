@@ -141,7 +141,7 @@ class DiagnosticsConfig(Config):
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)
     image_starts: int = assumed(128, "moments from which images are imagined", ge=1)
     threshold: float = assumed(
-        0.3,
+        0.5,
         "expected costly steps within the horizon, discounted as in the safety gate, from which a cost counts as foreseen: tau_c",
         ge=0.0,
     )
@@ -222,7 +222,7 @@ class GateSignalsConfig(Config):
     gammas: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = assumed(
         (0.9, 0.95, 0.99, 0.997), "discounts at which V_c is compared, besides gamma_c; V_c at another discount is trained here"
     )
-    threshold: float = assumed(0.3, "tau_c, at which the gate is judged", gt=0.0)
+    threshold: float = assumed(0.5, "tau_c, at which the gate is judged", gt=0.0)
     critics: CriticsConfig = CriticsConfig(updates=500)
 
 

@@ -56,7 +56,11 @@ class WASPConfig(Config):
     )
     feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
     alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
-    tau_c: float = assumed(0.3, "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires", gt=0.0)
+    tau_c: float = assumed(
+        0.5,
+        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 corrects more and costs less",
+        gt=0.0,
+    )
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the re-scored gain under the unimpaired expert")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
     tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
