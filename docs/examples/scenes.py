@@ -52,7 +52,7 @@ GAMMA_R, GAMMA_C, LAM = 0.99, 0.95, 1.0
 
 REACTION = 0.4
 """Seconds by which the slow driver is late."""
-SIGHT = 0.4
+SIGHT = 0.45
 """Metres before the hazard at which the careful driver brakes."""
 GAIN = 2.0
 """Command per m/s of wrong speed: more would make a driver who is late sway."""
@@ -226,7 +226,7 @@ def driver(world: PointWorld, policy: Policy, seconds: float = REACTION, batch: 
 
 def settings(variant: str = "full", **changes: object) -> WASPConfig:
     """WASP's configuration in these scenes: its defaults. Nothing is calibrated here, so tau_r is the fallback of an uncalibrated gate."""
-    return WASPConfig.model_validate({"variant": variant, "tau_r": TAU_R_FALLBACK, **changes})
+    return WASPConfig.model_validate({"variant": variant, "tau_c": 0.3, "tau_r": TAU_R_FALLBACK, **changes})
 
 
 def imagination(world: PointWorld, config: WASPConfig) -> Imagination:

@@ -58,7 +58,7 @@ class WASPConfig(Config):
     alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
     tau_c: float = assumed(
         0.5,
-        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 corrects more and costs less",
+        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less",
         gt=0.0,
     )
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the re-scored gain under the unimpaired expert")
