@@ -350,9 +350,9 @@ def test_the_safety_gate_alone_brakes_and_stays_and_both_gates_steer_around() ->
     assert (full.costs == 0).all()
     assert full.arrived.all()
     assert safety.arrived.sum() <= ROWS // 4
-    assert full.returns.mean() > 1.8 * safety.returns.mean()
+    stuck = ~safety.arrived  # a gust may carry one around
+    assert full.returns.mean() > 1.8 * safety.returns[stuck].mean()
     assert full.returns.mean() > 0.95 * alone.returns.mean()
-    stuck = ~safety.arrived
     assert (safety.state[-1, stuck, 0] < 1.8).all()
     assert (np.abs(safety.state[-10:, stuck, 2:]) < 0.35).all()
     # The task gate took part, and the way led over the hazard's upper edge.
