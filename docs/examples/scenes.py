@@ -24,7 +24,6 @@ from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.methods.noise import gumbel, uniform
 from wasp_cli.methods.wasp.assistant import WASP, effective
-from wasp_cli.methods.wasp.calibration import TAU_R_FALLBACK
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.models.base import Latent
@@ -143,7 +142,7 @@ class Fork(PointWorld):
     action_size = 2
 
     def __init__(
-        self, centre: tuple[float, float] = (1.9, -0.2), radius: float = 0.5, jitter: float = 0.0, dtype: torch.dtype = torch.float32
+        self, centre: tuple[float, float] = (1.9, -0.15), radius: float = 0.5, jitter: float = 0.0, dtype: torch.dtype = torch.float32
     ) -> None:
         super().__init__((0.0, 0.0, 0.0, 0.0), (3.6, 0.0), jitter, dtype)
         self.centre, self.radius = torch.tensor(centre, dtype=dtype), radius
@@ -223,10 +222,13 @@ def driver(world: PointWorld, policy: Policy, seconds: float = REACTION, batch: 
 
 # -- the closed loop --------------------------------------------------------------------------------------------------
 
+TAU_C, TAU_R = 0.3, 0.5
+"""Thresholds of the gates: 0.3 costly steps within the horizon, and a gain of 5 cm of way."""
+
 
 def settings(variant: str = "full", **changes: object) -> WASPConfig:
-    """WASP's configuration in these scenes: its defaults. Nothing is calibrated here, so tau_r is the fallback of an uncalibrated gate."""
-    return WASPConfig.model_validate({"variant": variant, "tau_c": 0.3, "tau_r": TAU_R_FALLBACK, **changes})
+    """WASP's configuration in these scenes: its defaults but for the thresholds, which belong to a world."""
+    return WASPConfig.model_validate({"variant": variant, "tau_c": TAU_C, "tau_r": TAU_R, **changes})
 
 
 def imagination(world: PointWorld, config: WASPConfig) -> Imagination:
