@@ -30,7 +30,7 @@ from wasp_cli.operators.delayed import DelayedOperator
 from wasp_cli.operators.laggy import LaggyOperator
 from wasp_cli.operators.noise import EpisodeNoise
 
-SMALL = {"tau_c": 0.3, "probe": 64, "candidates": 64, "elites": 16, "feasible": 16, "iterations": 3}
+SMALL = {"probe": 64, "candidates": 64, "elites": 16, "feasible": 16, "iterations": 3}
 Vector = tuple[float, ...]
 Kind = type[Corridor] | type[Fork]
 
@@ -236,7 +236,7 @@ TIGHT = [
     (Corridor, Start((1.3,), (0.7,), 1.0), 3),
     (Fork, Start((0.7, 0.0), (0.8, 0.0), 1.0), 2),
 ]
-"""So near that none or one of three hundred random sequences is safe."""
+"""So near that at most two of three hundred random sequences are safe."""
 TRAPPED = [
     (Corridor, Start((1.45,), (0.9,), 1.0), 2),
     (Corridor, Start((2.3,), (0.1,), 0.0), 2),
@@ -267,7 +267,7 @@ def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, st
         asked = case(kind, start, steps, **PAPER)
         found, value = of_plan(asked, seed)
         assert found.case2[0, 0]
-        assert found.safe[0, 0] <= 1
+        assert found.safe[0, 0] <= 2
         assert found.found_safe
         # Of about 6: where two candidates in a hundred are safe, six iterations come this close and no closer.
         assert s_task - 0.35 <= value.s_task(asked.config) <= s_task + BETWEEN
@@ -431,29 +431,37 @@ def moments(world: PointWorld, steps: int) -> tuple[list[Moment], Drive]:
 
 @pytest.mark.parametrize("kind", [Corridor, Fork])
 def test_a_late_driver_is_foreseen_only_with_his_memory(kind: Kind) -> None:
-    """Without gusts, the late driver with his queue is foreseen exactly; a prompt one would brake in time, and no alarm be raised."""
-    world = kind()
-    horizon = 15
+    """Without gusts, the late driver with his queue is foreseen exactly, and a prompt one in his place is not.
+
+    The safety gate would fire at every one of the 13 decisions before he enters the hazard; for a prompt driver at the last 4 only, when
+    seven steps of braking are needed; and for one without his queue not at the first three.
+    """
+    world, config = kind(), scenes.settings()
     found, truth = moments(world, 70)
     entry = int(truth.cost[:, 0].argmax())
-    names = ("own", "forgotten", "prompt")
-    errors, alarms = dict.fromkeys(names, 0.0), {name: [] for name in names}
-    for t in range(entry - horizon, entry):
-        latent, a_h, own = found[t]
-        drivers = (own, scenes.driver(world, scenes.careful(world)), scenes.driver(world, scenes.careful(world), 0.0))
-        for name, operator in zip(names, drivers, strict=True):
-            states = scenes.imagined(world, operator, latent, a_h, horizon, 1)[:, 0]
-            errors[name] = max(errors[name], float(np.abs(states - truth.state[t : t + horizon + 1, 0]).max()))
+    drivers = {
+        "own": None,
+        "forgotten": scenes.driver(world, scenes.careful(world)),
+        "prompt": scenes.driver(world, scenes.careful(world), 0.0),
+    }
+    errors, alarms = {}, {}
+    for name, other in drivers.items():
+        wrong, fired = [], []
+        for t in range(entry - 13, entry):
+            latent, a_h, own = found[t]
+            operator = own if other is None else other
+            states = scenes.imagined(world, operator, latent, a_h, config.horizon, 1)[:, 0]
+            wrong.append(float(np.abs(states - truth.state[t : t + config.horizon + 1, 0]).max()))
             start = Situation(latent, a_h, operator, torch.zeros(1, dtype=torch.long))
-            draws = Draws(torch.full((1, horizon, 1, world.noise_size), 0.5772), torch.zeros(1, horizon, 1, 0))
-            nominal = scenes.imagination(world, scenes.settings()).nominal(start, draws)
-            alarms[name].append(float(nominal.cost) > scenes.settings().tau_c)
+            draws = Draws(torch.zeros(1, config.horizon, 1, world.noise_size), torch.zeros(1, config.horizon, 1, 0))
+            fired.append(float(scenes.imagination(world, config).nominal(start, draws).cost) > config.tau_c)
+        errors[name], alarms[name] = max(wrong), fired
     assert errors["own"] < 1e-4
     assert errors["prompt"] > 0.2
     assert errors["forgotten"] > 0.2
-    # Within the last 1.5 s he is already lost to himself; his own imagination says so all along.
-    assert sum(alarms["own"]) >= horizon - 1
-    assert sum(alarms["prompt"]) <= horizon / 2
+    assert all(alarms["own"])
+    assert not any(alarms["prompt"][:-4])
+    assert not any(alarms["forgotten"][:3])
 
 
 def test_the_drawn_rollouts_are_those_that_the_gate_sums() -> None:
