@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
-from typer.testing import CliRunner
 
-from wasp_cli.app import app
+from tests.commands import run_here
 from wasp_cli.learning.planner_bench import matrix_rate
 from wasp_cli.report.bench_table import TABLE1
 
@@ -15,7 +14,7 @@ KINDS = ["gate", "quiet", "safety", "task"]
 
 
 def invoke(*arguments: str) -> str:
-    outcome = CliRunner().invoke(app, ["bench", "planner", *arguments], env={"COLUMNS": "120"})
+    outcome = run_here("bench", "planner", *arguments, columns=120)
     assert outcome.exit_code == 0, outcome.output
     return outcome.output
 
@@ -48,7 +47,7 @@ def test_the_table_says_what_is_timed_and_the_mean_decision() -> None:
 
 
 def test_a_setting_without_a_spec_is_refused() -> None:
-    outcome = CliRunner().invoke(app, ["bench", "planner", "--set", "wasp.candidates=64"])
+    outcome = run_here("bench", "planner", "--set", "wasp.candidates=64", columns=120)
     assert outcome.exit_code == 2
     assert "none is given" in outcome.output
 

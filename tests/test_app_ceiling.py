@@ -12,10 +12,8 @@ from typing import Any
 import pytest
 import torch
 from click.testing import Result
-from typer.testing import CliRunner
 
-from wasp_cli import console
-from wasp_cli.app import app
+from tests.commands import run_here
 from wasp_cli.errors import TaskError
 from wasp_cli.learning import ceiling
 from wasp_cli.learning.configs import ExpertConfig
@@ -44,10 +42,7 @@ wasp: {horizon: 1, residual_steps: 1, candidates: 5, elites: 2, feasible: 2, pro
 
 
 def invoke(*arguments: str | Path) -> Result:
-    console.err.cache_clear()  # it keeps the stream of its first use, which a runner closes
-    done = CliRunner().invoke(app, ["bench", "ceiling", *map(str, arguments)], env={"COLUMNS": "160"})
-    console.err.cache_clear()
-    return done
+    return run_here("bench", "ceiling", *arguments, columns=160)
 
 
 @pytest.fixture

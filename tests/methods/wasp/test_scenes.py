@@ -233,8 +233,8 @@ ROOMY = [
 TIGHT = [
     (Corridor, Start((1.3,), (0.6,), 1.0), 2),
     (Corridor, Start((1.25,), (0.7,), 1.0), 3),
-    (Corridor, Start((1.3,), (0.7,), 1.0), 3),
-    (Fork, Start((0.7, 0.0), (0.8, 0.0), 1.0), 2),
+    (Corridor, Start((1.2,), (0.7,), 1.0), 3),
+    (Fork, Start((0.6, 0.0), (0.8, 0.0), 1.0), 2),
 ]
 """So near that at most two of three hundred random sequences are safe."""
 TRAPPED = [
@@ -270,7 +270,7 @@ def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, st
         assert found.safe[0, 0] <= 2
         assert found.found_safe
         # Of about 6: where two candidates in a hundred are safe, six iterations come this close and no closer.
-        assert s_task - 0.35 <= value.s_task(asked.config) <= s_task + BETWEEN
+        assert s_task - 0.1 <= value.s_task(asked.config) <= s_task + BETWEEN
 
 
 @pytest.mark.parametrize(("kind", "start", "steps"), TRAPPED)
@@ -334,6 +334,19 @@ def test_imagined_rollouts_are_in_time_and_one_step_is_too_late(kind: Kind) -> N
         assert (gap < high).all()
 
 
+@pytest.mark.parametrize(("variant", "stops"), [("no-rollout", False), ("full", True)])
+def test_when_one_step_shows_the_hazard_no_command_stops_in_time(variant: str, stops: bool) -> None:
+    """Full braking from the step at which the safety gate fired first."""
+    world, drive = Corridor(), careful(Corridor, variant)
+    first = (drive.gate == GATE_SAFETY).argmax(0)
+    latent = world.at(*drive.state[first, range(ROWS)].tolist())
+    inside = []
+    for _ in range(10):
+        latent = world.imagine(latent, torch.full((ROWS, 1), -1.0), torch.full((ROWS, 1), 0.5772))
+        inside.append(world.inside(latent))
+    assert (torch.stack(inside).amax(0) == (0.0 if stops else 1.0)).all()
+
+
 def test_the_first_correction_in_the_corridor_is_to_slow_down() -> None:
     for variant in ("full", "safety-only"):
         drive = careful(Corridor, variant)
@@ -349,10 +362,10 @@ def test_the_safety_gate_alone_brakes_and_stays_and_both_gates_steer_around() ->
     assert (safety.costs == 0).all()
     assert (full.costs == 0).all()
     assert full.arrived.all()
-    assert safety.arrived.sum() <= ROWS // 4
-    stuck = ~safety.arrived  # a gust may carry one around
-    assert full.returns.mean() > 1.8 * safety.returns[stuck].mean()
+    assert safety.arrived.sum() <= 1  # a gust may carry one around
+    assert full.returns.mean() > 1.8 * safety.returns.mean()
     assert full.returns.mean() > 0.95 * alone.returns.mean()
+    stuck = ~safety.arrived
     assert (safety.state[-1, stuck, 0] < 1.8).all()
     assert (np.abs(safety.state[-10:, stuck, 2:]) < 0.35).all()
     # The task gate took part, and the way led over the hazard's upper edge.
