@@ -20,6 +20,7 @@ from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.learning.expert import load_skill
 from wasp_cli.learning.simulator import NoCritics, SimulatorModel, on_features
+from wasp_cli.memory import keep_memory
 from wasp_cli.methods.base import Assistant
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.human import HumanOnly
@@ -105,6 +106,7 @@ def assisted(cell: Cell, config: WASPConfig | None, threads: int, progress: Prog
         ArtifactError: a checkpoint is damaged.
     """
     begun = time.perf_counter()
+    keep_memory()
     before = torch.get_num_threads()
     torch.set_num_threads(1)  # the policies are small
     rows: list[EpisodeMetrics] = []

@@ -17,6 +17,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from wasp_cli.learning.configs import CriticsConfig, PoliciesConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.world_model import build
+from wasp_cli.memory import keep_memory
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.assistant import WASP, effective
 from wasp_cli.methods.wasp.imagine import Imagination
@@ -82,6 +83,7 @@ def bench_planner(
     *, batch: int, threads: int, repeats: int,
 ) -> Bench:  # fmt: skip
     """Time every kind of decision for `batch` episodes side by side."""
+    keep_memory()  # as every worker does
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:

@@ -15,6 +15,7 @@ from typing import Any, TextIO
 
 from wasp_cli.config import Config
 from wasp_cli.errors import ArtifactError, SourceChanged, TrainingError, WaspError
+from wasp_cli.memory import keep_memory
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.registry import load_target
 from wasp_cli.run.order import Order, Outcome
@@ -66,6 +67,7 @@ def _computed(order: Order, layout: Layout, log: Path, started: float, running: 
     _tell(running, order, 0.0, "")
     try:
         stage: Stage = load_target(order.stage)()
+        keep_memory()
         _set_threads(getattr(stage, "torch_threads", 1))
         summary = _finite(stage.run(_job(order, layout, stage, staging, _progress(running, order))))
         _require_planned_source(order)

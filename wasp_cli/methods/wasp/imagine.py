@@ -6,6 +6,7 @@ R = B * N * M rows of one call to the model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -29,12 +30,21 @@ class EndingWorldModel(WorldModel, Protocol):
 
 
 class Arrived(Latent):
-    """Latents that several heads read: h and z of all steps are joined once for all of them."""
+    """Latents that the operator and several heads read: h and z are joined once for all of them."""
 
     @cached_property
     def features(self) -> Tensor:
         """[..., D + Z]"""
         return super().features
+
+    @classmethod
+    def stack(cls, steps: Sequence[Arrived]) -> Arrived:
+        """Steps [R, .] as one [K, R, .]."""
+        features = torch.stack([step.features for step in steps])
+        size = steps[0].h.shape[-1]
+        made = cls(features[..., :size], features[..., size:])
+        made.__dict__["features"] = features  # h and z are views of it
+        return made
 
 
 class Draws(NamedTuple):
@@ -113,7 +123,7 @@ class Imagination:
         latent = start.latent.expand_rows(copies)
         now = start.a_h.repeat_interleave(copies, 0)  # [R, A]
         effort = delta.new_zeros(len(delta))
-        seen_h, seen_z = [], []
+        seen: list[Arrived] = []
         for k in range(horizon):
             command = now if k == 0 else operator.command(latent.features)
             action = command
@@ -122,10 +132,9 @@ class Imagination:
                 # Clip before the model and before the penalty: what is penalised is what would be executed.
                 action = (base + delta[:, k]).clamp(-1, 1)
                 effort = effort + (action - base).square().sum(-1)
-            latent = self.model.imagine(latent, action, noise[k])
-            seen_h.append(latent.h)
-            seen_z.append(latent.z)
-        arrived = Arrived(torch.stack(seen_h), torch.stack(seen_z))  # [H, R, .]; every head runs once, on all of them
+            latent = Arrived(*self.model.imagine(latent, action, noise[k]))
+            seen.append(latent)
+        arrived = Arrived.stack(seen)  # every head runs once, on all steps
         keep = self.model.continues(arrived) if self.config.continuation else None
         reward = td_lambda(self.model.reward(arrived), self.critics.value_r(arrived), self.gamma_r, self.lam, keep)
         cost = self._cost_return(arrived, keep)
