@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +41,8 @@ def planner(
     from wasp_cli.run.session import cores
     from wasp_cli.spec.bench import bench_configs
 
+    # Read when torch is loaded. Threads that wait too long for one that a busy neighbour delays take its core too.
+    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
     measure = load_target("wasp_cli.learning.planner_bench:bench_planner")
     found = {
         name: measure(*configs, batch=batch, threads=cores() if threads is None else threads, repeats=repeats)
