@@ -157,7 +157,8 @@ def test_report_needs_the_results_folder_alone(results: Path) -> None:
 def test_one_worker_gives_the_same_rows_as_two(results: Path, tmp_path: Path) -> None:
     from wasp_cli.store.tables import same_rows
 
-    done = wasp("run", str(results.parent / "chain.yaml"), "--results", str(tmp_path), "-j", "1")
+    # What judges the models has no part in the rows.
+    done = wasp("run", str(results.parent / "chain.yaml"), "--results", str(tmp_path), "-j", "1", "--set", "stages=[]")
     assert done.returncode == 0, done.stderr
     mine, theirs = cells(results), cells(tmp_path)
     assert set(mine) == set(theirs)
