@@ -11,7 +11,7 @@ import pytest
 COUNT = """\
 import resource
 import torch
-from wasp_cli.learning.planner_bench import _Setup
+from wasp_cli.learning.planner_bench import Setup
 from wasp_cli.memory import keep_memory
 from wasp_cli.spec.bench import bench_configs
 
@@ -21,7 +21,7 @@ def faults():
 
 assert keep_memory()
 with torch.inference_mode():
-    decide = _Setup(*bench_configs(None)["paper"], 1).decision("safety")
+    decide = Setup(*bench_configs(None)["paper"], 1).decision("safety")
     faults()
     before = faults()
     print(faults() - before)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from wasp_cli.learning.planner_bench import THRESHOLDS, _Setup, matrix_rate
+from wasp_cli.learning.planner_bench import THRESHOLDS, Setup, matrix_rate
 from wasp_cli.spec.bench import bench_configs
 
 THREADS = min(2, os.cpu_count() or 1)
@@ -21,7 +21,7 @@ def test_decision(benchmark: Any, planner: str, kind: str) -> None:
     torch.set_num_threads(THREADS)
     try:
         with torch.inference_mode():
-            decide = _Setup(*bench_configs(None)[planner], 1).decision(kind)  # type: ignore[arg-type]
+            decide = Setup(*bench_configs(None)[planner], 1).decision(kind)  # type: ignore[arg-type]
             roof = matrix_rate()
             benchmark.pedantic(decide, rounds=5, warmup_rounds=1)
             from torch.utils.flop_counter import FlopCounterMode

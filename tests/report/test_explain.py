@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
-import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +15,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.report.explained import KEY, NAN, WASP, Invented, looked, text_of, told
 from wasp_cli.errors import UsageError
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK, Plans, Trajectory, episode_metrics
+from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK, Plans
 from wasp_cli.report.explain.facts import as_json, exceeds
 from wasp_cli.report.explain.look import look
 from wasp_cli.report.explain.look_text import look_lines
@@ -29,116 +25,8 @@ from wasp_cli.report.explain.stored import Episode, read_episode
 from wasp_cli.report.explain.story_text import MOST_RUNS, story_lines
 from wasp_cli.report.explain.strip import strip_lines
 from wasp_cli.report.explain.tell import merged, tell
-from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import VERSION_KEY, CellIdentity, Thresholds, write_cell
-
-ROOT = Path(__file__).parents[2]
-KEY = "0123456789abcdef0123"
-WASP = {"horizon": 4, "residual_steps": 2, "candidates": 30, "probe": 20, "feasible": 10, "bootstrap_cost": False}
-NAN = math.nan
-
-
-@dataclass
-class Invented:
-    """An episode under construction: T decisions, of which single ones are changed."""
-
-    steps: int = 8
-    method: str = "wasp"
-    variant: str = "full"
-    thresholds: Thresholds = field(default_factory=lambda: Thresholds(tau_c=0.3, tau_r=0.5))
-    config: dict[str, Any] = field(default_factory=lambda: dict(WASP))
-    episodes: int = 3
-
-    def __post_init__(self) -> None:
-        steps = self.steps
-        self.reward = np.arange(steps) / 8
-        self.cost_env = np.zeros(steps, int)
-        self.goals = np.zeros(steps, int)
-        self.a_h = np.tile([0.5, -0.25], (steps, 1))
-        self.a = self.a_h.copy()
-        self.gate = np.zeros(steps, int)
-        gated = self.method == "wasp"
-        self.g_cost = np.full(steps, 0.125 if gated else NAN)
-        self.g_return = np.full(steps, 1.0 if gated else NAN)
-        self.delta_g = np.full(steps, 0.25 if gated else NAN)
-        self.signal = np.full(steps, NAN)
-        self.plans = Plans(
-            np.full((steps, 2, 2), NAN), np.full((steps, 3), -1), np.zeros((steps, 3), bool), *np.full((4, steps), NAN)
-        )  # fmt: skip
-        if self.method == "wasp" and self.variant == "safety-only":
-            self.delta_g[:] = NAN
-
-    def fire(
-        self, t: int, gate: int, residuals: Any = ((-0.5, 0.5), (0.25, 0.0)), safe: Any = (3, 12, 30), cost: float = 0.2, alone: float = 0.6
-    ) -> None:
-        """A gate fires at decision t, and its plan is executed."""
-        plans = self.plans
-        self.gate[t] = gate
-        if gate == GATE_SAFETY:
-            self.g_cost[t], self.delta_g[t] = 0.5, NAN
-        else:
-            self.delta_g[t] = 0.75
-        plans.residuals[t], plans.safe[t], plans.case2[t] = residuals, safe, np.array(safe) < 10
-        plans.cost[t], plans.reward[t], plans.alone_cost[t], plans.alone_reward[t] = cost, 1.5, alone, 1.25
-        self.a[t] = np.clip(self.a_h[t] + plans.residuals[t, 0], -1, 1)
-
-    def pay(self, *decisions: int) -> None:
-        """Two env steps with cost in each of some decisions."""
-        self.cost_env[list(decisions)] = 2
-
-    def trajectory(self) -> Trajectory:
-        return Trajectory(
-            reward=self.reward, cost=self.cost_env > 0, cost_env=self.cost_env, env_steps=np.full(self.steps, 4), goals=self.goals,
-            a_h=self.a_h, a=self.a, gate=self.gate, g_cost=self.g_cost, g_return=self.g_return, delta_g=self.delta_g, signal=self.signal,
-            plans=self.plans if self.method == "wasp" else None,
-        )  # fmt: skip
-
-    def label(self) -> str:
-        return f"goal1 s0 {self.method}{'' if self.variant == 'full' else '/' + self.variant} laggy=0.7"
-
-    def manifest(self) -> dict[str, Any]:
-        return {
-            "kind": "evaluate",
-            "key": KEY,
-            "label": self.label(),
-            "axes": {"method": self.method, "method_config": self.config},
-            "settings": {"action_repeat": 4, "returns": {"gamma_c": 0.5}},
-            "provenance": {"started_at": "2026-05-01T12:34:56+00:00"},
-        }
-
-    def write(self, path: Path) -> None:
-        trajectory = self.trajectory()
-        rows = [episode_metrics(trajectory, 7, 25.0)] * self.episodes
-        cell = CellIdentity("goal1", self.method, self.variant, "laggy", 0.7, 0)
-        times = [np.full(self.steps, 2.0)] * self.episodes
-        write_cell(path, cell, [trajectory] * self.episodes, rows, self.thresholds, times, range(100, 100 + self.episodes))
-
-    def read(self, folder: Path, manifest: bool = True) -> Episode:
-        path = folder / "cell.parquet"
-        self.write(path)
-        return read_episode(FoundCell(path, KEY, self.manifest()) if manifest else FoundCell(path), 0)
-
-    def store(self, results: Path) -> None:
-        """As an artifact."""
-        layout = Layout(results)
-        layout.prepare()
-        staging = staging_folder(layout, KEY)
-        self.write(staging / "cell.parquet")
-        publish(layout, "evaluate", KEY, staging, self.manifest())
-
-
-def text_of(lines: list[Any]) -> str:
-    return "\n".join(line.plain.rstrip() for line in lines)
-
-
-def told(episode: Episode, width: int = 120) -> str:
-    return text_of(story_lines(tell(episode), width))
-
-
-def looked(episode: Episode, t: int, width: int = 400) -> str:
-    return text_of(look_lines(look(episode, t), width))
+from wasp_cli.store.tables import VERSION_KEY, Thresholds
 
 
 @pytest.fixture
@@ -501,6 +389,15 @@ def test_json_has_no_nan_and_the_same_facts(mixed: Episode) -> None:
     assert decision["signal"] is None
 
 
+def test_under_one_gate_the_story_is_of_costs(tmp_path: Path) -> None:
+    made = Invented()
+    made.pay(3)
+    story = tell(made.read(tmp_path))
+    assert [(run.first, run.last, run.gate) for run in story.runs] == [(0, 2, "none"), (3, 3, "none"), (4, 7, "none")]
+    assert story.totals.gate_share == {"none": 1.0}
+    assert "the gate never changed, so the lines are stretches with and without cost" in " ".join(text_of(story_lines(story, 120)).split())
+
+
 numbers = st.one_of(st.just(NAN), st.floats(-2, 2), st.sampled_from([0.0, 0.3, 1e6]))
 thresholds = st.one_of(st.none(), st.just(NAN), st.floats(-1, 2), st.just(0.0))
 
@@ -556,82 +453,3 @@ def test_every_cell_can_be_explained(made: Invented, manifest: bool, width: int)
         facts = look(episode, t)
         assert look_lines(facts, width)
         json.dumps(as_json(facts), allow_nan=False)
-
-
-def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "wasp_cli", *map(str, arguments)]
-    variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=variables, check=False)
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = Invented()
-    made.fire(2, GATE_SAFETY)
-    folder = tmp_path_factory.mktemp("explain") / "results"
-    made.store(folder)
-    return folder
-
-
-def test_the_command_by_key_label_and_path(results: Path) -> None:
-    folder = results / "store" / "evaluate" / KEY
-    said = [wasp("explain", cell, "-e", "0", "--results", results) for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))]
-    assert {(done.returncode, done.stderr) for done in said} == {(0, "")}
-    assert len({done.stdout for done in said}) == 1
-    hint = f"one decision in full: wasp explain 01234567 --results {results} --episode 0 --step 2\n"
-    assert said[0].stdout.endswith(hint)
-    done = wasp(*hint.split()[5:], "--json")
-    assert json.loads(done.stdout)["plan"]["safe"] == [3, 12, 30]
-
-
-def test_the_command_prints_json_alone(results: Path) -> None:
-    done = wasp("explain", "0123", "--episode", "1", "--results", results, "--json")
-    assert json.loads(done.stdout)["who"]["episode"] == 1
-    assert done.stderr == ""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["0123", "-e", "3"], "this cell has the episodes 0 to 2"),
-        (["0123", "-e", "0", "-s", "8"], "episode 0 has the decisions 0 to 7"),
-        (["0123", "-e", "0", "-s", "-1"], "episode 0 has the decisions 0 to 7"),
-        (["goal1 s0 wasp lagy=0.7", "-e", "0"], "did you mean 'goal1 s0 wasp laggy=0.7'?"),
-        (["../../x", "-e", "0"], "no evaluation '../../x'"),
-        (["0123"], "Missing option"),
-    ],
-)
-def test_wrong_usage_of_the_command_ends_with_2(arguments: list[str], expected: str, results: Path) -> None:
-    done = wasp("explain", *arguments, "--results", results)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert expected in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-def test_rows_that_cannot_be_read_end_with_1(results: Path, tmp_path: Path) -> None:
-    path = tmp_path / "cell.parquet"
-    path.write_bytes(b"PAR1 no table")
-    done = wasp("explain", path, "-e", "0")
-    assert done.returncode == 1
-    assert "is damaged or was cut off" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-def test_explaining_imports_neither_torch_nor_mujoco(results: Path) -> None:
-    code = (
-        "import sys\nfrom wasp_cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
-        "try: main()\nexcept SystemExit: pass\n"
-        "print('IMPORTED', [name for name in ('torch', 'mujoco', 'joblib', 'gymnasium') if name in sys.modules])"
-    )
-    arguments = ["explain", "0123", "-e", "0", "--results", str(results)]
-    done = subprocess.run([sys.executable, "-c", code, "wasp", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.stdout.splitlines()[-1] == "IMPORTED []", done.stderr
-
-
-def test_under_one_gate_the_story_is_of_costs(tmp_path: Path) -> None:
-    made = Invented()
-    made.pay(3)
-    story = tell(made.read(tmp_path))
-    assert [(run.first, run.last, run.gate) for run in story.runs] == [(0, 2, "none"), (3, 3, "none"), (4, 7, "none")]
-    assert story.totals.gate_share == {"none": 1.0}
-    assert "the gate never changed, so the lines are stretches with and without cost" in " ".join(text_of(story_lines(story, 120)).split())

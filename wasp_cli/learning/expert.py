@@ -19,7 +19,7 @@ from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.ppo_state import TrainingState
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv, actor_layers
 from wasp_cli.models.policy import PrivilegedPolicy
-from wasp_cli.models.weights import load_weights, read_arguments, save_weights
+from wasp_cli.models.weights import load_module, save_weights
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask
 
@@ -129,10 +129,7 @@ def save_skill(policy: PrivilegedPolicy, path: Path, task: VectorTask, config: E
 
 def load_skill(folder: Path, fraction: float) -> PrivilegedPolicy:
     """The privileged policy of a checkpoint."""
-    path = folder / checkpoint_name(fraction)
-    policy = PrivilegedPolicy(**read_arguments(path))
-    load_weights(policy, path)
-    return policy
+    return load_module(PrivilegedPolicy, folder / checkpoint_name(fraction))
 
 
 def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:

@@ -23,7 +23,7 @@ from wasp_cli.learning.replay import Replay
 from wasp_cli.methods.base import Decision
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, uniform
-from wasp_cli.methods.wasp.imagine import Draws, EndingWorldModel, Imagination, Situation
+from wasp_cli.methods.wasp.imagine import Draws, Dynamics, Imagination, Situation
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
 from wasp_cli.metrics.windows import sums_ahead
 from wasp_cli.models.base import Critics, Latent
@@ -81,9 +81,7 @@ class Onlooker:
 class Watcher:
     """An assistant that executes every command as it is, and keeps what a gate could have looked at."""
 
-    def __init__(
-        self, model: EndingWorldModel, critics: CostCritics, expert: Operator, config: GateSignalsConfig, returns: ReturnsConfig
-    ) -> None:
+    def __init__(self, model: Dynamics, critics: CostCritics, expert: Operator, config: GateSignalsConfig, returns: ReturnsConfig) -> None:
         """A watcher of B episodes.
 
         Args:

@@ -88,12 +88,12 @@ def bench_planner(
     torch.set_num_threads(threads)
     try:
         with torch.inference_mode():
-            return _bench(_Setup(world_model, policies, critics, wasp, returns, batch), batch, threads, repeats)
+            return _bench(Setup(world_model, policies, critics, wasp, returns, batch), batch, threads, repeats)
     finally:
         torch.set_num_threads(before)
 
 
-class _Setup:
+class Setup:
     """An assistant of untrained models and a laggy operator."""
 
     def __init__(
@@ -129,7 +129,7 @@ class _Setup:
         return gate if kind == "gate" else decide
 
 
-def _bench(setup: _Setup, batch: int, threads: int, repeats: int) -> Bench:
+def _bench(setup: Setup, batch: int, threads: int, repeats: int) -> Bench:
     works = {kind: setup.decision(kind) for kind in THRESHOLDS}
     times: dict[str, list[float]] = {kind: [] for kind in works}
     roof = 0.0

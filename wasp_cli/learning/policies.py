@@ -24,7 +24,7 @@ from wasp_cli.learning.replay import Replay
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy, Skills
-from wasp_cli.models.weights import load_weights, read_arguments, save_weights
+from wasp_cli.models.weights import load_module, save_weights
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.noise import EpisodeNoise
@@ -266,7 +266,4 @@ def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[in
 
 def load_skills(folder: Path) -> Skills:
     """The frozen policies of a policies artifact."""
-    path = folder / "skills.safetensors"
-    skills = Skills(**read_arguments(path))
-    load_weights(skills, path)
-    return skills
+    return load_module(Skills, folder / "skills.safetensors")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from wasp_cli.models.weights import load_weights, read_arguments, save_weights
+from wasp_cli.models.weights import load_module, save_weights
 from wasp_cli.models.world_model import SafetyWorldModel, Sizes
 
 
@@ -16,7 +16,4 @@ def save_world_model(model: SafetyWorldModel, folder: Path) -> None:
 
 def load_world_model(folder: Path) -> SafetyWorldModel:
     """The frozen model of a world-model artifact."""
-    path = folder / "world_model.safetensors"
-    model = SafetyWorldModel(Sizes(**read_arguments(path)))
-    load_weights(model, path)
-    return model
+    return load_module(lambda **sizes: SafetyWorldModel(Sizes(**sizes)), folder / "world_model.safetensors")

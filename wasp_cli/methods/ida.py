@@ -20,7 +20,7 @@ from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.models.ensemble import QEnsemble
-from wasp_cli.models.weights import load_weights, read_arguments
+from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
 
 
@@ -29,9 +29,7 @@ class IDA:
 
     def __init__(self, config: Config, parts: Parts) -> None:
         self.config = cast(IDAConfig, config)
-        path = parts.inputs["ida_q"] / "ensemble.safetensors"
-        self.ensemble = QEnsemble(**read_arguments(path))
-        load_weights(self.ensemble, path)
+        self.ensemble = load_module(QEnsemble, parts.inputs["ida_q"] / "ensemble.safetensors")
         self.expert = parts.skills.expert
         self.tau_q = parts.thresholds.get("tau_q", 0.0)
 

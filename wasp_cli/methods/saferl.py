@@ -12,7 +12,7 @@ from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.models.residual import ResidualPolicy
-from wasp_cli.models.weights import load_weights, read_arguments
+from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
 
 
@@ -20,9 +20,7 @@ class SafeRLRes:
     """a = clip(a^H + delta(h, z, a^H))."""
 
     def __init__(self, config: Config, parts: Parts) -> None:
-        path = parts.inputs["residual"] / "residual.safetensors"
-        self.policy = ResidualPolicy(**read_arguments(path))
-        load_weights(self.policy, path)
+        self.policy = load_module(ResidualPolicy, parts.inputs["residual"] / "residual.safetensors")
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Nothing is kept."""

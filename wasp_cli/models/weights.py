@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError
@@ -12,6 +13,8 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from wasp_cli.errors import ArtifactError
+
+M = TypeVar("M", bound=nn.Module)
 
 
 def save_weights(module: nn.Module, path: Path, **arguments: Any) -> None:
@@ -46,6 +49,17 @@ def load_weights(module: nn.Module, path: Path) -> None:
     except (OSError, SafetensorError, RuntimeError) as error:
         raise ArtifactError(f"cannot read {path}: {error}", "remove the artifact's folder and run again") from error
     module.eval().requires_grad_(False)
+
+
+def load_module(build: Callable[..., M], path: Path) -> M:
+    """A frozen module: built from the arguments beside `path`, filled from `path`.
+
+    Raises:
+        ArtifactError: a file is missing or damaged, or the weights do not fit.
+    """
+    module = build(**read_arguments(path))
+    load_weights(module, path)
+    return module
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:

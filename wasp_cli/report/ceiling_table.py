@@ -9,6 +9,7 @@ import numpy as np
 
 from wasp_cli.console import duration
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.main_table import PAPER_COLUMNS
 from wasp_cli.report.table import Column, Row, Table, Value
 from wasp_cli.report.titles import ABLATIONS, operator_title, task_title
 
@@ -16,12 +17,7 @@ if TYPE_CHECKING:
     from wasp_cli.learning.ceiling import Cell, Outcome
 
 COLUMNS = (
-    Column("return", "Return", "up"),
-    Column("success", "Succ. (%)", "up", digits=1, scale=100.0),
-    Column("cost", "Cost", "down"),
-    Column("viol", "Viol.", "down", digits=3),
-    Column("int_rate", "Int.", "down"),
-    Column("mag", "Mag.", "down"),
+    *PAPER_COLUMNS,
     Column("safety_gate", "Safety gate", digits=3),
     Column("task_gate", "Task gate", digits=3),
     Column("case2", "Case II", digits=3, optional=True),

@@ -37,7 +37,7 @@ class GateSignalsStage:
         from wasp_cli.learning.replay import read_replay
         from wasp_cli.learning.trained import load_world_model
         from wasp_cli.models.critics import LatentCritics
-        from wasp_cli.models.weights import load_weights, read_arguments
+        from wasp_cli.models.weights import load_module
         from wasp_cli.operators.base import Operator
         from wasp_cli.operators.build import build_operator
         from wasp_cli.operators.noise import EpisodeNoise
@@ -48,9 +48,7 @@ class GateSignalsStage:
         config = cast(GateSignalsConfig, job.config)
         returns = job.settings["returns"]
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
-        path = job.inputs["critics"] / "critics.safetensors"
-        trained = LatentCritics(**read_arguments(path))
-        load_weights(trained, path)
+        trained = load_module(LatentCritics, job.inputs["critics"] / "critics.safetensors")
         critics, curves = cost_critics(
             model, skills, read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"]), load_latents(job.inputs["world_model"]),
             trained, config, returns, (job.task, job.seed), lambda share, text: job.progress(TRAINING * share, text),

@@ -22,7 +22,7 @@ from wasp_cli.methods.wasp.residual import Plan, plan_residuals, propose
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
-from wasp_cli.models.weights import load_weights, read_arguments
+from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
 
 
@@ -35,9 +35,7 @@ def effective(config: WASPConfig) -> WASPConfig:
 
 def wasp(config: Config, parts: Parts) -> WASP:
     """WASP over the trained world model and critics."""
-    path = parts.inputs["critics"] / "critics.safetensors"
-    critics = LatentCritics(**read_arguments(path))
-    load_weights(critics, path)
+    critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors")
     whole = cast(WASPConfig, config)
     imagination = Imagination(parts.world_model, critics, effective(whole), parts.gamma_r, parts.gamma_c, parts.lam)
     return WASP(whole, imagination, parts.thresholds)

@@ -16,13 +16,22 @@ from torch import Tensor
 
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
-from wasp_cli.models.base import Critics, Latent, WorldModel
+from wasp_cli.models.base import Critics, Latent
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.noise import DrawnNoise
 
 
-class EndingWorldModel(WorldModel, Protocol):
-    """A world model that also says whether the episode goes on."""
+class Dynamics(Protocol):
+    """What an imagination asks of a world model (`models.base.WorldModel`): no perception, but whether the episode goes on."""
+
+    action_size: int
+    noise_size: int
+
+    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent: ...
+
+    def reward(self, latent: Latent) -> Tensor: ...
+
+    def cost(self, latent: Latent) -> Tensor: ...
 
     def continues(self, latent: Latent) -> Tensor:
         """[...] probability that the episode has not ended at the arrived state."""
@@ -99,7 +108,7 @@ class Returns(NamedTuple):
 class Imagination:
     """The frozen models and constants of every imagined return."""
 
-    model: EndingWorldModel
+    model: Dynamics
     critics: Critics
     config: WASPConfig
     gamma_r: float

@@ -1,0 +1,86 @@
+"""`wasp explain` from outside."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.report.explained import KEY, Invented
+from wasp_cli.metrics.episode import GATE_SAFETY
+
+ROOT = Path(__file__).parents[2]
+
+
+def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "wasp_cli", *map(str, arguments)]
+    variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=variables, check=False)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = Invented()
+    made.fire(2, GATE_SAFETY)
+    folder = tmp_path_factory.mktemp("explain") / "results"
+    made.store(folder)
+    return folder
+
+
+def test_the_command_by_key_label_and_path(results: Path) -> None:
+    folder = results / "store" / "evaluate" / KEY
+    said = [wasp("explain", cell, "-e", "0", "--results", results) for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))]
+    assert {(done.returncode, done.stderr) for done in said} == {(0, "")}
+    assert len({done.stdout for done in said}) == 1
+    hint = f"one decision in full: wasp explain 01234567 --results {results} --episode 0 --step 2\n"
+    assert said[0].stdout.endswith(hint)
+    done = wasp(*hint.split()[5:], "--json")
+    assert json.loads(done.stdout)["plan"]["safe"] == [3, 12, 30]
+
+
+def test_the_command_prints_json_alone(results: Path) -> None:
+    done = wasp("explain", "0123", "--episode", "1", "--results", results, "--json")
+    assert json.loads(done.stdout)["who"]["episode"] == 1
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["0123", "-e", "3"], "this cell has the episodes 0 to 2"),
+        (["0123", "-e", "0", "-s", "8"], "episode 0 has the decisions 0 to 7"),
+        (["0123", "-e", "0", "-s", "-1"], "episode 0 has the decisions 0 to 7"),
+        (["goal1 s0 wasp lagy=0.7", "-e", "0"], "did you mean 'goal1 s0 wasp laggy=0.7'?"),
+        (["../../x", "-e", "0"], "no evaluation '../../x'"),
+        (["0123"], "Missing option"),
+    ],
+)
+def test_wrong_usage_of_the_command_ends_with_2(arguments: list[str], expected: str, results: Path) -> None:
+    done = wasp("explain", *arguments, "--results", results)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert expected in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_rows_that_cannot_be_read_end_with_1(results: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cell.parquet"
+    path.write_bytes(b"PAR1 no table")
+    done = wasp("explain", path, "-e", "0")
+    assert done.returncode == 1
+    assert "is damaged or was cut off" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_explaining_imports_neither_torch_nor_mujoco(results: Path) -> None:
+    code = (
+        "import sys\nfrom wasp_cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        "print('IMPORTED', [name for name in ('torch', 'mujoco', 'joblib', 'gymnasium') if name in sys.modules])"
+    )
+    arguments = ["explain", "0123", "-e", "0", "--results", str(results)]
+    done = subprocess.run([sys.executable, "-c", code, "wasp", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == "IMPORTED []", done.stderr
