@@ -19,7 +19,7 @@ SPEC = """
 name: chain
 preset: smoke
 tasks: [goal1]
-methods: [human, ida, diffusion, saferl, wasp, expert]
+methods: [human, ida, diffusion, saferl, filter, wasp, expert]
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
@@ -75,7 +75,7 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
     rates = {name: np.mean(read_episodes([path])["int_rate"].to_pylist()) for name, path in full.items()}
     assert rates["human"] == 0
     assert rates["expert"] == 0
-    for name in ("ida", "diffusion", "saferl", "wasp"):
+    for name in ("ida", "diffusion", "saferl", "filter", "wasp"):
         assert rates[name] > 0, f"{name} never acted"
 
 
@@ -106,7 +106,7 @@ def test_no_two_methods_have_the_same_rows(results: Path) -> None:
     # Ablations of an untrained model may coincide, and an untrained IDA may always choose the expert's action.
     compared = {name: path for (name, variant), path in cells(results).items() if variant == "full" and name != "expert"}
     actions = {name: str(read_steps(path)["a"].to_pylist()) for name, path in compared.items()}
-    assert len(set(actions.values())) == len(actions) == 5
+    assert len(set(actions.values())) == len(actions) == 6
 
 
 def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(results: Path) -> None:

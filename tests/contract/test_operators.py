@@ -11,7 +11,9 @@ from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 
-LADDER = {"noisy": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24}
+LADDER = {
+    "noisy": 0.4, "noisy-gaussian": 0.4, "noisy-burst": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24,
+}  # fmt: skip
 NAMES = [*OPERATORS, UNIMPAIRED]
 ROWS, ACTION, STEPS = 4, 2, 12
 

@@ -5,7 +5,7 @@ Defaults are the `cpu` preset; the other presets override them (`spec.presets`).
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -274,8 +274,14 @@ LADDER: dict[str, tuple[float, ...]] = {
 
 
 class ResidualConfig(Config):
-    """SafeRL-Res: PPO with a Lagrange multiplier on Eq. 5 over (h, z, a^H) in the real task."""
+    """SafeRL-Res: PPO with a Lagrange multiplier over (h, z, a^H) in the real task."""
 
+    mode: Literal["lagrangian", "rsa"] = from_paper(
+        "lagrangian", "Eq. 5; `rsa`: the least effort for a least return, the form of the original"
+    )
+    return_share: float = assumed(
+        0.75, "mode rsa: the least return, as a share of the unimpaired expert's; the original tunes it per pilot", gt=0.0
+    )
     interactions: int = assumed(300_000, "decision steps (the original has 100 M)", ge=1)
     envs: int = assumed(16, "episodes side by side", ge=1)
     rollout: int = assumed(128, "decision steps per environment and update", ge=1)

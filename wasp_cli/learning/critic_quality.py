@@ -101,13 +101,19 @@ def _ranks(values: Floats) -> Floats:
 
 
 def reliability_picture(found: dict[str, Pairs], path: Path) -> None:
-    """Every decision as a point, and the means of ten equally large groups by prediction; on the diagonal critics are right on average."""
+    """Every decision as a point, and the means of ten equally large groups by prediction; on the diagonal critics are right on average.
+
+    Args:
+        found: by the name of the critic.
+        path: of the PNG.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.0, 3.8), layout="constrained", dpi=110)
+    figure = Figure(figsize=(4.0 * len(found), 3.8), layout="constrained", dpi=110)
     FigureCanvasAgg(figure)
-    for panel, (name, (predicted, real, _)) in zip(figure.subplots(1, len(found)), found.items(), strict=True):
+    panels = figure.subplots(1, len(found), squeeze=False)[0]
+    for panel, (name, (predicted, real, _)) in zip(panels, found.items(), strict=True):
         if not len(real):
             continue
         shown = np.linspace(0, len(real) - 1, min(1500, len(real))).astype(int)
@@ -116,6 +122,6 @@ def reliability_picture(found: dict[str, Pairs], path: Path) -> None:
         panel.plot([predicted[g].mean() for g in groups], [real[g].mean() for g in groups], "o-", color="#D55E00", markersize=4)
         ends = [min(predicted.min(), real.min()), max(predicted.max(), real.max())]
         panel.plot(ends, ends, color="#000000", linewidth=0.7)
-        panel.set_xlabel(f"V_{name}, predicted")
+        panel.set_xlabel(f"{name}, predicted")
         panel.set_ylabel("discounted sum that followed")
     figure.savefig(path, metadata={"Software": None})

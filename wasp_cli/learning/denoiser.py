@@ -13,16 +13,16 @@ from wasp_cli.errors import TrainingError
 from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.replay import HELD_OUT, Replay
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 
 
 def demonstrations(replay: Replay, limit: float) -> NDArray[np.int64]:
-    """Rows of the near-expert episodes whose cost in env steps is within the limit.
+    """Rows of the near-expert episodes whose cost in env steps is within the limit, without those that are held out.
 
     When no episode is, the one of least cost has to do.
     """
-    near = replay.behaviour == "expert"
+    near = (replay.behaviour == "expert") & ~replay.held_out(HELD_OUT)
     rows = [np.flatnonzero(near & (replay.episode == e)) for e in np.unique(replay.episode[near])]
     if not rows:
         raise TrainingError("the dataset has no near-expert episode", "raise dataset.mixture.expert or dataset.steps")

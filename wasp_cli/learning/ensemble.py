@@ -9,9 +9,11 @@ import numpy as np
 import torch
 
 from wasp_cli.learning.configs import EnsembleConfig
+from wasp_cli.learning.critic_quality import Pairs, pairs
 from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.replay import HELD_OUT, Replay
+from wasp_cli.methods.base import Heldout
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.policy import Skills
 
@@ -24,22 +26,26 @@ def train_ensemble(
     gamma: float,
     seed: int,
     report: Callable[[float, str], None],
-) -> tuple[QEnsemble, dict[str, float]]:
+) -> tuple[QEnsemble, list[float]]:
     """Q of acting once and following the expert afterwards: target r + gamma Q'(s', pi_E(s')).
 
     Every member has a target network of its own and sees the same transitions; a third of each batch comes from uniformly
     random commands being executed ('noisy', 'bursts', 'random'), so that human-like actions are covered.
+
+    Returns:
+        The ensemble, and its TD loss at every hundredth update.
     """
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
     ensemble = QEnsemble(config.members, features, replay.action.shape[1], config.hidden)
     target = copy.deepcopy(ensemble).requires_grad_(False)
     optimizer = torch.optim.Adam(ensemble.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    starts = torch.from_numpy(replay.window_starts(2))
+    windows = replay.window_starts(2)
+    starts = torch.from_numpy(windows[~replay.held_out(HELD_OUT)[windows]])
     odd = torch.from_numpy(np.flatnonzero(np.isin(replay.behaviour[starts.numpy()], ["noisy", "bursts", "random"])))
     action, reward = torch.from_numpy(replay.action), torch.from_numpy(replay.reward)
     terminal = torch.from_numpy(replay.terminal)
-    loss = torch.zeros(())
+    curve: list[float] = []
     for update in range(config.updates):
         pick = torch.randint(len(starts), (config.batch,), generator=source)
         if len(odd):
@@ -58,6 +64,14 @@ def train_ensemble(
             for old, new in zip(target.parameters(), ensemble.parameters(), strict=True):
                 old.lerp_(new, config.target_rate)
         if update % 100 == 0:
-            report(update / config.updates, f"update {update}/{config.updates}, loss {float(loss.detach()):.4f}")
+            curve.append(float(loss.detach()))
+            report(update / config.updates, f"update {update}/{config.updates}, loss {curve[-1]:.4f}")
     ensemble.eval().requires_grad_(False)
-    return ensemble, {"td_loss": float(loss.detach())}
+    return ensemble, curve
+
+
+@torch.inference_mode()
+def heldout_pairs(ensemble: QEnsemble, heldout: Heldout, gamma: float) -> Pairs:
+    """Q(h, z, a^E), mean over the members, beside the discounted reward that really followed on episodes of the unimpaired expert."""
+    q = ensemble(heldout.latent.features, heldout.a_h).mean(0).double().numpy()
+    return pairs(q, heldout.reward.double().numpy(), heldout.episode.numpy(), heldout.terminal.numpy(), gamma)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -14,10 +14,26 @@ from stable_baselines3.common.callbacks import BaseCallback
 from wasp_cli.learning.vec_env import TaskVecEnv
 
 
+class Rule(Protocol):
+    """How a multiplier follows what the latest rollouts measured."""
+
+    follows: str
+    """Column of the learning curve."""
+
+    @property
+    def initial(self) -> float: ...
+
+    @property
+    def delay(self) -> int: ...
+
+    def next(self, value: float, measured: float) -> float: ...
+
+
 @dataclass(frozen=True)
 class MultiplierRule:
     """lambda <- clip(lambda + rate * (cost / limit - 1), floor, bound), once per rollout, `delay` interactions after the start."""
 
+    follows = "cost_per_1000"
     initial: float
     rate: float
     bound: float
@@ -32,10 +48,34 @@ class MultiplierRule:
         return min(self.bound, max(self.floor, value + self.rate * excess))
 
 
+@dataclass(frozen=True)
+class ReturnRule:
+    """lambda <- clip(lambda + rate * (1 - return / least), 0, bound): the multiplier of a least return per episode.
+
+    Raises:
+        ValueError: `least` is not positive, so that there is no share of it.
+    """
+
+    follows = "return"
+    initial: float
+    rate: float
+    bound: float
+    least: float
+    delay: int = 0
+
+    def __post_init__(self) -> None:
+        if self.least <= 0:
+            raise ValueError(f"the least return is {self.least:g}, and only a positive one can be asked for")
+
+    def next(self, value: float, measured: float) -> float:
+        """The multiplier after one of `value`, where the latest episodes returned `measured`."""
+        return min(self.bound, max(0.0, value + self.rate * (1.0 - measured / self.least)))
+
+
 class LagrangianCallback(BaseCallback):
     """Moves the multiplier, keeps exploration above a floor, records the learning curve and stores checkpoints.
 
-    The multiplier follows the mean cost over the latest rollouts that together are as long as an episode. A single one is too noisy, and
+    The multiplier follows the mean over the latest rollouts that together are as long as an episode. A single one is too noisy, and
     where the rows are in phase, it is only a part of the episode.
 
     Args:
@@ -51,7 +91,7 @@ class LagrangianCallback(BaseCallback):
     def __init__(
         self,
         env: TaskVecEnv,
-        rule: MultiplierRule,
+        rule: Rule,
         total: int,
         progress: Callable[[float, str], None],
         *,
@@ -89,13 +129,16 @@ class LagrangianCallback(BaseCallback):
         row = self._tasks.curve.take()
         row |= {"interactions": float(self.num_timesteps), "multiplier": self._tasks.multiplier}
         self.curve.append(row)
-        if self.num_timesteps >= self._rule.delay:
-            self._tasks.multiplier = self._rule.next(self._tasks.multiplier, self._average_cost())
+        measured = self._average()
+        if self.num_timesteps >= self._rule.delay and not math.isnan(measured):
+            self._tasks.multiplier = self._rule.next(self._tasks.multiplier, measured)
         text = f"return {row['return']:.1f}, cost {row['cost']:.1f}, multiplier {row['multiplier']:.2f}"
         self._progress(min(1.0, self.num_timesteps / self._total), text)
 
-    def _average_cost(self) -> float:
-        """Per 1000 env steps, over about the length of an episode; every rollout has the same number of decisions."""
+    def _average(self) -> float:
+        """What the rule follows, over about the length of an episode; NaN where no episode ended. All rollouts are equally long."""
         model: Any = self.model
         rollouts = math.ceil(self._tasks.task.max_decisions / model.n_steps)
-        return float(np.mean([row["cost_per_1000"] for row in self.curve[-rollouts:]]))
+        found = [row[self._rule.follows] for row in self.curve[-rollouts:]]
+        known = [value for value in found if not math.isnan(value)]
+        return float(np.mean(known)) if known else math.nan

@@ -1,8 +1,15 @@
-"""SafeRL-Res: PPO with a Lagrange multiplier on Eq. 5, over (h, z, a^H), in the real task through the filter."""
+"""SafeRL-Res: PPO with a Lagrange multiplier over (h, z, a^H), in the real task through the filter.
+
+Mode `lagrangian` is the paper's Eq. 5: the return less the effort, subject to a limit of the cost. Mode `rsa` is the form of the original
+(Schaff and Walter 2020): the least effort, subject to a least return. There lambda weighs the return, and the loss is divided by
+1 + lambda; the effort is a Huber norm and part of the reward, so that an unchanged PPO learns from it.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,10 +19,11 @@ from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
+from wasp_cli.errors import TrainingError
 from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ResidualConfig
 from wasp_cli.learning.filtered_env import FilteredTask
-from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
+from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule, ReturnRule, Rule
 from wasp_cli.learning.value_warmup import ValueWarmup
 from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers
 from wasp_cli.models.policy import Skills
@@ -25,7 +33,7 @@ from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.seeds import derive
-from wasp_cli.tasks.base import Observation, VectorTask
+from wasp_cli.tasks.base import Observation, Step, VectorTask
 
 
 class AssistedTask(FilteredTask):
@@ -35,7 +43,7 @@ class AssistedTask(FilteredTask):
     """
 
     def __init__(self, task: VectorTask, model: SafetyWorldModel, skills: Skills, config: ResidualConfig, name: str, seed: int) -> None:
-        self._alpha = config.alpha
+        self._alpha, self._rsa = config.alpha, config.mode == "rsa"
         self._command = torch.zeros(task.batch, task.action_size)
         self._noise = EpisodeNoise([0] * task.batch)
         owner = human(skills, task.decision_seconds, task.action_size)
@@ -77,8 +85,18 @@ class AssistedTask(FilteredTask):
     def execute(self, action: Array) -> tuple[Array, Array]:
         command = self._command.numpy()
         executed = np.clip(command + action, -1, 1)
-        effort = np.square(executed - command).sum(-1)  # what is penalised is what was executed
-        return executed, (self._alpha * effort).astype(np.float32)
+        squared = np.square(executed - command).sum(-1)  # what is penalised is what was executed
+        return executed, (huber(np.sqrt(squared)) if self._rsa else self._alpha * squared).astype(np.float32)
+
+    def objective(self, step: Step, penalty: Array) -> NDArray[Any]:
+        if not self._rsa:
+            return super().objective(step, penalty)
+        return (self.multiplier * step.reward - penalty) / (1.0 + self.multiplier)
+
+
+def huber(norm: NDArray[Any]) -> NDArray[Any]:
+    """Quadratic up to 1, linear beyond."""
+    return np.where(norm <= 1.0, 0.5 * np.square(norm), norm - 0.5)
 
 
 def train_residual(
@@ -89,8 +107,9 @@ def train_residual(
     name: str,
     seed: int,
     report: Callable[[float, str], None],
+    expert_return: float = math.nan,
 ) -> tuple[ResidualPolicy, list[dict[str, float]]]:
-    """Maximise E sum (r - alpha ||delta||^2) subject to the cost limit.
+    """Train the residual policy in one of its modes, see the module.
 
     Args:
         task: config.envs episodes with pixels.
@@ -100,6 +119,7 @@ def train_residual(
         name: of the task, for its random streams.
         seed: of this training.
         report: called after every rollout.
+        expert_return: per episode of the unimpaired expert; mode `rsa` asks for a share of it.
 
     Returns:
         The mean residual as a plain module, and the learning curve.
@@ -116,10 +136,7 @@ def train_residual(
     output = actor_layers(ppo.policy)[-1]
     nn.init.zeros_(output.weight)
     nn.init.zeros_(output.bias)
-    rule = MultiplierRule(
-        config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit,
-        delay=int(config.multiplier_delay * config.interactions),
-    )  # fmt: skip
+    rule = _rule(config, expert_return)
     lagrangian = LagrangianCallback(env, rule, config.interactions, report)
     ppo.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
     ppo.learn(config.interactions, callback=CallbackList([ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]))
@@ -129,3 +146,17 @@ def train_residual(
             mine.weight.copy_(theirs.weight)
             mine.bias.copy_(theirs.bias)
     return policy, lagrangian.curve
+
+
+def _rule(config: ResidualConfig, expert_return: float) -> Rule:
+    shared = config.multiplier_init, config.multiplier_lr, config.multiplier_max
+    delay = int(config.multiplier_delay * config.interactions)
+    if config.mode == "lagrangian":
+        return MultiplierRule(*shared, config.cost_limit, delay=delay)
+    least = config.return_share * expert_return
+    if not least > 0:
+        raise TrainingError(
+            f"the unimpaired expert returns {expert_return:.2f} per episode, and mode rsa asks for {config.return_share:g} of it",
+            "train a better expert, or use residual.mode lagrangian",
+        )
+    return ReturnRule(*shared, least, delay=delay)

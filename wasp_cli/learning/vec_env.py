@@ -40,9 +40,9 @@ class Curve:
 
 
 class TaskVecEnv(VecEnv):
-    """B episodes with autoreset. The reward is (r - penalty - multiplier * c_t) / scale; `observe` makes the observation.
+    """B episodes with autoreset. `objective` makes the reward, `observe` the observation.
 
-    Subclasses override `observe`, `execute` and `begin` to put an operator and a filter between policy and task.
+    Subclasses override `observe` and `execute` to put an operator and a filter between policy and task.
     """
 
     def __init__(self, task: VectorTask, size: int, low: float, high: float, next_seed: Callable[[], int]) -> None:
@@ -72,6 +72,11 @@ class TaskVecEnv(VecEnv):
         """From the policy's action to the executed one and a penalty [B]."""
         return action, np.zeros(len(action), np.float32)
 
+    def objective(self, step: Step, penalty: Array) -> NDArray[Any]:
+        """The reward that is learned from [B]: (r - penalty - multiplier * c_t) / scale."""
+        reward: NDArray[Any] = step.reward - penalty - self.multiplier * step.cost
+        return reward / (1.0 + self.multiplier) if self.normalise else reward
+
     # -- VecEnv -------------------------------------------------------------------------------------------------
 
     def reset(self) -> Array:
@@ -89,9 +94,7 @@ class TaskVecEnv(VecEnv):
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
         executed, penalty = self.execute(self._action)
         step: Step = self.task.step(executed)
-        reward = step.reward - penalty - self.multiplier * step.cost
-        if self.normalise:
-            reward = reward / (1.0 + self.multiplier)
+        reward = self.objective(step, penalty)
         self._return += step.reward
         self._cost += step.cost_env
         self.curve.env_steps += int(step.env_steps.sum())

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from wasp_cli.config import Config, assumed, deviates, from_paper
 
@@ -14,8 +14,14 @@ class HumanConfig(Config):
 
 
 class IDAConfig(Config):
-    """IDA: override by the expert when a Q ensemble votes for it."""
+    """IDA: override by a copilot when a Q ensemble votes for it."""
 
+    copilot: Literal["expert", "diffusion"] = from_paper(
+        "expert", "section 5.1: an expert action; `diffusion` is the original's copilot, the command partly diffused and denoised"
+    )
+    ratio: float = assumed(
+        0.4, "forward diffusion ratio of the copilot `diffusion`: sigma .49, as the original's .2 in its schedule", ge=0.0, le=1.0
+    )
     vote: float = assumed(0.99, "class default of the authors' code", gt=-1.0, le=1.0)
     quantile: float = assumed(0.95, "tau_Q: quantile of the least advantage over the members under the expert with noise", gt=0.0, lt=1.0)
     exploration: float = assumed(0.25, "standard deviation of that noise, as in the dataset's near-expert episodes", gt=0.0)
@@ -25,6 +31,21 @@ class DiffusionConfig(Config):
     """Diffusion: partial forward and reverse diffusion of the operator's command."""
 
     ratio: float = assumed(0.4, "forward diffusion ratio gamma_fwd of the original's main experiments", ge=0.0, le=1.0)
+    last_noise: bool = assumed(False, "noise at the last reverse step too, as in the original's code: then every command is changed")
+
+
+class FilterConfig(Config):
+    """Safety filter (after Oh et al. 2025): the least correction that keeps one imagined step and V_c behind it below a threshold."""
+
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
+        "calibrated", "bound of Q_c, expected costly decision steps discounted by gamma_c; `calibrated`: a quantile of Q_c under the expert"
+    )
+    quantile: float = assumed(
+        0.9, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
+    )
+    candidates: int = assumed(64, "actions among which the safest is sought: all corners, zero, and random ones", ge=1)
+    segment: int = assumed(32, "points from the command to the safest action at which Q_c is read (the original has 2000)", ge=1)
+    rollouts: int = assumed(8, "imagined next states over which Q_c is a mean, the same for every action", ge=1)
 
 
 class SafeRLConfig(Config):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,33 +22,53 @@ from wasp_cli.models.weights import load_weights, read_arguments
 from wasp_cli.operators.base import Operator
 
 
+class Assist:
+    """A trained denoiser at one forward diffusion ratio."""
+
+    def __init__(self, denoiser: Denoiser, schedule: NoiseSchedule, ratio: float, last_noise: bool = False) -> None:
+        self.denoiser, self.schedule, self.last_noise = denoiser, schedule, last_noise
+        self.k = schedule.forward_level(ratio)
+
+    def __call__(self, features: Tensor, a_h: Tensor, generators: Sequence[np.random.Generator]) -> Tensor:
+        """Commands [B, A] at features [B, F], diffused and denoised; a generator per row."""
+        draws = normal(generators, self.k + 1, a_h.shape[-1]).transpose(0, 1)  # [k + 1, B, A]
+        return assist(self.denoiser, self.schedule, features, a_h, self.k, draws, self.last_noise)
+
+
+def load_assist(folder: Path, ratio: float, last_noise: bool = False) -> Assist:
+    """The denoiser of an artifact of the stage `denoiser`."""
+    path = folder / "denoiser.safetensors"
+    arguments = read_arguments(path)
+    schedule = NoiseSchedule(**arguments.pop("schedule"))
+    denoiser = Denoiser(**arguments)
+    load_weights(denoiser, path)
+    return Assist(denoiser, schedule, ratio, last_noise)
+
+
 class Diffusion:
-    """Forward to level k = floor((T - 1) ratio), then the reverse chain k-1 ... 0 without noise at its last step."""
+    """Forward to level k = floor((T - 1) ratio), then the reverse chain k-1 ... 0."""
 
     def __init__(self, config: Config, parts: Parts) -> None:
         self.config = cast(DiffusionConfig, config)
-        path = parts.inputs["denoiser"] / "denoiser.safetensors"
-        arguments = read_arguments(path)
-        self.schedule = NoiseSchedule(**arguments.pop("schedule"))
-        self.denoiser = Denoiser(**arguments)
-        load_weights(self.denoiser, path)
+        self.assist = load_assist(parts.inputs["denoiser"], self.config.ratio, self.config.last_noise)
         self.noise = DecisionNoise()
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        k = self.schedule.forward_level(self.config.ratio)
-        draws = normal(self.noise.next(), k + 1, a_h.shape[-1]).transpose(0, 1)  # [k + 1, B, A]
-        action = assist(self.denoiser, self.schedule, latent.features, a_h, k, draws)
-        return Decision(action, blank_record(len(a_h), GATE_METHOD if k else 0))
+        action = self.assist(latent.features, a_h, self.noise.next())
+        return Decision(action, blank_record(len(a_h), GATE_METHOD if self.assist.k else 0))
 
 
-def assist(denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, a_h: Tensor, k: int, draws: Tensor) -> Tensor:
+def assist(
+    denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, a_h: Tensor, k: int, draws: Tensor, last_noise: bool = False
+) -> Tensor:
     """Diffuse a_h [B, A] by k steps and denoise it again; k = 0 returns it bit for bit.
 
     Args:
         draws: standard normal [k + 1, B, A]; the first diffuses, the others enter the reverse steps.
+        last_noise: also draw at the last reverse step, as the original does: then no command is ever executed as it is.
     """
     if k == 0:
         return a_h
@@ -57,6 +79,6 @@ def assist(denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, a_h: T
         predicted = denoiser(features, x, torch.full((batch,), i))
         beta, alpha_bar = schedule.beta[i], schedule.alpha_bar[i]
         x = (x - beta / (1 - alpha_bar).sqrt() * predicted) / (1 - beta).sqrt()
-        if i > 0:
+        if i > 0 or last_noise:
             x = x + beta.sqrt() * draws[k - i]
     return x.clamp(-1, 1)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from wasp_cli.registry import Registry
 
@@ -20,6 +22,8 @@ class MethodInfo:
     """Import string of its config model."""
     needs: tuple[str, ...] = ()
     """Stage kinds whose artifacts it reads, besides `world_model` and `policies`."""
+    needs_with: tuple[tuple[str, str, str], ...] = ()
+    """Further ones that it reads only under a setting: (field of its configuration, value, stage kind)."""
     calibrated: bool = False
     """Whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)."""
     impaired: bool = True
@@ -29,13 +33,25 @@ class MethodInfo:
     own_thresholds: tuple[str, ...] = ()
     """Variants whose thresholds have another unit, so that they are calibrated by themselves."""
 
+    def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+        """The stage kinds that it reads under a configuration (resolved, as JSON values)."""
+        return (*self.needs, *(kind for field, value, kind in self.needs_with if config.get(field) == value))
+
 
 METHODS: Registry[MethodInfo] = Registry(
     "method",
     "wasp.methods",
     (
         MethodInfo("human", "Human-only", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig"),
-        MethodInfo("ida", "IDA", "wasp_cli.methods.ida:IDA", "wasp_cli.methods.configs:IDAConfig", ("ida_q",), calibrated=True),
+        MethodInfo(
+            "ida",
+            "IDA",
+            "wasp_cli.methods.ida:IDA",
+            "wasp_cli.methods.configs:IDAConfig",
+            ("ida_q",),
+            needs_with=(("copilot", "diffusion", "denoiser"),),
+            calibrated=True,
+        ),
         MethodInfo(
             "diffusion", "Diffusion", "wasp_cli.methods.diffusion:Diffusion", "wasp_cli.methods.configs:DiffusionConfig", ("denoiser",)
         ),
@@ -51,5 +67,13 @@ METHODS: Registry[MethodInfo] = Registry(
             own_thresholds=("no-rollout",),
         ),
         MethodInfo("expert", "Expert", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", impaired=False),
+        MethodInfo(
+            "filter",
+            "Safety filter",
+            "wasp_cli.methods.filter:SafetyFilter",
+            "wasp_cli.methods.configs:FilterConfig",
+            ("critics",),
+            calibrated=True,
+        ),
     ),
 )

@@ -27,6 +27,22 @@ OPERATORS: Registry[OperatorInfo] = Registry(
     "wasp.operators",
     (
         OperatorInfo("noisy", "Noisy", "wasp_cli.operators.noisy:NoisyOperator", 0.0, 1.0, "probability of a uniform action"),
+        OperatorInfo(
+            "noisy-gaussian",
+            "Noisy, Gaussian",
+            "wasp_cli.operators.gaussian:GaussianNoiseOperator",
+            0.0,
+            2.0,
+            "standard deviation of what is added to the command",
+        ),
+        OperatorInfo(
+            "noisy-burst",
+            "Noisy, bursts",
+            "wasp_cli.operators.burst:BurstNoiseOperator",
+            0.0,
+            1.0,
+            "share of the decisions within bursts of uniform actions",
+        ),
         OperatorInfo("laggy", "Laggy", "wasp_cli.operators.laggy:LaggyOperator", 0.0, 1.0, "probability of repeating the last command"),
         OperatorInfo(
             "limited-skill",

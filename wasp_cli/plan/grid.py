@@ -87,13 +87,14 @@ class _Builder:
     def evaluation(self, cell: Cell) -> Node:
         """The node that computes a cell, from the training chain of its seed."""
         info, chain = METHODS[cell.method], self.spec.chain_seed(cell.seed)
-        needs = self._inputs("evaluate", cell.task, chain, self.spec.rounds, info.needs)
+        config = self.method_config(cell.method, cell.assistant)
+        needs = self._inputs("evaluate", cell.task, chain, self.spec.rounds, info.needs_of(config))
         if info.calibrated:
             variant = cell.assistant if cell.assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(cell.task, chain, cell.method, variant)
         axes = _round_axis(self.spec.rounds) | {
             "method": cell.method,
-            "method_config": self.method_config(cell.method, cell.assistant),
+            "method_config": config,
             "variant": cell.operator,
             "value": cell.value,
         }
@@ -107,8 +108,9 @@ class _Builder:
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
         number = self.spec.rounds
-        axes = _round_axis(number) | {"method": method, "method_config": self.method_config(method, variant)}
-        needs = self._inputs("calibration", task, seed, number, info.needs)
+        config = self.method_config(method, variant)
+        axes = _round_axis(number) | {"method": method, "method_config": config}
+        needs = self._inputs("calibration", task, seed, number, info.needs_of(config))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
         return self._node("calibration", task, seed, axes, needs, [module_of(info.target)], _in_round(f"calibration {name}", number))
 

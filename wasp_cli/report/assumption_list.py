@@ -27,7 +27,8 @@ def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
                 need(upstream)
 
     for method in spec.methods:
-        for kind in ("evaluate", *METHODS[method].needs, *(["calibration"] if METHODS[method].calibrated else [])):
+        info, config = METHODS[method], spec.method(method).model_dump(mode="json")
+        for kind in ("evaluate", *info.needs_of(config), *(["calibration"] if info.calibrated else [])):
             need(kind)
     for kind in spec.stages:
         need(kind)

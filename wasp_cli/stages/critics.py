@@ -51,7 +51,7 @@ class CriticsStage:
         found = heldout_pairs(critics, load_heldout(job.inputs["heldout"]), returns)
         judged = {name: quality(one) for name, one in found.items()}
         (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        reliability_picture(found, job.out_dir / "critics.png")
+        reliability_picture({f"V_{name}": one for name, one in found.items()}, job.out_dir / "critics.png")
         return {
             f"{figure}_{name}": None if value is None else round(value, 3)
             for name, one in judged.items()

@@ -1,15 +1,20 @@
 """Diffusion's denoiser of expert actions.
 
-Artifact: `denoiser.safetensors` (+ .json with the noise schedule).
+Artifact: `denoiser.safetensors` (+ .json with the noise schedule), `quality.json` and `quality.md` (on held-out episodes: how near the
+denoised commands are to the expert's actions and to the commands, see `learning.denoiser_quality`).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any, cast
 
 from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.stages.base import Job
+
+QUALITY_ROWS = 4000
+"""Held-out decisions at which the denoiser is judged."""
 
 
 class DenoiserStage:
@@ -22,17 +27,20 @@ class DenoiserStage:
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train on the expert's own actions at the states of its careful episodes."""
+        import numpy as np
         import torch
 
         from wasp_cli.learning.denoiser import train_denoiser
+        from wasp_cli.learning.denoiser_quality import denoiser_quality, noise_loss, quality_markdown
+        from wasp_cli.learning.draws import generator
         from wasp_cli.learning.expert import load_skill
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.replay import read_replay
+        from wasp_cli.learning.replay import HELD_OUT, read_replay
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 
         config = cast(DenoiserConfig, job.config)
-        replay = read_replay(job.inputs["dataset"], ["privileged", "cost_env", "first", "episode", "behaviour"])
+        replay = read_replay(job.inputs["dataset"], ["privileged", "action", "cost_env", "first", "episode", "behaviour"])
         with torch.inference_mode():
             labels = load_skill(job.inputs["expert"], 1.0)(torch.from_numpy(replay.privileged))
         latents = load_latents(job.inputs["world_model"])
@@ -45,4 +53,14 @@ class DenoiserStage:
             denoiser, job.out_dir / "denoiser.safetensors", features=features, action=labels.shape[1], hidden=list(config.hidden),
             steps=schedule.steps, schedule={"steps": config.steps, "beta_min": config.beta_min, "beta_max": config.beta_max},
         )  # fmt: skip
-        return summary
+        # The action at row i + 1 is what was executed at the state of row i.
+        held = torch.from_numpy(np.flatnonzero(replay.held_out(HELD_OUT)[:-1] & ~replay.first[1:].astype(bool)))
+        held = held[:: max(1, len(held) // QUALITY_ROWS)]
+        seen, source = latents.at(held).features, generator(derive("denoiser-quality", job.task, job.seed))
+        summary["heldout_noise_loss"] = noise_loss(denoiser, schedule, seen, labels[held], source)
+        recorded = torch.from_numpy(replay.action)[held + 1]
+        quality = denoiser_quality(denoiser, schedule, seen, labels[held], recorded, source)
+        (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
+        (job.out_dir / "quality.md").write_text(quality_markdown(quality))
+        asked, given = (quality["recorded"][ratio]["conformity"] for ratio in ("0", "0.4"))
+        return summary | {"off_expert": round(asked, 3), "off_expert_denoised": round(given, 3)}

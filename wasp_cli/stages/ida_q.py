@@ -1,10 +1,12 @@
 """IDA's Q ensemble: TD on real and noisy transitions for the expert policy.
 
-Artifact: `ensemble.safetensors` (+ .json).
+Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `quality.json` and `q.png` (Q of the expert's actions beside the
+discounted reward that followed on held-out episodes).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -18,13 +20,15 @@ class IDAQStage:
     kind = "ida_q"
     config = EnsembleConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies")
+    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train on the dataset's latents; say how far Q tells the expert's action from a random one."""
         import torch
 
-        from wasp_cli.learning.ensemble import train_ensemble
+        from wasp_cli.learning.critic_quality import quality, reliability_picture
+        from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
+        from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.replay import read_replay
@@ -36,8 +40,8 @@ class IDAQStage:
         latents = load_latents(job.inputs["world_model"])
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("ida-weights", job.task, job.seed))
-        seed = derive("ida", job.task, job.seed)
-        ensemble, summary = train_ensemble(skills, replay, latents, config, job.settings["returns"].gamma_r, seed, job.progress)
+        seed, gamma = derive("ida", job.task, job.seed), job.settings["returns"].gamma_r
+        ensemble, curve = train_ensemble(skills, replay, latents, config, gamma, seed, job.progress)
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
         arguments = {"members": config.members, "features": features, "action": replay.action.shape[1], "hidden": list(config.hidden)}
         save_weights(ensemble, job.out_dir / "ensemble.safetensors", **arguments)
@@ -45,4 +49,10 @@ class IDAQStage:
             seen = latents.at(torch.arange(0, len(latents.h), max(1, len(latents.h) // 2000))).features
             expert = skills.expert(seen)
             gap = (ensemble(seen, expert) - ensemble(seen, -expert)).mean()
-        return {**summary, "expert_over_opposite": float(gap)}
+        found = heldout_pairs(ensemble, load_heldout(job.inputs["heldout"]), gamma)
+        judged = quality(found)
+        (job.out_dir / "curve.json").write_text(json.dumps(curve))
+        (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
+        reliability_picture({"Q": found}, job.out_dir / "q.png")
+        told = {name: judged[name] for name in ("rank", "predicted_over_real", "cut_off")}
+        return {"td_loss": curve[-1], "expert_over_opposite": float(gap), **told}

@@ -1,10 +1,11 @@
 """SafeRL-Res: a residual policy trained in the real task through the filter.
 
-Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout).
+Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout), `curve.png`.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -23,6 +24,7 @@ class ResidualStage:
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train and store the mean residual."""
+        from wasp_cli.learning.learning_curve import draw_curve
         from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.residual import train_residual
         from wasp_cli.learning.trained import load_world_model
@@ -32,9 +34,14 @@ class ResidualStage:
         config = cast(ResidualConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
         task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
-        policy, curve = train_residual(task, model, load_skills(job.inputs["policies"]), config, job.task, job.seed, job.progress)
+        skills = json.loads((job.inputs["policies"] / "evaluation.json").read_text())["skills"]
+        expert = skills[max(skills, key=float)]["latent"]["return"]
+        policy, curve = train_residual(
+            task, model, load_skills(job.inputs["policies"]), config, job.task, job.seed, job.progress, expert_return=expert
+        )
         save_weights(
             policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)
         )
         (job.out_dir / "curve.json").write_text(finite_json(curve))
+        draw_curve(curve, config.cost_limit, job.out_dir / "curve.png")
         return {name: curve[-1][name] for name in ("interactions", "cost_per_1000", "multiplier")}

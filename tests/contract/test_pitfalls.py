@@ -1,0 +1,295 @@
+"""What the published code of shared autonomy got wrong, each as a check of ours. Their other halves: `test_operators`, `test_methods`.
+
+The numbers are those of a list of defects found in the public repositories of IDA, Diffusion, RSA and their kin.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import wasp_cli
+from tests.artifacts import tiny_artifacts
+from wasp_cli import seeds
+from wasp_cli.learning.assistants import build_assistant, load_parts
+from wasp_cli.learning.closed_loop import human
+from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
+from wasp_cli.methods.base import Heldout, Parts
+from wasp_cli.methods.configs import DiffusionConfig
+from wasp_cli.methods.diffusion import assist
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.metrics.episode import Trajectory, episode_metrics
+from wasp_cli.models.base import Latent
+from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
+from wasp_cli.operators.base import Operator
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.mixed import MixedOperator
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.report.statistics import over_seeds
+
+STEPS = 50
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
+
+
+def episode(a_h: np.ndarray, a: np.ndarray) -> Trajectory:
+    steps = len(a)
+    zeros, nan = np.zeros(steps, int), np.full(steps, np.nan)
+    return Trajectory(
+        reward=np.zeros(steps), cost=zeros > 0, cost_env=zeros, env_steps=np.full(steps, 4), goals=zeros, a_h=a_h, a=a, gate=zeros,
+        g_cost=nan, g_return=nan, delta_g=nan, signal=nan,
+    )  # fmt: skip
+
+
+def latents(parts: Parts, rows: int) -> Latent:
+    source = torch.Generator().manual_seed(3)
+    h = torch.randn(rows, 12, generator=source)
+    return Latent(h, torch.nn.functional.one_hot(torch.randint(4, (rows, 2), generator=source), 4).float().flatten(1))
+
+
+# -- 1: memory is cleared, and environments of a batch are impaired independently of each other
+
+
+def test_lag_of_a_new_episode_repeats_nothing_of_the_old_one() -> None:
+    policy = human_of(lambda f: f[:, :2])
+    laggy = build_operator("laggy", 1.0, policy, EpisodeNoise([1, 2]), 2)
+    first = laggy.command(torch.full((2, 2), 0.5))
+    laggy.reset(torch.tensor([False, True]))
+    again = laggy.command(torch.full((2, 2), -0.5))
+    assert torch.equal(again[0], first[0])
+    assert torch.equal(again[1], torch.full((2,), -0.5))
+
+
+def human_of(policy: object) -> object:
+    from wasp_cli.operators.base import Human
+
+    return Human(skill=lambda fraction: policy, action_size=2, decision_seconds=0.08)  # type: ignore[arg-type, return-value]
+
+
+def test_environments_of_a_batch_lag_at_their_own_times() -> None:
+    rows = 32
+    laggy = build_operator("laggy", 0.5, human_of(lambda f: f[:, :2]), EpisodeNoise(list(range(rows))), rows)  # type: ignore[arg-type]
+    issued = torch.stack([laggy.command(torch.full((rows, 2), t / STEPS)) for t in range(STEPS)])[..., 0]
+    repeats = (issued[1:] == issued[:-1]).float()
+    together = repeats.mean(1)  # of a batch that shares one draw, 0 or 1
+    assert together.min() > 0.2
+    assert together.max() < 0.8
+    assert torch.corrcoef(repeats.T)[~torch.eye(rows, dtype=torch.bool)].abs().mean() < 0.2
+
+
+def test_a_training_batch_of_saferl_holds_several_operators_at_once() -> None:
+    rows = 64
+    noise = EpisodeNoise(list(range(rows)))
+    operators = [
+        build_operator(name, value, human_of(lambda f: f[:, :2]), noise, rows)  # type: ignore[arg-type]
+        for name, values in ResidualConfig().operators.items()
+        for value in values
+    ]
+    mixed = MixedOperator(operators, noise, seed=1)
+    mixed.reset(torch.ones(rows, dtype=torch.bool))
+    assert len(set(mixed.choice.tolist())) > len(operators) / 2
+
+
+# -- 3, 4, 8: what counts as an intervention, and how large it is
+
+
+def test_an_intervention_on_one_component_counts() -> None:
+    a_h = np.zeros((4, 2))
+    a = a_h.copy()
+    a[1, 1] = 0.5
+    assert episode_metrics(episode(a_h, a), 1, 25.0).int_rate == 0.25
+
+
+def test_magnitude_is_rate_times_magnitude_of_the_intervened() -> None:
+    random = np.random.default_rng(0)
+    a_h = random.uniform(-1, 1, (STEPS, 2))
+    a = np.where(random.random((STEPS, 1)) < 0.3, random.uniform(-1, 1, (STEPS, 2)), a_h)
+    row = episode_metrics(episode(a_h, a), 1, 25.0)
+    assert row.mag == pytest.approx(row.int_rate * row.mag_int)
+
+
+def test_a_deviation_is_measured_between_bounded_actions(parts: Parts) -> None:
+    saferl = build_assistant("saferl", {}, parts)
+    latent = latents(parts, 8)
+    a_h = torch.ones(8, 2)
+    torch.nn.init.constant_(saferl.policy.net[-1].bias, 0.7)  # type: ignore[attr-defined]
+    with torch.inference_mode():
+        action = saferl.decide(latent, a_h, Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * 8), 8)).action
+    torch.nn.init.zeros_(saferl.policy.net[-1].bias)  # type: ignore[attr-defined]
+    assert torch.equal(action, a_h)  # pushing against a bound is no intervention
+
+
+# -- 5, 6: denominators and units
+
+
+def test_an_episode_that_runs_out_of_time_stays_in_the_mean() -> None:
+    a = np.zeros((STEPS, 2))
+    rows = [episode_metrics(episode(a, a), 1, 25.0) for _ in range(3)]
+    assert [row.success for row in rows] == [False] * 3
+    assert np.mean([row.success for row in rows]) == 0
+
+
+def test_the_spread_is_in_the_units_of_the_mean() -> None:
+    value = over_seeds([0.2, 0.4, 0.6])
+    assert (value.mean, value.sd) == (pytest.approx(0.4), pytest.approx(0.2))
+
+
+# -- 7: seeds
+
+
+def test_every_episode_has_its_own_world_and_all_methods_the_same_ones() -> None:
+    worlds = [seeds.layout_seed("goal1", seed, e) for seed in range(3) for e in range(30)]
+    assert len(set(worlds)) == 90
+    own = {seeds.method_seed("goal1", "laggy", 0.7, 0, e, m) for e in range(30) for m in METHODS}
+    assert len(own) == 30 * len(METHODS)
+
+
+# -- 9: Diffusion
+
+
+def test_the_reverse_chain_undoes_as_many_steps_as_were_taken() -> None:
+    """With the exact noise as its prediction, a chain without draws returns the action that was diffused."""
+    schedule = NoiseSchedule(50, 1e-4, 0.26)
+    clean = torch.tensor([[0.3, -0.6]])
+    for ratio in (0.1, 0.4, 0.6):
+        k = schedule.forward_level(ratio)
+        assert k == math.floor(49 * ratio + 1e-9)
+        levels: list[int] = []
+
+        class Exact(Denoiser):
+            def __init__(self) -> None:
+                torch.nn.Module.__init__(self)
+
+            def forward(self, features: torch.Tensor, noisy: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
+                levels.append(int(level))  # noqa: B023  (called within the loop)
+                alpha_bar = schedule.alpha_bar[level].unsqueeze(-1)
+                return (noisy - alpha_bar.sqrt() * clean) / (1 - alpha_bar).sqrt()
+
+        draws = torch.zeros(k + 1, 1, 2)
+        draws[0] = torch.tensor([[1.3, -0.2]])
+        found = assist(Exact(), schedule, torch.zeros(1, 1), clean, k, draws)
+        assert levels == list(range(k - 1, -1, -1))
+        torch.testing.assert_close(found, clean, atol=1e-4, rtol=0)
+
+
+def test_noise_at_the_last_reverse_step_changes_every_command_and_is_off() -> None:
+    schedule = NoiseSchedule(10, 1e-4, 0.26)
+    torch.manual_seed(0)
+    denoiser = Denoiser(3, 2, [8], 10)
+    source = torch.Generator().manual_seed(1)
+    features, a_h, draws = (torch.randn(*shape, generator=source) for shape in ((6, 3), (6, 2), (5, 6, 2)))
+    clean, noisy = (assist(denoiser, schedule, features, a_h.clamp(-1, 1), 4, draws, last) for last in (False, True))
+    free = clean.abs() < 1
+    torch.testing.assert_close((noisy - clean)[free & (noisy.abs() < 1)], (schedule.beta[0].sqrt() * draws[4])[free & (noisy.abs() < 1)])
+    assert not DiffusionConfig().last_noise
+
+
+# -- 10: an unimpaired expert is left alone
+
+
+class Nearness(torch.nn.Module):
+    """Q_k: the nearer to the expert the better, to each member by another measure."""
+
+    def __init__(self, expert: torch.nn.Module) -> None:
+        super().__init__()
+        self.expert = expert
+
+    def forward(self, features: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        weight = torch.tensor([[1.0, 1.0], [1.5, 0.5], [0.5, 1.5]]).unsqueeze(1)
+        return -(weight * (action - self.expert(features)).square()).sum(-1)
+
+
+@pytest.mark.parametrize("copilot", ["expert", "diffusion"])
+def test_ida_overrules_an_exploring_expert_in_one_decision_of_twenty_and_the_expert_itself_no_more(parts: Parts, copilot: str) -> None:
+    rows = 1000
+    latent, zeros = latents(parts, rows), torch.zeros(rows)
+    expert = parts.skills.expert(latent.features)
+    heldout = Heldout(latent, expert, zeros, zeros, zeros.long(), zeros)
+    operator = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * rows), rows)
+    made = build_assistant("ida", {"copilot": copilot, "ratio": 0.2}, parts)
+    made.ensemble = Nearness(parts.skills.expert)  # type: ignore[attr-defined]
+
+    def overruled(command: torch.Tensor) -> float:
+        made.reset(torch.ones(rows, dtype=torch.bool), list(range(rows)))
+        return float((made.decide(latent, command, operator).action != command).any(-1).float().mean())
+
+    noise = torch.randn(rows, 2, generator=torch.Generator().manual_seed(9))
+    with torch.inference_mode():
+        found = made.calibrate(heldout, zeros, operator, 5)  # type: ignore[attr-defined]
+        unimpaired, exploring, bad = overruled(expert), overruled((expert + 0.25 * noise).clamp(-1, 1)), overruled(-expert.sign())
+    assert found["expert_rate"] <= 0.05
+    assert unimpaired <= (0.0 if copilot == "expert" else 0.05)
+    assert exploring <= 0.08
+    assert exploring > 0.02 or copilot == "diffusion"  # an untrained denoiser proposes little that is better
+    assert bad > 0.5
+
+
+@pytest.mark.parametrize(("vote", "needed"), [(0.99, 3), (0.3, 2), (0.4, 3), (-0.5, 1)])
+def test_tau_q_is_the_margin_at_which_the_vote_tips(parts: Parts, vote: float, needed: int) -> None:
+    made = build_assistant("ida", {"vote": vote}, parts)
+    advantage = torch.randn(3, 400, generator=torch.Generator().manual_seed(2))
+    tips = made._tips(advantage)  # type: ignore[attr-defined]
+    torch.testing.assert_close(tips, advantage.sort(0, descending=True).values[needed - 1])
+    for margin in (tips - 1e-4, tips + 1e-4):
+        assert torch.equal((advantage - margin).sign().mean(0) > vote, margin < tips)
+
+
+def test_methods_without_a_threshold_of_their_own_leave_the_expert_s_command(parts: Parts) -> None:
+    latent = latents(parts, 50)
+    expert = parts.skills.expert(latent.features)
+    operator = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * 50), 50)
+    with torch.inference_mode():
+        for name in ("human", "expert", "saferl"):
+            assert torch.equal(build_assistant(name, {}, parts).decide(latent, expert, operator).action, expert)
+
+
+# -- 12: the residual before training
+
+
+def test_the_residual_is_exactly_zero_before_training(parts: Parts) -> None:
+    from wasp_cli.models.residual import ResidualPolicy
+
+    policy = ResidualPolicy(7, 2, [8, 8])
+    assert torch.equal(policy(torch.randn(20, 7), torch.rand(20, 2)), torch.zeros(20, 2))
+
+
+# -- 13: thresholds stay with the rows
+
+
+def test_the_thresholds_in_force_are_what_a_row_stores(tmp_path: Path) -> None:
+    from wasp_cli.stages.evaluate import thresholds_of
+
+    folders = tiny_artifacts(tmp_path)
+    (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.7, "tau_c": 0.9}))
+    parts = load_parts(folders, ReturnsConfig())
+    assert thresholds_of(build_assistant("ida", {}, parts)).tau_q == 0.7
+    assert thresholds_of(build_assistant("filter", {}, parts)).tau_c == 0.9
+    assert thresholds_of(build_assistant("filter", {"tau_c": 0.4}, parts)).tau_c == 0.4
+    assert thresholds_of(build_assistant("wasp", {}, parts)).tau_r == 0.1
+
+
+# -- 14: nothing that stops, phones home or needs a GPU
+
+
+def test_no_module_holds_a_debugger_a_network_logger_an_absolute_path_or_a_fixed_gpu() -> None:
+    for path in Path(wasp_cli.__file__).parent.rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = [alias.name for alias in node.names] + ([node.module or ""] if isinstance(node, ast.ImportFrom) else [])
+                assert not {name.split(".")[0] for name in names} & {"pdb", "ipdb", "wandb", "comet_ml", "neptune"}, path
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in ("breakpoint", "set_trace"), path
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                assert node.func.attr != "cuda", path
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert not node.value.startswith(("/home/", "/Users/", "C:\\")), path

@@ -1,0 +1,128 @@
+"""The safety filter against a world in which the danger of an action is known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from wasp_cli.methods.base import Heldout
+from wasp_cli.methods.configs import FilterConfig
+from wasp_cli.methods.filter import SafetyFilter
+from wasp_cli.methods.noise import DecisionNoise
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import Operator
+from wasp_cli.operators.noise import EpisodeNoise
+
+GAMMA = 0.9
+
+
+class Slope:
+    """A step costs with probability h + 0.4 a_0 (within [0, 1]); noise of the latent moves it by nothing or, when asked, by a little."""
+
+    action_size, noise_size = 2, 3
+
+    def __init__(self, shake: float = 0.0) -> None:
+        self.shake = shake
+
+    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
+        return Latent(latent.h + 0.4 * action[:, :1] + self.shake * noise[:, :1], latent.z)
+
+    def cost(self, latent: Latent) -> Tensor:
+        return latent.h[..., 0].clamp(0, 1)
+
+    def continues(self, latent: Latent) -> Tensor:
+        return torch.ones(len(latent.h))
+
+
+def made(value: float = 0.0, shake: float = 0.0, **settings: Any) -> SafetyFilter:
+    """A filter on that world, with V_c the same everywhere."""
+    made = object.__new__(SafetyFilter)
+    made.config = FilterConfig(**settings)
+    made.model, made.gamma_c = Slope(shake), GAMMA  # type: ignore[assignment]
+    made.critics = SimpleNamespace(value_c=lambda latent: torch.full((len(latent.h),), value))  # type: ignore[assignment]
+    made.tau_c = 0.5 if made.config.tau_c == "calibrated" else float(made.config.tau_c)
+    made.noise = DecisionNoise()
+    return made
+
+
+def decide(filter_: SafetyFilter, h: Tensor, a_h: Tensor) -> tuple[Tensor, Any]:
+    rows = len(h)
+    filter_.reset(torch.ones(rows, dtype=torch.bool), list(range(rows)))
+    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * rows), rows)
+    decision = filter_.decide(Latent(h.unsqueeze(-1), torch.zeros(rows, 1)), a_h, operator)
+    return decision.action, decision.record
+
+
+def test_the_signal_is_the_cost_of_the_next_step_and_what_the_critic_expects_behind_it() -> None:
+    _, record = decide(made(value=2.0), torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
+    assert record.signal.item() == pytest.approx(0.3 + 0.4 * 0.5 + GAMMA * 2.0)
+
+
+def test_nothing_costs_behind_the_end_of_an_episode() -> None:
+    filter_ = made(value=2.0)
+    filter_.model.continues = lambda latent: torch.zeros(len(latent.h))  # type: ignore[method-assign]
+    _, record = decide(filter_, torch.tensor([0.3]), torch.tensor([[0.5, 0.0]]))
+    assert record.signal.item() == pytest.approx(0.5)
+
+
+def test_a_safe_command_stands_bit_for_bit() -> None:
+    a_h = torch.tensor([[0.123, -0.456], [-1.0, 1.0]])
+    action, record = decide(made(tau_c=0.9), torch.tensor([0.3, 0.5]), a_h)
+    assert torch.equal(action, a_h)
+    assert record.gate.tolist() == [0, 0]
+
+
+def test_an_unsafe_command_is_moved_no_further_than_the_threshold_asks_for() -> None:
+    h, a_h = torch.tensor([0.5, 0.3, 0.6]), torch.tensor([[1.0, 0.3], [0.9, -0.2], [0.5, 0.0]])
+    action, record = decide(made(tau_c=0.6, segment=400), h, a_h)
+    assert record.gate.tolist() == [3, 3, 3]
+    # Brute force along the same line: all safest actions have a_0 = -1.
+    wanted = (0.6 - h) / 0.4
+    assert torch.all(action[:, 0] <= wanted + 1e-6)
+    torch.testing.assert_close(action[:, 0], wanted, atol=2.5 * 2 / 400, rtol=0)
+    # It stays on the segment to a corner: as far towards it in every component.
+    share = (a_h[:, 0] - action[:, 0]) / (a_h[:, 0] + 1)
+    corner = (action[:, 1] - (1 - share) * a_h[:, 1]) / share
+    assert torch.all(corner.abs() <= 1 + 1e-4)
+
+
+def test_where_no_action_is_safe_the_safest_is_executed() -> None:
+    action, _ = decide(made(tau_c=0.1), torch.tensor([0.9]), torch.tensor([[1.0, 0.0]]))
+    assert action[0, 0] == -1
+
+
+def test_every_action_of_a_decision_meets_the_same_noise() -> None:
+    filter_ = made(shake=0.2, rollouts=4)
+    filter_.reset(torch.ones(1, dtype=torch.bool), [5])
+    draws = filter_._draws(filter_.noise.next())
+    latent = Latent(torch.tensor([[0.2]]), torch.zeros(1, 1))
+    actions = torch.tensor([[[0.0, 0.0], [0.5, 0.0]]])
+    q = filter_.q_c(latent, actions, draws)
+    alone = [filter_.q_c(latent, actions[:, i : i + 1], draws)[0, 0] for i in range(2)]
+    torch.testing.assert_close(q[0], torch.stack(alone))
+    noise = 0.2 * draws[0, :, 0]
+    wanted = [(0.2 + 0.4 * a + noise).clamp(0, 1).mean() for a in (0.0, 0.5)]
+    torch.testing.assert_close(q[0], torch.stack(wanted))
+
+
+def test_the_threshold_is_a_quantile_over_what_was_harmless() -> None:
+    rows = 200
+    h = torch.linspace(0, 0.8, rows)
+    harmless = torch.arange(rows) % 2 == 0
+    ahead = torch.where(harmless, 0.0, 3.0)
+    ahead[:10] = torch.nan  # too near to the end of their episode to know
+    zeros = torch.zeros(rows)
+    heldout = Heldout(Latent(h.unsqueeze(-1), torch.zeros(rows, 1)), torch.zeros(rows, 2), zeros, zeros, zeros.long(), zeros)
+    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * rows), rows)
+    filter_ = made(quantile=0.8)
+    found = filter_.calibrate(heldout, ahead, operator, 3)
+    kept = h[(ahead == 0)]
+    assert found["tau_c"] == pytest.approx(float(torch.quantile(kept, 0.8)), abs=1e-6)
+    assert filter_.tau_c == found["tau_c"]
+    assert found["expert_rate"] == pytest.approx(float((h > found["tau_c"]).float().mean()))
+    fixed = made(tau_c=0.7)
+    assert fixed.calibrate(heldout, ahead, operator, 3)["tau_c"] == 0.7

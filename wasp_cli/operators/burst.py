@@ -1,0 +1,48 @@
+"""Noisy operator, mode `burst`: random commands come in bursts, a Markov chain that is on or off (after IDA's operators)."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from wasp_cli.operators.base import Human, Memory, Operator
+from wasp_cli.operators.noise import NoiseSource
+
+MEAN_BURST = 10.0
+"""Decisions; IDA stops a burst with probability 0.1."""
+
+
+class BurstNoiseOperator(Operator):
+    """See the module; the severity `epsilon` is the share of the decisions within bursts, from the first decision of an episode on."""
+
+    noise_size = 1
+    draws_action = True
+    epsilon: float
+
+    @classmethod
+    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
+        operator = super().build(value, human, noise, batch)
+        operator.epsilon = value
+        return operator
+
+    def initial(self, batch: int) -> Memory:
+        return {"burst": torch.zeros(batch, 1, dtype=torch.bool), "started": torch.zeros(batch, 1, dtype=torch.bool)}
+
+    def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
+        start, stop = burst_rates(self.epsilon)
+        on = torch.where(memory["burst"], uniforms[:, :1] >= stop, uniforms[:, :1] < start)
+        on = torch.where(memory["started"], on, uniforms[:, :1] < self.epsilon)  # an episode begins as it goes on
+        return torch.where(on, 2 * uniforms[:, 1:] - 1, intended), {"burst": on, "started": torch.ones_like(on)}
+
+
+def burst_rates(share: float) -> tuple[float, float]:
+    """Probabilities per decision that a burst starts and that it stops, for a `share` of the decisions in bursts.
+
+    Bursts last MEAN_BURST decisions on average, longer where so large a share leaves no room between them.
+    """
+    if share >= 1.0:
+        return 1.0, 0.0
+    stop = min(1.0 / MEAN_BURST, (1.0 - share) / share) if share > 0.0 else 1.0 / MEAN_BURST
+    return stop * share / (1.0 - share), stop

@@ -1,0 +1,29 @@
+"""Noisy operator, mode `gaussian`: Gaussian noise is added to every intended command."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from wasp_cli.operators.base import Human, Memory, Operator
+from wasp_cli.operators.noise import NoiseSource
+
+
+class GaussianNoiseOperator(Operator):
+    """See the module; the severity is the standard deviation `sigma` in units of the command, which stays within its bounds."""
+
+    draws_action = True
+    sigma: float
+
+    @classmethod
+    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
+        operator = super().build(value, human, noise, batch)
+        operator.sigma = value
+        return operator
+
+    def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
+        # Uniforms are what every source of noise offers; 0 itself would be minus infinity.
+        normals = torch.special.ndtri(uniforms.double().clamp(min=1e-12)).to(intended.dtype)
+        return (intended + self.sigma * normals).clamp(-1, 1), memory
