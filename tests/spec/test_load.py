@@ -74,7 +74,8 @@ def test_counts_may_be_written_like_people_do() -> None:
     ("addition", "place", "message", "hint"),
     [
         ("wasp:\n  candidats: 64\n", (9, 3), "unknown key 'candidats'", "did you mean 'candidates'?"),
-        ("candidates: 64\n", (8, 1), "unknown key 'candidates'", "did you mean 'wasp.candidates'?"),
+        ("candidates: 64\n", (8, 1), "unknown key 'candidates'", "did you mean 'wasp.candidates' or 'filter.candidates'?"),
+        ("probe: 6\n", (8, 1), "unknown key 'probe'", "did you mean 'wasp.probe'?"),
         ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' stands at the top, outside every section"),
         ("wasp: {tau_r: calib}\n", (8, 15), "should be a number or 'calibrated', not 'calib'", "did you mean 'calibrated'?"),
         ("wasp: {alpha: '0.1'}\n", (8, 15), "should be a number, not '0.1'", None),
