@@ -248,7 +248,12 @@ class EnsembleConfig(Config):
     updates: int = assumed(4000, "gradient steps", ge=1)
     batch: int = assumed(256, "transitions per update", ge=1)
     learning_rate: float = assumed(3e-4, "Adam", gt=0.0)
-    target_rate: float = assumed(0.01, "share of the online network that enters the target per update", gt=0.0, le=1.0)
+    target_rate: float = assumed(
+        0.05,
+        "share of the online network that enters the target per update: a reward travels back one decision in 1 / rate updates",
+        gt=0.0,
+        le=1.0,
+    )
 
 
 class DenoiserConfig(Config):
@@ -291,13 +296,16 @@ class ResidualConfig(Config):
     gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
     hidden: Layers = assumed((128, 128), "layers of actor and value network")
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
-    log_std_init: float = assumed(-1.6, "initial exploration of the residual")
+    log_std_init: float = assumed(
+        -0.4,
+        "initial exploration of the residual: motors saturate, and small residuals to a full command change nothing that could be learned",
+    )
     alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
     cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
     value_warmup: float = assumed(0.02, "share of the interactions that train only the value function", ge=0.0, lt=1.0)
     multiplier_delay: float = assumed(0.05, "share of the interactions before the multiplier moves", ge=0.0, lt=1.0)
-    multiplier_init: float = assumed(0.3, "penalty per costly decision step", ge=0.0)
-    multiplier_lr: float = assumed(0.05, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_init: float = assumed(1.0, "penalty per costly decision step; in mode rsa the weight of the return", ge=0.0)
+    multiplier_lr: float = assumed(0.1, "step of the multiplier per update and unit of relative excess", ge=0.0)
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
     operators: dict[str, tuple[float, ...]] = assumed(LADDER, "operators mixed per episode", min_length=1)
 
