@@ -42,11 +42,23 @@ def spec_with(tmp_path: Path, old: str, new: str) -> Path:
 def test_help_names_every_command_and_an_example() -> None:
     done = wasp("--help")
     assert done.returncode == 0
-    for word in ("run", "plan", "check", "report", "ablate", "explain", "bench", "tasks", "doctor", "wasp run specs/quickstart.yaml"):
+    for word in (
+        "run",
+        "plan",
+        "check",
+        "report",
+        "ablate",
+        "operators",
+        "explain",
+        "bench",
+        "tasks",
+        "doctor",
+        "wasp run specs/quickstart.yaml",
+    ):
         assert word in done.stdout
 
 
-@pytest.mark.parametrize("command", ["run", "plan", "check", "report", "ablate", "explain", "bench", "tasks", "doctor"])
+@pytest.mark.parametrize("command", ["run", "plan", "check", "report", "ablate", "operators", "explain", "bench", "tasks", "doctor"])
 def test_every_command_has_help(command: str) -> None:
     done = wasp(command, "--help")
     assert done.returncode == 0

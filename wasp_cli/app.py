@@ -11,7 +11,18 @@ import typer
 from wasp_cli import __version__
 from wasp_cli.app_bench import bench_app
 from wasp_cli.app_explain import explain_app
-from wasp_cli.options import JobsOption, ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, folder_of, print_json
+from wasp_cli.app_operators import operators_app
+from wasp_cli.options import (
+    JobsOption,
+    ResultsOption,
+    SetOption,
+    SpecArgument,
+    TaskOption,
+    expected_errors,
+    folder_of,
+    print_json,
+    require_cells,
+)
 
 if TYPE_CHECKING:
     from wasp_cli.plan.cell import Cell
@@ -183,6 +194,7 @@ tasks_app = typer.Typer(
 app.add_typer(tasks_app, name="tasks")
 app.add_typer(bench_app, name="bench")
 app.add_typer(explain_app)
+app.add_typer(operators_app)
 
 
 @tasks_app.callback()
@@ -257,17 +269,8 @@ def _run_and_report(loaded: Loaded, results: Path, jobs: int | None) -> None:
     grid = session.plan.grid
     report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid))
     session.require_complete()
-    _require_cells(report)
-
-
-def _require_cells(report: Report | None) -> None:
-    """Raise CellsFailed when a cell has no readable rows, though its node ended well."""
-    from wasp_cli.errors import CellsFailed
-
-    if report is not None and report.missing:
-        named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in report.missing[:10])
-        more = f"\n  and {len(report.missing) - 10} more" if len(report.missing) > 10 else ""
-        raise CellsFailed(f"{len(report.missing)} cells cannot be read:\n{named}{more}")
+    if report is not None:
+        require_cells(report.missing)
 
 
 def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]]) -> Report:

@@ -7,6 +7,7 @@
     ├── SourceChanged               1   the code changed while a run was going
     ├── TaskError                   1   a task was driven wrongly (bad action, step after the end)
     ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
+    ├── NotAccepted                 1   what was measured does not keep the rule that it is held against
     ├── UsageError                  2   a command-line argument is wrong
     │   └── UnknownName             2   a name that no registry knows
     ├── SpecError                   3   a spec does not read or does not validate
@@ -58,6 +59,10 @@ class TaskError(WaspError):
 
 class TrainingError(WaspError):
     """A learning stage cannot go on: a non-finite loss, or data without what it needs."""
+
+
+class NotAccepted(WaspError):
+    """What was measured does not keep the rule that it is held against."""
 
 
 class UsageError(WaspError):

@@ -1,15 +1,18 @@
-"""What the commands share: their options, and how expected errors end them."""
+"""What the commands share: their options, how expected errors end them, and what a run without some of its rows ends with."""
 
 from __future__ import annotations
 
 import functools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 
 import typer
+
+if TYPE_CHECKING:
+    from wasp_cli.report.frame import Missing
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -85,6 +88,16 @@ def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
             raise typer.Exit(INTERRUPTED) from None
 
     return wrapped
+
+
+def require_cells(missing: Sequence[Missing]) -> None:
+    """Raise CellsFailed when a cell has no readable rows, though its node ended well."""
+    from wasp_cli.errors import CellsFailed
+
+    if missing:
+        named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
+        more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
+        raise CellsFailed(f"{len(missing)} cells cannot be read:\n{named}{more}")
 
 
 def print_json(value: Any) -> None:

@@ -108,10 +108,9 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
         parts: what it trains, each with the key of its artifact.
     """
     layout = Layout(results)
-    damaged: list[str] = []
-    failures = {key: text for _, key in [*cells, *parts] if (text := _failure(layout, key, damaged))}
-    blocked = _blocked(layout, spec, damaged)
-    frame = read_frame(_wanted(layout, cell, key, failures.get(key), blocked.get(key)) for cell, key in cells)
+    wanted, damaged = wanted_cells(layout, spec, cells)
+    failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
+    frame = read_frame(wanted)
     roots = [*(("evaluate", key) for _, key in cells), *((part.kind, key) for part, key in parts)]
     trained, unreadable = trained_artifacts(layout, roots)
     front = [main_table(frame)] if cells else []
@@ -131,6 +130,14 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
         assumptions=tuple(assumptions_in_force(spec)),
         damaged=tuple(damaged),
     )
+
+
+def wanted_cells(layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> tuple[list[Wanted], list[str]]:
+    """The cells of a run with their places, and with what is known of why they are not there; and which records do not read."""
+    damaged: list[str] = []
+    failures = {key: _failure(layout, key, damaged) for _, key in cells}
+    blocked = _blocked(layout, spec, damaged)
+    return [_wanted(layout, cell, key, failures[key], blocked.get(key)) for cell, key in cells], damaged
 
 
 def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
