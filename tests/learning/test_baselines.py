@@ -1,0 +1,203 @@
+"""What the baselines learn from: their own objectives, on problems whose answer is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.artifacts import tiny_artifacts
+from tests.learning.recordings import replay
+from tests.learning.test_loops import Staggered
+from wasp_cli.errors import TrainingError
+from wasp_cli.learning.assistants import load_parts
+from wasp_cli.learning.configs import DenoiserConfig, EnsembleConfig, ResidualConfig, ReturnsConfig
+from wasp_cli.learning.critic_quality import pairs
+from wasp_cli.learning.denoiser import train_denoiser
+from wasp_cli.learning.denoiser_quality import denoiser_quality, noise_loss, quality_markdown
+from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
+from wasp_cli.learning.lagrangian import ReturnRule
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.residual import AssistedTask, huber, train_residual
+from wasp_cli.methods.base import Heldout, Parts
+from wasp_cli.models.base import Latent
+from wasp_cli.models.denoiser import NoiseSchedule
+from wasp_cli.models.policy import Skills
+from wasp_cli.stages.base import no_progress
+
+EPISODES = (40,) * 30
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
+
+
+@pytest.fixture(scope="module")
+def data() -> tuple[Replay, Latents]:
+    recorded = replay(EPISODES)
+    recorded.cost_env[:] = 0
+    source = torch.Generator().manual_seed(4)
+    rows = len(recorded.first)
+    return recorded, Latents(torch.randn(rows, 4, generator=source), torch.zeros(rows, 1, dtype=torch.uint8), 2)
+
+
+# -- Diffusion
+
+
+def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_does_so_more(data: tuple[Replay, Latents]) -> None:
+    recorded, latents = data
+    expert = latents.h[:, :2].tanh()  # what the expert does is in the latent
+    torch.manual_seed(0)
+    config = DenoiserConfig(updates=1500, batch=256, hidden=(64, 64), ema=0.99)
+    denoiser, schedule, summary = train_denoiser(recorded, expert, latents, config, 1, no_progress)
+    source = torch.Generator().manual_seed(2)
+    held = torch.from_numpy(np.flatnonzero(recorded.held_out(0.1)))
+    features = latents.at(held).features
+    assert noise_loss(denoiser, schedule, features, expert[held], source) < 0.5  # predicting no noise at all scores 1
+    found = denoiser_quality(denoiser, schedule, features, expert[held], torch.zeros(len(held), 2), source)
+    by_ratio = [found["uniform"][ratio] for ratio in ("0", "0.2", "0.4", "0.6")]
+    assert by_ratio[0]["fidelity"] == 0.0
+    assert [row["conformity"] for row in by_ratio] == sorted((row["conformity"] for row in by_ratio), reverse=True)
+    assert [row["fidelity"] for row in by_ratio] == sorted(row["fidelity"] for row in by_ratio)
+    assert by_ratio[2]["conformity"] < 0.7 * by_ratio[0]["conformity"]
+    assert found["expert"]["0"]["conformity"] == 0.0
+    assert summary["demonstrations"] == sum(recorded.episode[recorded.behaviour == "expert"] % 10 != 9)
+    assert quality_markdown(found).count("\n") == 2 + 3 * 5
+
+
+def test_predicting_no_noise_at_all_scores_one() -> None:
+    class Nothing(torch.nn.Module):
+        def forward(self, features: torch.Tensor, noisy: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
+            return torch.zeros_like(noisy)
+
+    source = torch.Generator().manual_seed(2)
+    loss = noise_loss(Nothing(), NoiseSchedule(50, 1e-4, 0.26), torch.zeros(20000, 1), torch.zeros(20000, 2), source)  # type: ignore[arg-type]
+    assert loss == pytest.approx(1.0, abs=0.03)
+
+
+# -- IDA
+
+
+def test_an_ensemble_learns_what_an_action_is_worth_under_the_expert(data: tuple[Replay, Latents]) -> None:
+    """The reward of an action is 1 - (a_0 - x)^2 at a latent that begins with x; the expert does nothing."""
+    recorded, latents = data
+    x = latents.h[:, 0].clamp(-1, 1)
+    reward = np.zeros_like(recorded.reward)
+    reward[1:] = 1 - (recorded.action[1:, 0] - x.numpy()[:-1]) ** 2
+    told = recorded._replace(reward=reward)
+    skills = Skills([1.0], 6, [4], 2)
+    torch.nn.init.zeros_(skills.expert.net[-1].weight)  # type: ignore[arg-type]
+    torch.nn.init.zeros_(skills.expert.net[-1].bias)  # type: ignore[arg-type]
+    torch.manual_seed(0)
+    config = EnsembleConfig(members=3, hidden=(64, 64), updates=2500, batch=128, learning_rate=1e-3, target_rate=0.05)
+    gamma = 0.5
+    ensemble, curve = train_ensemble(skills, told, latents, config, gamma, 1, no_progress)
+    assert curve[-1] < 0.3 * curve[0]
+    index = torch.arange(0, len(x), 7)
+    features, at = latents.at(index).features, x[index]
+    good, bad = at.unsqueeze(-1).expand(-1, 2) * torch.tensor([1.0, 0.0]), torch.stack([-at.sign(), 0 * at], -1)
+    gain = (ensemble(features, good) - ensemble(features, bad)).mean(0)
+    wanted = (bad[:, 0] - at) ** 2
+    assert np.corrcoef(gain.detach(), wanted)[0, 1] > 0.9
+    # What follows is the expert's: 1 - E x^2, every other decision half as much.
+    later = gamma / (1 - gamma) * float(1 - x.square().mean())
+    assert float(ensemble(features, good).mean()) == pytest.approx(1 + later, abs=0.2)
+
+
+def test_q_is_judged_by_what_really_followed() -> None:
+    rows = 60
+    source = torch.Generator().manual_seed(5)
+    reward, zeros = torch.rand(rows, generator=source), torch.zeros(rows)
+    episode = torch.arange(rows) // 20
+    latent = Latent(torch.randn(rows, 3, generator=source), torch.zeros(rows, 1))
+    heldout = Heldout(latent, torch.zeros(rows, 2), reward, zeros, episode, zeros)
+
+    class Sum(torch.nn.Module):
+        def forward(self, features: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+            return torch.stack([features.sum(-1), features.sum(-1) + 2.0])
+
+    found = heldout_pairs(Sum(), heldout, 0.8)  # type: ignore[arg-type]
+    q = (latent.features.sum(-1) + 1.0).double().numpy()
+    wanted = pairs(q, reward.double().numpy(), episode.numpy(), zeros.numpy(), 0.8)
+    np.testing.assert_allclose(found.predicted, wanted.predicted, rtol=1e-5)
+    np.testing.assert_array_equal(found.real, wanted.real)
+
+
+# -- SafeRL-Res
+
+SMALL = ResidualConfig(
+    interactions=4000, envs=4, rollout=64, batch=64, hidden=(16,), learning_rate=3e-3, gamma=0.5, log_std_init=-0.5, alpha=0.01,
+    value_warmup=0.0, multiplier_delay=0.0, multiplier_init=0.0, operators={"noisy": (0.2,)},
+)  # fmt: skip
+
+
+def pushes(parts: Parts, config: ResidualConfig, expert_return: float = math.nan) -> tuple[float, float, list[dict[str, float]]]:
+    """Mean of the residual's components after training in a task that pays the first component of the action."""
+    policy, curve = train_residual(
+        Staggered(4), parts.world_model, parts.skills, config, "t", 0, no_progress, expert_return=expert_return  # type: ignore[arg-type]
+    )  # fmt: skip
+    with torch.inference_mode():
+        mean = policy(torch.randn(500, parts.world_model.feature_size), torch.rand(500, 2) - 0.5).mean(0)
+    return float(mean[0]), float(mean[1]), curve
+
+
+def test_the_lagrangian_residual_learns_what_pays(parts: Parts) -> None:
+    first, second, curve = pushes(parts, SMALL.model_copy(update={"cost_limit": 1e6}))
+    assert first > 0.3
+    assert abs(second) < first / 2
+    assert np.nanmean([row["return"] for row in curve[-4:]]) > np.nanmean([row["return"] for row in curve[:4]]) + 0.5
+
+
+def test_rsa_does_no_more_than_the_least_return_asks_for(parts: Parts) -> None:
+    rsa = SMALL.model_copy(update={"mode": "rsa", "multiplier_lr": 0.3, "multiplier_init": 2.0, "interactions": 3000})
+    content, _, calm = pushes(parts, rsa, expert_return=1e-3)
+    asked, _, eager = pushes(parts, rsa, expert_return=10.0)
+    assert eager[-1]["multiplier"] > 1.0 > calm[-1]["multiplier"]
+    assert asked > 0.2
+    assert abs(content) < asked / 2
+
+
+@pytest.mark.parametrize("expert_return", [math.nan, 0.0, -3.0])
+def test_rsa_asks_for_a_share_of_a_positive_return(parts: Parts, expert_return: float) -> None:
+    with pytest.raises(TrainingError, match="mode rsa asks for"):
+        pushes(parts, SMALL.model_copy(update={"mode": "rsa"}), expert_return)
+
+
+def test_both_objectives_against_their_formulas(parts: Parts) -> None:
+    commands = torch.tensor([[0.9, -0.5], [0.2, 0.1], [-1.0, 0.0]])
+    action = np.array([[0.5, 0.1], [-1.6, 0.3], [-0.2, 0.0]], np.float32)
+    delta = np.clip(commands.numpy() + action, -1, 1) - commands.numpy()  # what is penalised is what is executed
+    for mode in ("lagrangian", "rsa"):
+        config = SMALL.model_copy(update={"mode": mode, "alpha": 0.3})
+        env = AssistedTask(Staggered(3), parts.world_model, parts.skills, config, "t", 0)  # type: ignore[arg-type]
+        env.normalise = True
+        env.reset()
+        env._command, env.multiplier = commands, 0.7
+        executed, penalty = env.execute(action)
+        env.task.step(executed)
+        step = env.task.step(executed)  # the second step of every row costs
+        norm = np.linalg.norm(delta, axis=1)
+        if mode == "lagrangian":
+            wanted = (step.reward - 0.3 * norm**2 - 0.7 * step.cost) / 1.7
+        else:
+            wanted = (0.7 * step.reward - np.where(norm <= 1, norm**2 / 2, norm - 0.5)) / 1.7
+        np.testing.assert_allclose(env.objective(step, penalty), wanted, rtol=1e-5)
+        assert step.cost.any()
+
+
+def test_the_huber_norm_is_smooth_at_its_joint() -> None:
+    assert huber(np.array([0.0, 0.5, 1.0, 3.0])) == pytest.approx([0.0, 0.125, 0.5, 2.5])
+
+
+def test_the_multiplier_of_a_least_return_rises_below_it_and_falls_above() -> None:
+    rule = ReturnRule(0.5, 0.2, 1.0, least=10.0)
+    assert rule.next(0.5, 5.0) == pytest.approx(0.6)
+    assert rule.next(0.5, 20.0) == pytest.approx(0.3)
+    assert rule.next(0.1, 30.0) == 0.0
+    assert rule.next(0.95, -10.0) == 1.0
+    with pytest.raises(ValueError, match="positive"):
+        ReturnRule(0.5, 0.2, 1.0, least=0.0)
