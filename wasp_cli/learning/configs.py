@@ -263,11 +263,16 @@ class DenoiserConfig(Config):
     beta_min: float = assumed(1e-4, "first beta of the sigmoid schedule", gt=0.0, lt=1.0)
     beta_max: float = assumed(0.26, "last beta of the sigmoid schedule", gt=0.0, lt=1.0)
     hidden: Layers = assumed((128, 128, 128), "layers")
-    updates: int = assumed(10_000, "gradient steps (the original has 30,000)", ge=1)
-    batch: int = assumed(1024, "transitions per update (the original has 4096)", ge=1)
+    updates: int = assumed(8000, "gradient steps (the original has 30,000)", ge=1)
+    batch: int = assumed(512, "transitions per update (the original has 4096)", ge=1)
     learning_rate: float = assumed(1e-3, "Adam", gt=0.0)
     ema: float = assumed(0.999, "decay of the averaged weights that are used", ge=0.0, lt=1.0)
-    cost_limit: float = assumed(25.0, "demonstrations are near-expert episodes of at most this cost (kappa)", ge=0.0)
+    states: Literal["all", "careful"] = assumed(
+        "all",
+        "where the expert's action is learned: in all recorded states, as with the original's option of random behaviour and the "
+        "expert's labels; `careful`: near-expert episodes of little cost alone, too few here: they were learned by heart",
+    )
+    cost_limit: float = assumed(25.0, "states careful: the most that such an episode may cost (kappa)", ge=0.0)
 
 
 LADDER: dict[str, tuple[float, ...]] = {

@@ -17,17 +17,23 @@ from wasp_cli.learning.replay import HELD_OUT, Replay
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 
 
-def demonstrations(replay: Replay, limit: float) -> NDArray[np.int64]:
-    """Rows of the near-expert episodes whose cost in env steps is within the limit, without those that are held out.
+def demonstrations(replay: Replay, config: DenoiserConfig) -> NDArray[np.int64]:
+    """Rows whose expert action is learned, without those that are held out: all, or the near-expert episodes within the cost limit.
 
-    When no episode is, the one of least cost has to do.
+    When no near-expert episode is within it, the one of least cost has to do.
+
+    Raises:
+        TrainingError: there is no near-expert episode.
     """
-    near = (replay.behaviour == "expert") & ~replay.held_out(HELD_OUT)
+    learned = ~replay.held_out(HELD_OUT)
+    if config.states == "all":
+        return np.flatnonzero(learned)
+    near = (replay.behaviour == "expert") & learned
     rows = [np.flatnonzero(near & (replay.episode == e)) for e in np.unique(replay.episode[near])]
     if not rows:
         raise TrainingError("the dataset has no near-expert episode", "raise dataset.mixture.expert or dataset.steps")
     rows.sort(key=lambda r: float(replay.cost_env[r].sum()))
-    careful = [r for r in rows if replay.cost_env[r].sum() <= limit]
+    careful = [r for r in rows if replay.cost_env[r].sum() <= config.cost_limit]
     return np.sort(np.concatenate(careful or rows[:1]))
 
 
@@ -55,7 +61,7 @@ def train_denoiser(
     average = copy.deepcopy(denoiser).requires_grad_(False)
     optimizer = torch.optim.Adam(denoiser.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    rows = torch.from_numpy(demonstrations(replay, config.cost_limit))
+    rows = torch.from_numpy(demonstrations(replay, config))
     smoothed = 1.0
     for update in range(config.updates):
         index = rows[torch.randint(len(rows), (config.batch,), generator=source)]

@@ -41,7 +41,7 @@ class FilterConfig(Config):
         "calibrated", "bound of Q_c, expected costly decision steps discounted by gamma_c; `calibrated`: a quantile of Q_c under the expert"
     )
     quantile: float = assumed(
-        0.9, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
+        0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
     )
     candidates: int = assumed(64, "actions among which the safest is sought: all corners, zero, and random ones", ge=1)
     segment: int = assumed(32, "points from the command to the safest action at which Q_c is read (the original has 2000)", ge=1)

@@ -64,9 +64,9 @@ _QUICK: Document = {
     "critics": {"updates": 500, "starts": 128, "slow": 0.3},
     "gate_signals": {"critics": {"updates": 250, "starts": 128, "slow": 0.3}},
     "heldout": {"episodes": 16},
-    "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128], "target_rate": 0.02},
+    "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128]},
     "denoiser": {"updates": 3000, "batch": 256},
-    "residual": {"interactions": 24_000, "rollout": 64},
+    "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32},
 }  # fmt: skip

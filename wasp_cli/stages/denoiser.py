@@ -26,7 +26,7 @@ class DenoiserStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train on the expert's own actions at the states of its careful episodes."""
+        """Train on the expert's own actions at recorded states, and judge it on held-out ones."""
         import numpy as np
         import torch
 
