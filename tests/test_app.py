@@ -49,6 +49,7 @@ def test_help_names_every_command_and_an_example() -> None:
         "report",
         "ablate",
         "operators",
+        "sweep",
         "explain",
         "bench",
         "tasks",
@@ -58,7 +59,9 @@ def test_help_names_every_command_and_an_example() -> None:
         assert word in done.stdout
 
 
-@pytest.mark.parametrize("command", ["run", "plan", "check", "report", "ablate", "operators", "explain", "bench", "tasks", "doctor"])
+@pytest.mark.parametrize(
+    "command", ["run", "plan", "check", "report", "ablate", "operators", "sweep", "explain", "bench", "tasks", "doctor"]
+)
 def test_every_command_has_help(command: str) -> None:
     done = wasp(command, "--help")
     assert done.returncode == 0

@@ -13,6 +13,7 @@ import typer
 from wasp_cli.app import app
 from wasp_cli.spec.ablation import ablation
 from wasp_cli.spec.load import load
+from wasp_cli.spec.sweep import read_sweep
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
@@ -55,6 +56,9 @@ def test_shown_commands_parse(page: str, folder: str, line: str) -> None:
     if shlex.split(line)[1] == "ablate":
         arguments = parameters["variant"], parameters["task"], parameters["preset"], parameters["set_"] or ()
         assert ablation(ROOT / parameters["spec"], *arguments)
+    elif shlex.split(line)[1] == "sweep":
+        (vary,) = parameters["vary"]
+        assert read_sweep(ROOT / folder / parameters["spec"], vary, parameters["method"] or (), parameters["set_"] or ())
     elif parameters.get("set_"):
         assert load(ROOT / folder / parameters["spec"], parameters["set_"])
     for value in parameters.values():

@@ -12,6 +12,7 @@ from wasp_cli import __version__
 from wasp_cli.app_bench import bench_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
+from wasp_cli.app_sweep import sweep_app
 from wasp_cli.options import (
     JobsOption,
     ResultsOption,
@@ -195,6 +196,7 @@ app.add_typer(tasks_app, name="tasks")
 app.add_typer(bench_app, name="bench")
 app.add_typer(explain_app)
 app.add_typer(operators_app)
+app.add_typer(sweep_app)
 
 
 @tasks_app.callback()
@@ -269,8 +271,7 @@ def _run_and_report(loaded: Loaded, results: Path, jobs: int | None) -> None:
     grid = session.plan.grid
     report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid))
     session.require_complete()
-    if report is not None:
-        require_cells(report.missing)
+    require_cells(report.missing if report is not None else ())
 
 
 def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]]) -> Report:

@@ -90,6 +90,14 @@ def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
     return wrapped
 
 
+def print_json(value: Any) -> None:
+    """Print for machines."""
+    import json
+
+    json.dump(value, sys.stdout, indent=1)
+    sys.stdout.write("\n")
+
+
 def require_cells(missing: Sequence[Missing]) -> None:
     """Raise CellsFailed when a cell has no readable rows, though its node ended well."""
     from wasp_cli.errors import CellsFailed
@@ -98,11 +106,3 @@ def require_cells(missing: Sequence[Missing]) -> None:
         named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise CellsFailed(f"{len(missing)} cells cannot be read:\n{named}{more}")
-
-
-def print_json(value: Any) -> None:
-    """Print for machines."""
-    import json
-
-    json.dump(value, sys.stdout, indent=1)
-    sys.stdout.write("\n")

@@ -25,6 +25,13 @@ def test_best_is_per_group_and_direction() -> None:
     assert found.marks == {(1, 0), (1, 1), (2, 0), (2, 1)}
 
 
+def test_two_labels_can_form_a_group() -> None:
+    rows = (row("a", "x", 1, 5), row("a", "x", 2, 4), row("a", "y", 8, 9), row("a", "y", 9, 9))
+    found = Table("t", "A title", ("Task", "Operator"), (RETURN, COST), rows, grouping=2)
+    assert found.marks == {(1, 0), (1, 1), (3, 0)}
+    assert [line.split(" | ")[:2] for line in markdown(found).splitlines()[4:]] == [["| a", "x"], ["| ", ""], ["| a", "y"], ["| ", ""]]
+
+
 def test_equal_as_printed_share_the_mark() -> None:
     found = table(row("a", "x", 1.001, 5), row("a", "y", 1.004, 5), row("a", "z", 0.5, 5))
     assert found.marks == {(0, 0), (1, 0)}  # and nobody is best where all print the same

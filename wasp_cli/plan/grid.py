@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -56,6 +56,13 @@ def lay_out(spec: Spec) -> Grid:
     named = [builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), spec.stages)]
     nodes = with_upstream([*(node for _, node in cells), *named])
     return Grid(cells, tuple(nodes), len(spec.tasks) * len(spec.seeds) * per_seed)
+
+
+def together(grids: Sequence[Grid]) -> Grid:
+    """What several specs ask for: what they share is there once."""
+    cells = {node.key: (cell, node) for grid in grids for cell, node in grid.cells}
+    nodes = with_upstream([node for grid in grids for node in grid.nodes])
+    return Grid(tuple(cells.values()), tuple(nodes), sum(grid.points for grid in grids))
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:

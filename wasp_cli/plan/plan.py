@@ -78,6 +78,11 @@ class Plan:
             "counts": dict(Counter(step.state for step in self.steps)),
         }
 
+    def of(self, grid: Grid) -> Plan:
+        """The part of this plan that is about a grid whose nodes it has."""
+        steps = {step.node.key: step for step in self.steps}
+        return Plan(grid, tuple(steps[node.key] for node in grid.nodes), self.seconds)
+
 
 def _node_json(step: Step) -> dict[str, Any]:
     node = step.node

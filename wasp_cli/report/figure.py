@@ -14,6 +14,7 @@ from wasp_cli.report.titles import assistant_title, task_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0072B2")
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
@@ -22,6 +23,14 @@ METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
 FIGURES = ("cost_return.png", "cost_return.svg")
 STYLES = {name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[i % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)}
 """Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
+LOOK: dict[Any, Any] = {
+    "font.size": 9,
+    "svg.hashsalt": "wasp",
+    "svg.fonttype": "none",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+"""Settings of matplotlib for every figure."""
 
 
 def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
@@ -39,14 +48,7 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
     from matplotlib.figure import Figure
 
     tasks = list(dict.fromkeys(group.task for group in found))
-    style: dict[Any, Any] = {
-        "font.size": 9,
-        "svg.hashsalt": "wasp",
-        "svg.fonttype": "none",
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-    }
-    with rc_context(style):
+    with rc_context(LOOK):
         figure = Figure(figsize=(1.6 + 3.4 * len(tasks), 3.6), layout="constrained", dpi=160)
         FigureCanvasAgg(figure)
         panels = figure.subplots(1, len(tasks), squeeze=False)[0]
@@ -63,11 +65,15 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
         figure.legend(
             handles.values(), handles.keys(), loc="outside right upper", frameon=False, title="large: mean\nsmall: one operator\n"
         )
-        files = [folder / name for name in FIGURES]
-        # Without dates and versions, the same numbers give the same bytes.
-        figure.savefig(files[0], metadata={"Software": None})
-        figure.savefig(files[1], metadata={"Date": None, "Creator": None})
-    return files
+        return save(figure, [folder / name for name in FIGURES])
+
+
+def save(figure: Figure, files: Sequence[Path]) -> list[Path]:
+    """Write a figure as PNG and as SVG. Without dates and versions, the same numbers give the same bytes."""
+    png, svg = files
+    figure.savefig(png, metadata={"Software": None})
+    figure.savefig(svg, metadata={"Date": None, "Creator": None})
+    return [png, svg]
 
 
 def _draw(panel: Axes, group: Group) -> None:

@@ -168,9 +168,14 @@ def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
     return causes
 
 
+def identity_of(cell: Cell) -> CellIdentity:
+    """A cell of a plan as its rows name it."""
+    return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
+
+
 def _wanted(layout: Layout, cell: Cell, key: str, failure: str | None, blocked: str | None) -> Wanted:
     return Wanted(
-        identity=CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed),
+        identity=identity_of(cell),
         label=str(cell),
         path=layout.artifact("evaluate", key) / CELL_FILE,
         severity=cell.severity,

@@ -90,7 +90,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of values. Rows with the same first label form a group, in which the best value of each column is marked."""
+    """Rows of values. Rows with the same first labels form a group, in which the best value of each column is marked."""
 
     name: str
     """Name of the files."""
@@ -104,7 +104,9 @@ class Table:
     meanings: tuple[str, ...] = ()
     """What the columns mean; printed where there is room."""
     grouped: bool = True
-    """Whether the first label forms groups; otherwise all rows are one."""
+    """Whether labels form groups; otherwise all rows are one."""
+    grouping: int = 1
+    """How many labels form a group."""
     ranked: bool = True
     marks: frozenset[tuple[int, int]] = field(init=False, compare=False)
     """(row, column) of the best values."""
@@ -115,9 +117,9 @@ class Table:
                 raise ValueError(f"row {row.labels} does not fit the columns of table {self.name}")
         object.__setattr__(self, "marks", frozenset(self._best()) if self.ranked else frozenset())
 
-    def group(self, row: int) -> str:
+    def group(self, row: int) -> tuple[str, ...]:
         """What a row is compared within."""
-        return self.rows[row].labels[0] if self.grouped else ""
+        return self.rows[row].labels[: self.grouping] if self.grouped else ()
 
     def starts_group(self, row: int) -> bool:
         """Whether a row is the first of its group."""
@@ -129,7 +131,7 @@ class Table:
         for c, column in enumerate(self.columns):
             if column.better is None:
                 continue
-            groups: dict[str, dict[int, float]] = {}
+            groups: dict[tuple[str, ...], dict[int, float]] = {}
             for r, row in enumerate(self.rows):
                 value = row.values[c]
                 if value.ranked and value.mean is not None and math.isfinite(value.mean):
@@ -225,7 +227,7 @@ def _labels(table: Table, row: int) -> list[str]:
     """The labels of a row; a group is named once."""
     labels = list(table.rows[row].labels)
     if table.grouped and not table.starts_group(row):
-        labels[0] = ""
+        labels[: table.grouping] = [""] * table.grouping
     return labels
 
 

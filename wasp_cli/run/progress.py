@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from wasp_cli.console import duration, err, plain
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 POLL_SECONDS = 0.5
+NAMES: Mapping[str, str] = MappingProxyType({})
+"""What people call a node, by its key, where that is not its label: nowhere."""
 
 
 class Board(Protocol):
@@ -71,7 +73,7 @@ class Running:
     text: str
 
 
-def running_nodes(folder: Path) -> list[Running]:
+def running_nodes(folder: Path, names: Mapping[str, str] = NAMES) -> list[Running]:
     """The nodes that run now, from the small files that their workers keep."""
     found = []
     for path in sorted(folder.glob("*.json")):
@@ -80,15 +82,16 @@ def running_nodes(folder: Path) -> list[Running]:
         except ArtifactError:  # replaced while it was read
             continue
         if record is not None:
-            found.append(Running(path.stem, str(record.get("label")), float(record.get("share", 0.0)), str(record.get("text", ""))))
+            label = names.get(path.stem, str(record.get("label")))
+            found.append(Running(path.stem, label, float(record.get("share", 0.0)), str(record.get("text", ""))))
     return found
 
 
 class Lines:
     """One line for each event, for logs and pipes. Starts come from the running files, so short nodes show their end only."""
 
-    def __init__(self, total: int, folder: Path) -> None:
-        self._total, self._folder = total, folder
+    def __init__(self, total: int, folder: Path, names: Mapping[str, str] = NAMES) -> None:
+        self._total, self._folder, self._names = total, folder, names
         self._count = 0
         self._shown: set[str] = set()
         self._stop = threading.Event()
@@ -105,7 +108,7 @@ class Lines:
 
     def _watch(self) -> None:
         while not self._stop.wait(POLL_SECONDS):
-            for node in running_nodes(self._folder):
+            for node in running_nodes(self._folder, self._names):
                 with self._lock:
                     if node.key not in self._shown:
                         self._shown.add(node.key)
@@ -115,12 +118,15 @@ class Lines:
         with self._lock:
             self._shown.add(node.key)
             self._count += 1
-            plain(_ended_line(self._count, self._total, node, outcome))
+            plain(_ended_line(self._count, self._total, self._name(node), outcome))
 
     def blocked(self, node: Node, by: Node) -> None:
         with self._lock:
             self._count += 1
-            plain(f"{_counter(self._count, self._total)} blocked {node.label}  (needs {by.label})")
+            plain(f"{_counter(self._count, self._total)} blocked {self._name(node)}  (needs {self._name(by)})")
+
+    def _name(self, node: Node) -> str:
+        return self._names.get(node.key, node.label)
 
     def note(self, text: str) -> None:
         with self._lock:
@@ -130,10 +136,10 @@ class Lines:
 class Live:
     """A board that redraws itself: a bar, the running nodes with their share, and finished nodes scrolling by above."""
 
-    def __init__(self, total: int, folder: Path) -> None:
+    def __init__(self, total: int, folder: Path, names: Mapping[str, str] = NAMES) -> None:
         from rich.live import Live as RichLive
 
-        self._total, self._folder = total, folder
+        self._total, self._folder, self._names = total, folder, names
         self._count, self._bad = 0, 0
         self._started = time.monotonic()
         self._since: dict[str, float] = {}
@@ -149,15 +155,18 @@ class Live:
     def ended(self, node: Node, outcome: Outcome) -> None:
         self._count += 1
         self._bad += outcome.state == "failed"
-        plain(_ended_line(self._count, self._total, node, outcome))
+        plain(_ended_line(self._count, self._total, self._name(node), outcome))
 
     def blocked(self, node: Node, by: Node) -> None:
         self._count += 1
         self._bad += 1
-        plain(f"{_counter(self._count, self._total)} blocked {node.label}  (needs {by.label})")
+        plain(f"{_counter(self._count, self._total)} blocked {self._name(node)}  (needs {self._name(by)})")
 
     def note(self, text: str) -> None:
         plain(f"        note    {text}")
+
+    def _name(self, node: Node) -> str:
+        return self._names.get(node.key, node.label)
 
     def _draw(self) -> Group:
         from rich.console import Group
@@ -166,7 +175,7 @@ class Live:
         from rich.text import Text
 
         now = time.monotonic()
-        running = running_nodes(self._folder)
+        running = running_nodes(self._folder, self._names)
         head = Table.grid(padding=(0, 1))
         status = f"{self._count}/{self._total} done" + (f", {self._bad} failed or blocked" if self._bad else "")
         head.add_row(
@@ -180,9 +189,9 @@ class Live:
         return Group(head, rows)
 
 
-def board(total: int, folder: Path) -> Board:
+def board(total: int, folder: Path, names: Mapping[str, str] = NAMES) -> Board:
     """The board that fits where stderr goes."""
-    return Live(total, folder) if err().is_terminal and not err().is_dumb_terminal else Lines(total, folder)
+    return Live(total, folder, names) if err().is_terminal and not err().is_dumb_terminal else Lines(total, folder, names)
 
 
 def _counter(count: int, total: int) -> str:
@@ -190,10 +199,10 @@ def _counter(count: int, total: int) -> str:
     return f"[{count:>{width}}/{total}]"
 
 
-def _ended_line(count: int, total: int, node: Node, outcome: Outcome) -> str:
+def _ended_line(count: int, total: int, name: str, outcome: Outcome) -> str:
     what = {"done": "done   ", "shared": "shared ", "failed": "FAILED "}[outcome.state]
     detail = outcome.message if outcome.state == "failed" else numbers(outcome.summary)
-    return f"{_counter(count, total)} {what} {node.label}  {duration(outcome.seconds)}" + (f"  {detail}" if detail else "")
+    return f"{_counter(count, total)} {what} {name}  {duration(outcome.seconds)}" + (f"  {detail}" if detail else "")
 
 
 def numbers(summary: Mapping[str, Any], limit: int = 6) -> str:

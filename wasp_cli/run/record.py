@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,11 +15,13 @@ from pydantic import ValidationError
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.part import Part
 from wasp_cli.plan.plan import Plan
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED
+from wasp_cli.spec.sweep import Sweep
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
@@ -38,17 +41,39 @@ class Recorded:
 def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
     """Make the folder of a new run and write down what it is asked for."""
     spec = loaded.spec
-    run_id = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{spec.name[:60]}-{secrets.token_hex(2)}"
-    folder = layout.run(run_id)
-    try:
-        for part in ("logs", "running"):
-            (folder / part).mkdir(parents=True)
+    with _new_folder(layout, spec.name) as folder:
         (folder / "spec.yaml").write_text(loaded.source.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
         write_record(folder / "plan.json", {"spec": spec.name, **plan.as_json()})
+    return folder.name
+
+
+def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid]) -> str:
+    """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells.
+
+    Args:
+        layout: the results folder.
+        sweep: the setting and its values.
+        plan: of all values together.
+        grids: what each value asks for.
+    """
+    runs = [new_run(layout, point.loaded, plan.of(grid)) for point, grid in zip(sweep.points, grids, strict=True)]
+    with _new_folder(layout, sweep.name) as folder:
+        values = [{"value": point.value, "run": run} for point, run in zip(sweep.points, runs, strict=True)]
+        write_record(folder / "sweep.json", {"spec": sweep.spec, "setting": sweep.key, "values": values})
+    return folder.name
+
+
+@contextmanager
+def _new_folder(layout: Layout, name: str) -> Iterator[Path]:
+    """A folder of a run; refusals of the system become StoreError."""
+    folder = layout.run(f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{name[:60]}-{secrets.token_hex(2)}")
+    try:
+        for part in ("logs", "running"):
+            (folder / part).mkdir(parents=True)
+        yield folder
     except OSError as error:
         raise StoreError(f"cannot write to '{folder}': {(error.strerror or str(error)).lower()}") from error
-    return run_id
 
 
 def read_run(layout: Layout, run_id: str) -> Recorded:

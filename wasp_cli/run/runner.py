@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from wasp_cli.plan.closure import source_hashes
@@ -13,7 +13,7 @@ from wasp_cli.plan.waves import waves
 from wasp_cli.run.journal import Journal
 from wasp_cli.run.order import Order, Outcome
 from wasp_cli.run.pool import Pool, WorkersDied
-from wasp_cli.run.progress import Board, Quiet, running_nodes
+from wasp_cli.run.progress import NAMES, Board, Quiet, running_nodes
 from wasp_cli.run.worker import attempts, record_failure
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import is_published, read_manifest
@@ -190,12 +190,12 @@ def _rank(node: Node, plan: Plan) -> tuple[float, int]:
     return (-measured if measured is not None else 0.0), _LONG.index(node.kind) if node.kind in _LONG else len(_LONG)
 
 
-def failures_text(failures: Iterable[Failure]) -> str:
-    """Failed nodes with their causes and logs, for people."""
+def failures_text(failures: Iterable[Failure], names: Mapping[str, str] = NAMES) -> str:
+    """Failed nodes with their causes and logs, for people; `names` are by key, where a label does not say enough."""
     parts = []
     for failure in failures:
         outcome = failure.outcome
-        parts.append(f"  {failure.node.label}: {outcome.message}")
+        parts.append(f"  {names.get(outcome.key, failure.node.label)}: {outcome.message}")
         if outcome.hint:
             parts.append(f"      {outcome.hint}")
         if outcome.log:

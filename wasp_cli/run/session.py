@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from wasp_cli.console import duration, plain
@@ -15,7 +15,7 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.waves import waves
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
-from wasp_cli.run.progress import board
+from wasp_cli.run.progress import NAMES, board
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.spec.load import Loaded
@@ -54,11 +54,13 @@ class Session:
     layout: Layout
     plan: Plan
     summary: Summary
+    names: Mapping[str, str] = field(default_factory=dict)
+    """What people call a node, by its key, where that is not its label."""
 
     def require_complete(self) -> None:
         """Raise CellsFailed when a node failed."""
         if not self.summary.complete:
-            raise CellsFailed(_failure_message(self.summary), "the same command runs what failed again")
+            raise CellsFailed(_failure_message(self.summary, self.names), "the same command runs what failed again")
 
 
 def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
@@ -73,24 +75,42 @@ def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
         StoreError: the results folder cannot be written.
         Interrupted: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
     """
+    layout = prepared(results)
+    plan = plan_against(lay_out(loaded.spec), layout)
+    return carry_out(plan, layout, new_run(layout, loaded, plan), jobs)
+
+
+def prepared(results: Path) -> Layout:
+    """A results folder that can be written, without what killed runs have left."""
     layout = Layout(results.absolute())
     layout.prepare()
     sweep(layout)
-    plan = plan_against(lay_out(loaded.spec), layout)
-    run_id = new_run(layout, loaded, plan)
-    summary = _compute(plan, layout, run_id, jobs) if plan.to_run() else Summary()
+    return layout
+
+
+def carry_out(plan: Plan, layout: Layout, run_id: str, jobs: int, names: Mapping[str, str] = NAMES) -> Session:
+    """Compute what a plan says, and say how it ended.
+
+    Args:
+        plan: what to compute.
+        layout: the results folder.
+        run_id: the run whose folder has the logs.
+        jobs: worker processes at most; 0 computes in this process.
+        names: what people call a node, by its key, where that is not its label.
+    """
+    summary = _compute(plan, layout, run_id, jobs, names) if plan.to_run() else Summary()
     plain(_summary_line(plan, summary))
-    return Session(layout, plan, summary)
+    return Session(layout, plan, summary, names)
 
 
-def _compute(plan: Plan, layout: Layout, run_id: str, jobs: int) -> Summary:
+def _compute(plan: Plan, layout: Layout, run_id: str, jobs: int, names: Mapping[str, str]) -> Summary:
     jobs = useful_jobs(plan, jobs)
     workers = max(jobs, 1)
     seconds, unknown = plan.estimate(workers)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{len(plan.to_run())} to compute, {plan.count('cached')} computed before{estimate}; logs in {layout.run(run_id) / 'logs'}")
     pool: Pool = LokyPool(jobs) if jobs else InlinePool()
-    with _terminable(), board(len(plan.to_run()), layout.run(run_id) / "running") as shown:
+    with _terminable(), board(len(plan.to_run()), layout.run(run_id) / "running", names) as shown:
         runner = Runner(layout, run_id, pool, cores=cores(), board=shown)
         try:
             summary = runner.run(plan)
@@ -133,11 +153,13 @@ def _summary_line(plan: Plan, summary: Summary) -> str:
     return f"{', '.join(parts)} in {duration(summary.seconds)}"
 
 
-def _failure_message(summary: Summary) -> str:
-    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed)]
+def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
+    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed, names)]
     if summary.blocked:
         lines.append(f"{len(summary.blocked)} blocked by them:")
-        lines += [f"  {node.label} (needs {cause.label})" for node, cause in summary.blocked[:10]]
+        lines += [
+            f"  {names.get(node.key, node.label)} (needs {names.get(cause.key, cause.label)})" for node, cause in summary.blocked[:10]
+        ]
         if len(summary.blocked) > 10:
             lines.append(f"  and {len(summary.blocked) - 10} more")
     return "\n".join(lines)

@@ -92,7 +92,7 @@ def _placed(source: Source, overrides: Sequence[Override], loc: Loc, message: st
         shared = min(len(option.path), len(loc))
         # The option wins where the file has nothing nearer to the place.
         if tuple(map(str, loc[:shared])) == option.path[:shared] and shared >= min(depth, len(option.path)):
-            return Problem(f"--set {option.text}", None, f"{_dotted(loc)}: {message}" if loc else message, hint)
+            return Problem(f"{option.option} {option.text}", None, f"{_dotted(loc)}: {message}" if loc else message, hint)
     return source.problem(loc, message, hint, at_key=at_key)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any
 
@@ -92,7 +93,8 @@ def _no_repeats(items: Sequence[Any]) -> Sequence[Any]:
 NO_REPEATS = AfterValidator(_no_repeats)
 
 # The names of specs become folders and those of severities parts of file names, hence the narrow alphabets.
-SpecName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+LONGEST = 64
+SpecName = Annotated[str, Field(pattern=rf"^[A-Za-z0-9][A-Za-z0-9_.-]{{0,{LONGEST - 1}}}$")]
 SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$")]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 TaskName = Annotated[str, AfterValidator(_task)]
@@ -100,3 +102,21 @@ MethodName = Annotated[str, _known("method", lambda: METHODS)]
 VariantName = Annotated[str, _known("assistant variant", assistant_variants)]
 StageName = Annotated[str, AfterValidator(_stage)]
 OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]
+
+
+def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
+    """The name of a spec that is made from another one: `<head>-<tail>`, cut and cleaned to what a spec may be called.
+
+    Args:
+        head: the name of the other spec; it is cut first.
+        tail: what is new about this one, any text.
+        taken: names that this one must differ from.
+    """
+    taken = set(taken)
+    clean = re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
+    for number in range(1, len(taken) + 2):
+        end = f"-{clean}" + (f"-{number}" if number > 1 else "")
+        name = head[: LONGEST - len(end)] + end
+        if name not in taken:
+            break
+    return name

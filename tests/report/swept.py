@@ -1,0 +1,68 @@
+"""Sweeps over invented cells, with numbers that can be worked out by hand.
+
+The n-th of N values adds n goals to what the operator alone reaches, intervenes in (n + 1) of ten steps, and takes away n of N - 1 parts
+of the risk. The c-th operator reaches 4 - c goals in one episode of a cell and 5 - c in the other; three are a success. An episode has 20
+steps:
+
+    return  goals + 2.375 in the first episode and goals + 2.625 in the second, so that a cell has 7 - c + n
+    cost    50 at risk 1 (c = 0, n = 0 and Human-only), 0 at risk 0 (the last value)
+    mag_int |(0.375, 0.5)| = 0.625
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.report.invented import invent, write
+from wasp_cli.report.frame import Wanted, read_frame
+from wasp_cli.report.sweep_table import Condition, Swept
+from wasp_cli.store.tables import CellIdentity
+
+NUMBERS: tuple[tuple[str, Any], ...] = (("0", 0), ("0.20", 0.2), ("0.6", 0.6))
+"""Values as they are written, and as a file has them."""
+CONDITIONS: tuple[Condition, ...] = (("noisy", 0.2), ("noisy", 0.6))
+
+
+def invent_sweep(
+    folder: Path,
+    values: Sequence[tuple[str, Any]] = NUMBERS,
+    conditions: Sequence[Condition] = CONDITIONS,
+    seeds: Sequence[int] = (0, 1),
+    methods: Sequence[str] = ("diffusion",),
+    task: str = "goal1",
+    missing: Sequence[CellIdentity] = (),
+) -> list[Swept]:
+    """The cells of `human`, which no value changes, and of `methods`; the first value lacks those that are `missing`."""
+    alone = [
+        written(folder / "human", CellIdentity(task, "human", "full", operator, severity, seed), 4 - c, 0.0, 1.0 - 0.1 * c)
+        for c, (operator, severity) in enumerate(conditions)
+        for seed in seeds
+    ]
+    found = []
+    for n, (text, value) in enumerate(values):
+        own = [
+            written(
+                folder / f"{n}",
+                CellIdentity(task, method, "full", operator, severity, seed),
+                4 - c + n,
+                (n + 1) / 10,
+                (1.0 - 0.1 * c) * (1 - n / (len(values) - 1)),
+            )
+            for method in methods
+            for c, (operator, severity) in enumerate(conditions)
+            for seed in seeds
+        ]
+        for cell in own:
+            if n == 0 and cell.identity in missing:
+                cell.path.unlink()
+        keys = {cell.identity: "shared" + cell.path.stem for cell in alone} | {cell.identity: f"{n}{cell.path.stem}" for cell in own}
+        found.append(Swept(text, value, read_frame([*alone, *own]), keys))
+    return found
+
+
+def written(folder: Path, identity: CellIdentity, goals: int, intervene: float, risk: float) -> Wanted:
+    """One cell of two episodes that differ by one goal."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return write(folder, identity, [invent(12 * identity.seed + e, goals + e, intervene, risk) for e in range(2)], success_goals=3)

@@ -1,0 +1,155 @@
+"""A sweep over fake stages: what its values share is computed once, and what fails takes no other value along."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, group_is_gone, start, wait_until
+from wasp_cli.console import err
+from wasp_cli.errors import CellsFailed, UnknownName, UsageError
+from wasp_cli.report.runs import last_runs
+from wasp_cli.run.record import read_run
+from wasp_cli.run.sweep import SweepSession, on_task, run_sweep
+from wasp_cli.spec.sweep import read_sweep
+from wasp_cli.store.artifact import read_record
+from wasp_cli.store.layout import Layout
+
+VARY = "diffusion.ratio=0.2,0.4,0.6"
+
+
+@pytest.fixture(autouse=True)
+def fresh_console() -> Iterator[None]:
+    """The console keeps the stream of its first use, which is closed after the test."""
+    err.cache_clear()
+    yield
+    err.cache_clear()
+
+
+def swept(spec: Path, results: Path, vary: str = VARY, methods: tuple[str, ...] = (), settings: tuple[str, ...] = ()) -> SweepSession:
+    return run_sweep(read_sweep(spec, vary, methods, settings), results, 0)
+
+
+def test_what_the_values_share_is_computed_once(fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = swept(small_spec, tmp_path / "results")
+    executions = fakes.executions()
+    assert done.session.summary.complete
+    assert done.session.summary.done == len(executions) == len(set(executions))
+    # Two operators and two seeds, once for Human-only and three times for Diffusion.
+    assert sum(" evaluate human " in line for line in executions) == 4
+    assert sum(" evaluate diffusion " in line for line in executions) == 12
+    trained = [line.split()[2] for line in executions if " evaluate " not in line]
+    assert {kind: trained.count(kind) for kind in ("expert", "world_model", "denoiser")} == {"expert": 2, "world_model": 2, "denoiser": 2}
+    assert not any("ida" in line or "wasp" in line for line in executions)
+    told = capsys.readouterr().err
+    assert "3 values of diffusion.ratio: " in told
+    assert "trained for each" not in told
+    assert "done    goal1 s0 diffusion noisy=0.2 [diffusion.ratio=0.4]" in told
+    assert "done    goal1 s0 human noisy=0.2  " in told
+    assert swept(small_spec, tmp_path / "results").session.summary.done == 0
+
+
+def test_what_must_be_trained_for_each_value_is_told(
+    fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    swept(small_spec, tmp_path / "results", "critics.updates=10,20", ("human", "wasp"))
+    told = capsys.readouterr().err
+    assert "; trained for each: critics\n" in told
+    executions = fakes.executions()
+    assert sum(" critics" in line for line in executions) == 4
+    assert sum(" world_model" in line for line in executions) == 2
+
+
+def test_wasp_drives_in_later_rounds_so_that_its_settings_train_again(
+    fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    swept(small_spec, tmp_path / "results", "wasp.tau_c=0.3,1", settings=("rounds=2",))
+    assert "; trained for each: rollouts, world_model, " in capsys.readouterr().err
+    # The first round is shared, the second is not.
+    assert sum(" world_model" in line for line in fakes.executions()) == 2 + 2 * 2
+
+
+def test_a_value_that_fails_leaves_the_others(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"{'ratio': 0.4}": "refuse"})
+    done = swept(small_spec, tmp_path / "results")
+    assert {failure.node.axes["method_config"]["ratio"] for failure in done.session.summary.failed} == {0.4}
+    assert len(done.session.summary.failed) == 4
+    layout = done.session.layout
+    stored = [all(layout.artifact("evaluate", node.key).is_dir() for _, node in grid.cells) for grid in done.grids]
+    assert stored == [True, False, True]
+    with pytest.raises(CellsFailed) as caught:
+        done.session.require_complete()
+    assert caught.value.message.startswith("4 failed:")
+    assert "goal1 s0 diffusion noisy=0.2 [diffusion.ratio=0.4]: the loss is not finite" in caught.value.message
+    fakes.set()
+    assert swept(small_spec, tmp_path / "results").session.summary.done == 4
+
+
+def test_every_value_is_a_run_that_reports_find(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    swept(small_spec, tmp_path / "results", settings=("episodes=7",))
+    layout = Layout(tmp_path / "results")
+    runs, damaged = last_runs(layout)
+    assert sorted(runs) == [f"small-diffusion.ratio-{value}" for value in ("0.2", "0.4", "0.6")]
+    assert not damaged
+    for name, run_id in runs.items():
+        recorded = read_run(layout, run_id)
+        section = recorded.spec.method("diffusion").model_dump()
+        assert (recorded.spec.name, section["ratio"], recorded.spec.episodes) == (name, float(name.rpartition("-")[2]), 7)
+        assert len(recorded.cells) == len({cell for cell, _ in recorded.cells}) == 8
+        assert all(layout.artifact("evaluate", key).is_dir() for _, key in recorded.cells)
+    (record,) = layout.runs.glob("*-small-sweep-diffusion.ratio-*/sweep.json")
+    assert read_record(record) == {
+        "spec": "small",
+        "setting": "diffusion.ratio",
+        "values": [{"value": value, "run": runs[f"small-diffusion.ratio-{value}"]} for value in (0.2, 0.4, 0.6)],
+    }
+    assert list((record.parent / "logs").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("vary", "methods", "settings", "message"),
+    [
+        ("diffusion.ratio=0.2,0.4", ("ida", "wasp"), (), "'diffusion.ratio' changes no cell of ida, wasp"),
+        ("gate_signals.episodes=1,2", (), (), "'gate_signals.episodes' changes no cell of human, ida, wasp, expert"),
+        ("critics.updates=1,2", (), ("methods=[]",), "there is nothing to compare"),
+    ],
+)
+def test_a_sweep_without_effect_is_refused_before_anything_is_written(
+    vary: str, methods: tuple[str, ...], settings: tuple[str, ...], message: str, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        swept(small_spec, tmp_path / "results", vary, methods, settings)
+    assert message in caught.value.message
+    assert caught.value.hint
+    assert not (tmp_path / "results").exists()
+
+
+def test_one_task_of_several(fakes: Fakes, small_spec: Path) -> None:
+    sweep = read_sweep(small_spec, VARY, settings=("tasks=[goal1, race1]",))
+    assert on_task(sweep, None) == sweep
+    assert {point.loaded.spec.tasks for point in on_task(sweep, "race1").points} == {("race1",)}
+    with pytest.raises(UnknownName, match="unknown task of this spec 'goal2'"):
+        on_task(sweep, "goal2")
+
+
+def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(free=6)
+    process = start("sweep", small_spec, "--vary", VARY, "--results", results, "-j", "0")
+    wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 5)
+    os.killpg(process.pid, signal.SIGINT)
+    shown, errors = process.communicate(timeout=30)
+    assert (process.returncode, shown) == (130, "")
+    assert errors.count("\ninterrupted: ") == 1
+    assert "nodes were finished and are kept" in errors
+    assert "Traceback" not in errors
+    wait_until(lambda: group_is_gone(process.pid))
+    kept = len(list(results.glob("store/*/*/manifest.json")))
+    fakes.set()
+    done = swept(small_spec, results)
+    assert done.session.summary.complete
+    assert done.session.summary.done == len(done.session.plan.steps) - kept

@@ -1,0 +1,200 @@
+"""The values of `--vary`: how they are read, and what is refused before anything runs."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.spec.names import LONGEST, spec_name
+from wasp_cli.spec.overrides import Override
+from wasp_cli.spec.problem import InvalidSpec
+from wasp_cli.spec.sweep import CELLS, Sweep, read_sweep, split, values_of
+
+SPEC = """\
+name: little
+preset: smoke
+tasks: [goal1, race1]
+methods: [human, ida, wasp, expert]
+variants: [full, safety-only]
+operators:
+  laggy: {moderate: 0.7}
+seeds: [0]
+"""
+
+PRINTABLE = st.text(st.characters(min_codepoint=32, max_codepoint=0xD7FF, exclude_categories=["Cc", "Cs", "Zl", "Zp", "Cn"]), max_size=12)
+SCALARS = st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(allow_nan=False, allow_infinity=False) | PRINTABLE
+VALUES = st.lists(SCALARS | st.lists(SCALARS, max_size=3), min_size=2, max_size=6, unique_by=lambda value: json.dumps(as_stored(value)))
+
+
+def as_stored(value: Any) -> Any:
+    """1e6 is a count to people; specs store whole numbers as such."""
+    if isinstance(value, list):
+        return [as_stored(each) for each in value]
+    if isinstance(value, float) and value.is_integer() and abs(value) < 2**53:
+        return int(value)
+    return value
+
+
+def single_quoted(value: Any) -> str:
+    """YAML's other quotes, in which only the quote itself is doubled."""
+    return "'" + value.replace("'", "''") + "'" if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "little.yaml"
+    path.write_text(SPEC, encoding="utf-8")
+    return path
+
+
+def read(vary: str) -> list[Override] | UsageError:
+    try:
+        return values_of(vary)
+    except UsageError as error:
+        return error
+
+
+@given(VALUES, st.sampled_from([",", " , ", ",  "]))
+def test_any_list_of_values_is_read_as_it_was_written(values: list[Any], comma: str) -> None:
+    for write in (lambda value: json.dumps(value, ensure_ascii=False), single_quoted):
+        options = values_of("wasp.x=" + comma.join(map(write, values)))
+        assert [option.path for option in options] == [("wasp", "x")] * len(values)
+        found = [option.value for option in options]
+        assert json.dumps(found) == json.dumps(as_stored(values))
+
+
+@given(st.text(max_size=40) | st.text("[]{}'\",:\\ab1 #&*!|>-", max_size=16).map("wasp.tau_c=".__add__))
+def test_any_text_is_values_or_a_refusal(text: str) -> None:
+    result = read(text)
+    if isinstance(result, UsageError):
+        assert "--vary" in result.message
+    else:
+        assert len(result) >= 2
+        assert len({json.dumps(option.value) for option in result}) == len(result)
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("1,2", ["1", "2"]),
+        (" 0.2 , null ", ["0.2", "null"]),
+        ("[1,2],[3]", ["[1,2]", "[3]"]),
+        ("{a: [1,2], b: 3},{}", ["{a: [1,2], b: 3}", "{}"]),
+        ('\'a,b\',"c,\\"d",e', ["'a,b'", '"c,\\"d"', "e"]),
+        ("'it''s, so',x", ["'it''s, so'", "x"]),
+        ("['],',1],2", ["['],',1]", "2"]),
+        ("don't,won't", ["don't", "won't"]),  # an apostrophe inside a word opens nothing
+    ],
+)
+def test_values_end_at_commas_outside_of_quotes_and_brackets(text: str, parts: list[str]) -> None:
+    assert split(text) == parts
+
+
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [
+        ("diffusion.ratio", "is not of the form KEY=V1,V2,..."),
+        ("=1,2", "is not of the form KEY=V1,V2,..."),
+        ("diffusion.=1,2", "is not of the form KEY=V1,V2,..."),
+        ("diffusion.ratio=0.2", "has one value"),
+        ("diffusion.ratio=0.2,", "has an empty value"),
+        ("diffusion.ratio=", "has an empty value"),
+        ("diffusion.ratio=0.2,0.4,0.20", "'0.20' is the same value as '0.2'"),
+        ("expert.hidden=[64, 64],[64,64]", "'[64,64]' is the same value as '[64, 64]'"),
+        ("expert.hidden=[64, 64],[32", "misses a closing ]"),
+        ("wasp.composition='hold,per_step", "misses a closing '"),
+        ("wasp.tau_c=.nan,1", "should be a finite number"),
+        ("wasp.tau_c=*a,1", "is not YAML"),
+        *((f"{name}=1,2", f"'{name}' says which cells there are") for name in CELLS),
+        ("operators.laggy.moderate=0.5,0.7", "'operators' says which cells there are"),
+    ],
+)
+def test_what_is_no_sweep_is_refused(vary: str, message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        values_of(vary)
+    assert message in caught.value.message
+    assert caught.value.hint or "YAML" in message or "finite" in message
+
+
+def test_one_and_true_are_two_values() -> None:
+    assert [option.value for option in values_of("wasp.recheck=true,1")] == [True, 1]
+
+
+def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec: Path) -> None:
+    spec.write_text(SPEC.replace("goal1", "gaol1"), encoding="utf-8")
+    with pytest.raises(InvalidSpec) as caught:
+        read_sweep(spec, "wasp.tau_c=0.5,-1,no", settings=["ida.vote=9"])
+    assert [(problem.source, problem.message.partition(",")[0]) for problem in caught.value.problems] == [
+        (str(spec), "unknown task 'gaol1'"),
+        ("--set ida.vote=9", "ida.vote: should be less than or equal to 1"),
+        ("--vary wasp.tau_c=-1", "wasp.tau_c: should be greater than 0"),
+        ("--vary wasp.tau_c=no", "wasp.tau_c: should be a number"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [
+        ("wasp.tau=0.3,0.5", "unknown key 'tau'"),
+        ("wasp.horizon=1,2,3", "residual_steps (5) is longer than horizon (3)"),
+        ("wasp.variant=full,no-case2", "'variant' is not set here"),
+        ("nothing.at.all=1,2", "unknown key 'nothing'"),
+    ],
+)
+def test_a_value_is_refused_as_in_a_file(spec: Path, vary: str, message: str) -> None:
+    with pytest.raises(InvalidSpec) as caught:
+        read_sweep(spec, vary)
+    assert message in caught.value.message
+    assert all(problem.source.startswith("--vary ") for problem in caught.value.problems)
+
+
+def methods(found: Sweep) -> set[tuple[str, ...]]:
+    return {point.loaded.spec.methods for point in found.points}
+
+
+@pytest.mark.parametrize(
+    ("vary", "wanted", "expected"),
+    [
+        ("wasp.tau_c=0.3,1", (), ("human", "wasp")),
+        ("diffusion.ratio=0.2,0.4", (), ("human", "diffusion")),  # though the spec does not list it
+        ("expert.gamma=0.9,0.99", (), ("human", "ida", "wasp", "expert")),  # a stage, and not the reference row
+        ("action_repeat=2,4", (), ("human", "ida", "wasp", "expert")),
+        ("wasp.tau_c=0.3,1", ("wasp", "ida"), ("ida", "wasp")),
+    ],
+)
+def test_which_methods_run(spec: Path, vary: str, wanted: tuple[str, ...], expected: tuple[str, ...]) -> None:
+    assert methods(read_sweep(spec, vary, wanted)) == {expected}
+
+
+def test_only_methods_of_the_spec_are_named(spec: Path) -> None:
+    with pytest.raises(UnknownName, match="unknown method of this spec 'wsap'") as caught:
+        read_sweep(spec, "wasp.tau_c=0.3,1", ["wsap"])
+    assert caught.value.hint == "did you mean 'wasp'?"
+
+
+def test_each_value_has_a_spec_and_a_name_of_its_own(spec: Path) -> None:
+    found = read_sweep(spec, " ida.vote = 0.5, 0.99 ", settings=["episodes=3", "ida.vote=0"])
+    assert (found.name, found.spec, found.key) == ("little-sweep-ida.vote", "little", "ida.vote")
+    assert [(point.text, point.value, point.loaded.spec.name) for point in found.points] == [
+        ("0.5", 0.5, "little-ida.vote-0.5"),
+        ("0.99", 0.99, "little-ida.vote-0.99"),
+    ]
+    for point in found.points:
+        section: Any = point.loaded.spec.method("ida")
+        assert (section.vote, point.loaded.spec.episodes, point.loaded.spec.tasks) == (point.value, 3, ("goal1", "race1"))
+
+
+@given(st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", fullmatch=True), st.lists(st.text(max_size=80), min_size=1, max_size=6))
+def test_names_are_those_of_specs_and_differ(head: str, tails: list[str]) -> None:
+    taken: list[str] = []
+    for tail in tails:
+        taken.append(spec_name(head, tail, taken))
+    assert len(set(taken)) == len(tails)
+    assert all(re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name) and len(name) <= LONGEST for name in taken)

@@ -1,0 +1,130 @@
+"""`wasp sweep` from end to end, over fake stages whose evaluations leave cells that can be worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import Result
+
+from tests.commands import run_here
+from tests.report.swept import written
+from tests.run.harness import Fakes, fakes, small_spec
+from wasp_cli.plan.grid import stage_class
+from wasp_cli.stages.base import Job
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CELL_FILE, CellIdentity
+
+__all__ = ["fakes", "small_spec"]
+
+VARY = ("--vary", "diffusion.ratio=0.2,0.4")
+
+
+@pytest.fixture
+def cells(fakes: Fakes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fake evaluations write a cell: Diffusion reaches ten goals more for each unit of its ratio, at no cost; Human-only costs 50."""
+    stage: Any = stage_class("evaluate")
+    before = stage.run
+
+    def run(self: Any, job: Job) -> Mapping[str, Any]:
+        summary: Mapping[str, Any] = before(self, job)
+        axes = job.axes
+        identity = CellIdentity(job.task, axes["method"], "full", axes["variant"], axes["value"], job.seed)
+        ratio = axes["method_config"].get("ratio", 0.0)
+        written(job.out_dir, identity, round(2 + 10 * ratio), ratio, 0.0 if ratio else 1.0).path.rename(job.out_dir / CELL_FILE)
+        return summary
+
+    monkeypatch.setattr(stage, "run", run)
+
+
+def sweep(spec: Path, results: Path, *arguments: str) -> Result:
+    return run_here("sweep", spec, *arguments, "--results", results, "-j", "0", columns=160)
+
+
+def test_the_tables_the_page_and_the_curves(cells: None, small_spec: Path, tmp_path: Path) -> None:
+    done = sweep(small_spec, tmp_path / "results", *VARY)
+    assert done.exit_code == 0, done.output
+    rows = [line.split() for line in done.stdout.splitlines()]
+    # goals + 3 (tests/report/swept.py): the operator alone reaches 2, with a ratio of 0.2 and 0.4 it is 4 and 6.
+    assert [row[:4] for row in rows if row[:2] == ["Goal1", "Human-only"]] == [["Goal1", "Human-only", "-", "5.00"]]
+    values = [row for row in rows if row[:1] == ["Diffusion"]]
+    assert [row[1] for row in values] == ["0.2", "0.4"] * 3  # over all, under noisy, under laggy
+    assert [row[2:4] for row in values[:2]] == [["7.00", "(+2.00)"], ["9.00", "(+4.00)"]]
+    assert "computed" not in done.stdout
+    assert "nodes are the same for all of them" in done.stderr
+    folder = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio")
+    assert f"report: {folder.absolute()}/report.md" in done.stdout
+    assert {path.name for path in folder.iterdir()} == {
+        "report.md", "sweep.md", "sweep.csv", "sweep_operators.md", "sweep_operators.csv", "sweep_goal1.png", "sweep_goal1.svg",
+    }  # fmt: skip
+
+
+def test_json_is_json_alone(cells: None, small_spec: Path, tmp_path: Path) -> None:
+    done = sweep(small_spec, tmp_path / "results", *VARY, "--json", "--task", "goal1")
+    record = json.loads(done.stdout)
+    assert (record["name"], record["spec"], record["setting"]) == ("small-sweep-diffusion.ratio", "small", "diffusion.ratio")
+    assert [(row["method"], row["value"], row["return"]["mean"], row["cost"]["difference"]) for row in record["rows"]] == [
+        ("human", None, 5.0, None),
+        ("diffusion", 0.2, 7.0, -50.0),
+        ("diffusion", 0.4, 9.0, -50.0),
+    ]
+    assert Path(record["report"]).is_file()
+
+
+def test_reports_of_the_folder_still_work(cells: None, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    sweep(small_spec, results, *VARY)
+    shown = run_here("report", results, columns=160)
+    assert shown.exit_code == 0, shown.output
+    rows = [line.split()[:2] for line in shown.stdout.splitlines() if line.split()[:1] == ["Diffusion"]]
+    assert rows == [["Diffusion", "7.00"], ["Diffusion", "9.00"]]
+    assert (results / "reports" / "small-diffusion.ratio-0.4" / "report.md").is_file()
+
+
+def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"s1 evaluate diffusion {'ratio': 0.4} noisy": "refuse"})
+    done = sweep(small_spec, tmp_path / "results", *VARY)
+    assert done.exit_code == 1
+    assert "error: 1 failed:\n  goal1 s1 diffusion noisy=0.2 [diffusion.ratio=0.4]: the loss is not finite" in done.stderr
+    rows = [line.split() for line in done.stdout.splitlines()]
+    assert ["Diffusion", "0.2", "7.00"] in [row[:3] for row in rows]
+    assert ["Diffusion", "[3", "of", "4", "cells]", "0.4"] in [row[:6] for row in rows]
+    assert "goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed: the loss is not finite" in done.stdout
+    page = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio") / "report.md"
+    assert "- goal1 diffusion noisy=0.2 seed 1 [diffusion.ratio=0.4]: failed" in page.read_text(encoding="utf-8")
+
+
+def test_cells_without_readable_rows_fail_the_sweep(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    done = sweep(small_spec, tmp_path / "results", *VARY)  # these fakes end well, and write no cell
+    assert done.exit_code == 1
+    assert "error: 12 cells cannot be read:\n  goal1 human noisy=0.2 seed 0: not computed yet" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--vary", "diffusion.ratio=0.2,2,-1"], 3, "--vary diffusion.ratio=2: diffusion.ratio: should be less than or equal to 1, not 2"),
+        (["--vary", "diffusion.ratio=0.2,2,-1"], 3, "--vary diffusion.ratio=-1: diffusion.ratio: should be greater than or equal to 0"),
+        (["--vary", "diffusion.ratios=0.2,0.4"], 3, "did you mean 'ratio'?"),
+        (["--vary", "diffusion.ratio=0.2"], 2, "a sweep compares at least two"),
+        (["--vary", "diffusion.ratio=0.2,0.2"], 2, "write each value once"),
+        (["--vary", "seeds=[0],[1]"], 2, "list them in the spec: a row is the mean over all seeds"),
+        (["--vary", "diffusion.ratio=0.2,0.4", "--method", "wasp"], 2, "choose others with --method"),
+        (["--vary", "diffusion.ratio=0.2,0.4", "--method", "idaa"], 2, "did you mean 'ida'?"),
+        (["--vary", "diffusion.ratio=0.2,0.4", "--task", "race1"], 2, "unknown task of this spec 'race1'"),
+        (["--vary", "diffusion.ratio=0.2,0.4", "--vary", "ida.vote=0,1"], 2, "a sweep varies one setting"),
+        (["--vary", "diffusion.ratio=0.2,0.4", "--set", "seeds"], 2, "--set #1: 'seeds' is not of the form key=value"),
+        ([], 2, "Missing option '--vary'"),
+    ],
+)
+def test_wrong_input_is_one_message_and_nothing_is_written(
+    arguments: list[str], code: int, message: str, small_spec: Path, tmp_path: Path
+) -> None:
+    done = sweep(small_spec, tmp_path / "results", *arguments)
+    assert (done.exit_code, message in " ".join(done.stderr.replace("│", " ").split())) == (code, True), done.output
+    assert "Traceback" not in done.output
+    assert done.stdout == ""
+    assert not (tmp_path / "results").exists()

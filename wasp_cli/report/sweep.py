@@ -1,0 +1,106 @@
+"""The report of a sweep: its tables and curves once, printed, written, or for machines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from wasp_cli.plan.cell import Cell
+from wasp_cli.report.frame import Missing
+from wasp_cli.report.summarize import NAMED, identity_of, report_run
+from wasp_cli.report.sweep_figure import sweep_figures
+from wasp_cli.report.sweep_table import COLUMNS, OPERATOR_COLUMNS, Swept, combined, lines, operator_lines, sweep_operator_table, sweep_table
+from wasp_cli.report.table import RENDERERS, markdown, terminal
+from wasp_cli.spec.sweep import Sweep
+
+
+@dataclass(frozen=True)
+class SweepReport:
+    """What a sweep amounts to."""
+
+    name: str
+    spec: str
+    key: str
+    swept: tuple[Swept, ...]
+    damaged: tuple[str, ...] = ()
+    """Records that do not read."""
+
+    @property
+    def missing(self) -> tuple[Missing, ...]:
+        """Cells without readable rows, each once, with the value that it belongs to and the reason."""
+        return combined(self.key, self.swept).missing
+
+    def terminal(self, console: Console) -> None:
+        """Print both tables and name what is missing."""
+        for table in (sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)):
+            if table.rows:
+                console.print(terminal(table, console.width))
+        for cell in self.missing[:NAMED]:
+            console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
+        if len(self.missing) > NAMED:
+            console.print(Text(f"  and {len(self.missing) - NAMED} more; report.md names all"))
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write both tables in every format, a figure for each task, and `report.md`; returns the files, `report.md` first."""
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = sweep_figures(self.key, self.swept, folder)
+        tables = (sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept))
+        texts = {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
+        texts = {"report.md": self.markdown([path.name for path in figures]), **texts}
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        for path in {*folder.glob("sweep_*.png"), *folder.glob("sweep_*.svg")} - {*figures}:
+            path.unlink(missing_ok=True)  # of a task that an earlier sweep had
+        return [*(folder / name for name in texts), *figures]
+
+    def markdown(self, figures: Sequence[str] = ()) -> str:
+        """The whole report as one page."""
+        frame = combined(self.key, self.swept)
+        values = ", ".join(f"`{each.text}`" for each in self.swept)
+        facts = [
+            f"Spec `{self.spec}`, `{self.key}` = {values}.",
+            f"{len(frame.cells)} of {len(frame.order)} different cells, {sum(cell.episodes for cell in frame.cells)} episodes.",
+            *self.damaged,
+        ]
+        parts = [f"# Sweep: {self.name}\n", "".join(f"- {fact}\n" for fact in facts)]
+        if frame.missing:
+            parts.append("## Missing cells\n\n" + "".join(f"- {cell.label}: {cell.reason}\n" for cell in frame.missing))
+        parts.append(markdown(sweep_table(self.key, self.swept)))
+        parts += [f"![{self.key}]({name})\n" for name in figures if name.endswith(".png")]
+        parts.append(markdown(sweep_operator_table(self.key, self.swept)))
+        return "\n".join(parts)
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain values, unscaled."""
+        found = lines(self.swept)
+        return {
+            "name": self.name,
+            "spec": self.spec,
+            "setting": self.key,
+            "values": [each.value for each in self.swept],
+            "rows": [line.as_json(COLUMNS) for line in found],
+            "operators": [line.as_json(OPERATOR_COLUMNS) for line in operator_lines(self.swept, found)],
+            "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
+        }
+
+
+def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:
+    """Summarise the cells of a sweep.
+
+    Args:
+        results: the results folder.
+        sweep: the setting and its values.
+        cells: for each value its cells, each with the key of its evaluation.
+    """
+    swept: list[Swept] = []
+    damaged: list[str] = []
+    for point, own in zip(sweep.points, cells, strict=True):
+        report = report_run(results, point.loaded.spec, own)
+        damaged += report.damaged
+        swept.append(Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in own}))
+    return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)))
