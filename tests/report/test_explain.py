@@ -13,7 +13,7 @@ import pytest
 
 from tests.report.explained import KEY, NAN, WASP, Invented, looked, text_of, told
 from wasp_cli.errors import UsageError
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.facts import as_json, exceeds
 from wasp_cli.report.explain.look import look
 from wasp_cli.report.explain.stored import Episode, read_episode
@@ -228,24 +228,6 @@ def test_without_a_manifest_constants_are_unknown_and_costs_are_counted_over_15(
     assert "3 candidates predicted safe (|F_s|): Case II" in looked(episode, 2)
     assert "foreseen" not in looked(episode, 2)
     assert told(episode).startswith("goal1 s0 wasp laggy=0.7 · episode 0")
-
-
-def test_a_method_that_votes(tmp_path: Path) -> None:
-    made = Invented(method="ida", thresholds=Thresholds(tau_q=0.1), config={"vote": 0.99})
-    made.signal[:] = -0.2
-    made.signal[3], made.gate[3], made.a[3] = 1.0, GATE_METHOD, [0.0, 0.0]
-    made.pay(3, 4)
-    episode = made.read(tmp_path)
-    text = looked(episode, 3)
-    assert "1.000 on a scale from -1 (no member of the ensemble finds the expert's action better by more than 0.100 (τ_Q))" in text
-    assert "it takes over above 0.990: IDA took over" in text
-    assert "The plan" not in text
-    assert "safety gate" not in text
-    assert "the command stood" in looked(episode, 4)
-    story = told(episode)
-    assert "IDA took over 12.5%, silent 87.5% of decisions" in story
-    assert tell(episode).totals.missed == (4,)
-    assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2  -" in story
 
 
 @pytest.mark.parametrize(("method", "gate", "moved"), [("human", 0, 0.0), ("expert", 0, 0.0), ("diffusion", 3, 0.25), ("saferl", 3, 0.25)])

@@ -27,7 +27,7 @@ thresholds = st.one_of(st.none(), st.just(NAN), st.floats(-1, 2), st.just(0.0))
 
 @st.composite
 def cells(draw: st.DrawFn) -> Invented:
-    method = draw(st.sampled_from(["wasp", "ida", "human", "diffusion", "theirs"]))
+    method = draw(st.sampled_from(["wasp", "ida", "filter", "human", "diffusion", "theirs"]))
     variant = draw(st.sampled_from(["full", "safety-only", "task-only", "no-case2", "no-rollout", "own"]))
     limits = Thresholds(draw(thresholds), draw(thresholds), draw(thresholds))
     config = draw(st.sampled_from([{}, WASP, {**WASP, "bootstrap_cost": True}, {"vote": 0.5}, {"horizon": "long", "feasible": None}]))

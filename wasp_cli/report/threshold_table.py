@@ -23,7 +23,10 @@ def threshold_table(frame: Frame) -> Table:
         numbers = tuple(_threshold(group.cells, column.key) for column in COLUMNS)
         if any(value.mean is not None for value in numbers):
             rows.append(Row((task_title(group.task), assistant_title(group, ablation=group.assistant_variant != "full")), numbers))
-    meanings = ("tau_c: expected costly decision steps within the horizon; tau_r: return; tau_Q: IDA's advantage.",)
+    meanings = (
+        "tau_c: expected costly decision steps, within the horizon (WASP) or from here on (safety filter); tau_r: return; "
+        "tau_Q: IDA's advantage. The other methods have no threshold; what each was calibrated on stands under What was trained.",
+    )
     return Table("thresholds", "Thresholds in force", ("Task", "Method"), COLUMNS, tuple(rows), meanings=meanings)
 
 

@@ -206,6 +206,7 @@ class Look:
     g_return: float | None
     signal: float | None
     tau_q: float | None
+    tau_c: float | None
     plan: Planned | None
     now: Happened
     """this decision"""

@@ -6,6 +6,7 @@ from rich.text import Text
 
 from wasp_cli.report.explain.facts import Gate, Happened, Look, Planned, exceeds
 from wasp_cli.report.explain.words import (
+    SIGNALS,
     STYLES,
     action,
     beside,
@@ -42,7 +43,7 @@ def look_lines(look: Look, width: int) -> list[Text]:
     else:
         lines += entry("rule", rule(who), width)
         if look.signal is not None:
-            lines += entry("vote" if who.method == "ida" else "signal", _signal(look), width)
+            lines += entry(SIGNALS.get(who.method, "signal"), _signal(look), width)
 
     lines += [Text(), title("What then happened")]
     lines += entry("this decision", _happened(look.now), width)
@@ -156,6 +157,10 @@ def _predicted(look: Look, plan: Planned) -> str:
 
 def _signal(look: Look) -> str:
     value = short(look.signal)
+    if look.who.method == "filter":
+        value, limit = beside(look.signal, look.tau_c)
+        does = "the least correction below it" if look.gate == "method" else "the command stood"
+        return f"{value} costly decisions from here on, discounted, are to be expected of the command; {limit} are allowed (τ_c): {does}"
     if look.who.method != "ida":
         return f"{value}, the method's own decision value"
     above = "" if look.constants.vote is None else f"; it takes over above {short(look.constants.vote)}"

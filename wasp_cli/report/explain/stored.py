@@ -103,7 +103,7 @@ class Episode:
     def gated(self) -> bool:
         """Whether it has WASP's gates."""
         fired = np.isin(self.gate, (GATE_SAFETY, GATE_TASK)).any()
-        return bool(fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_c is not None)
+        return bool(fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_r is not None)  # others may bound a cost too
 
     @property
     def selective(self) -> bool:

@@ -12,7 +12,9 @@ from wasp_cli.report.explain.facts import Run, Story, Who
 from wasp_cli.report.explain.strip import strip_lines
 from wasp_cli.report.explain.tell import merged
 from wasp_cli.report.explain.words import (
+    DECIDERS,
     INDENT,
+    SIGNALS,
     STYLES,
     action,
     between,
@@ -136,7 +138,7 @@ def _shares(story: Story) -> str:
 
 def _took(who: Who) -> str:
     """Name of a method's own rule."""
-    return "IDA took over" if who.method == "ida" else "its own rule"
+    return {"ida": "IDA took over", "filter": "the filter corrected"}.get(who.method, "its own rule")
 
 
 def _costs(story: Story) -> str:
@@ -167,7 +169,7 @@ def _timeline(story: Story, pieces: Sequence[Run], width: int) -> list[Text]:
         Column("command → executed (means)", tuple(_change(run) for run in pieces), left=True, rank=2),
         Column(f"G^c (τ_c {short(tau_c)})", tuple(between(run.g_cost, tau_c) for run in pieces)),
         Column(f"ΔG (τ_r {short(tau_r)})", tuple(between(run.delta_g, tau_r) for run in pieces), rank=4),
-        Column("vote" if story.who.method == "ida" else "signal", tuple(between(run.signal, None) for run in pieces), rank=3),
+        Column(SIGNALS.get(story.who.method, "signal"), tuple(between(run.signal, None) for run in pieces), rank=3),
         Column("cost", tuple(str(run.cost) if run.cost else "-" for run in pieces)),
         Column("missed at", tuple(places(run.missed) for run in pieces), left=True),
     ]
@@ -192,7 +194,7 @@ def _timeline(story: Story, pieces: Sequence[Run], width: int) -> list[Text]:
 
 def _gate(run: Run, who: Who) -> str:
     """`safety`, or of merged runs `safety 12/15`."""
-    name = {"none": "-", "method": "IDA" if who.method == "ida" else "own rule"}.get(run.gate, run.gate)
+    name = {"none": "-", "method": DECIDERS.get(who.method, "own rule")}.get(run.gate, run.gate)
     return name if len(run.gates) == 1 else f"{name} {run.gates[run.gate]}/{run.decisions}"
 
 

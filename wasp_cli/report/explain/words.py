@@ -23,9 +23,16 @@ RULES = {
     "expert": "The unimpaired operator without assistance: the command is executed as it is.",
     "ida": "IDA puts the expert's action in the place of the command where an ensemble of Q functions votes for it.",
     "diffusion": "Diffusion has no gate: every command is blurred with noise and led back towards what an expert would do.",
+    "filter": "The safety filter looks one imagined step ahead: where that step and V_c behind it cost more than τ_c, it makes the least "
+    "correction towards the safest action that brings the cost below.",
     "saferl": "SafeRL-Res has no gate: a trained policy adds its correction to every command.",
 }
 """How a method without WASP's gates decides."""
+
+SIGNALS = {"ida": "vote", "filter": "Q_c"}
+"""What a method decides by; others call it their signal."""
+DECIDERS = {"ida": "IDA", "filter": "filter"}
+"""Who decides by it."""
 
 STYLES = {"safety": "yellow", "task": "cyan", "method": "magenta", "none": "dim"}
 
