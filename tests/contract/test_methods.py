@@ -27,7 +27,14 @@ SMALL: dict[str, dict[str, Any]] = {
         "tau_c": 1.2,
     },
 }  # fmt: skip
-CASES = [(name, variant) for name in METHODS for variant in METHODS[name].variants]
+OPTIONS: dict[str, list[dict[str, Any]]] = {
+    "ida": [{"copilot": "diffusion"}],
+    "diffusion": [{"last_noise": True}],
+    "filter": [{"tau_c": 0.01}],
+}
+"""Settings under which a method decides by other code."""
+CASES = [(name, variant, {}) for name in METHODS for variant in METHODS[name].variants]
+CASES += [(name, "full", settings) for name, several in OPTIONS.items() for settings in several]
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +77,9 @@ def drive(parts: Parts, made: Assistant, rows: list[int]) -> tuple[Tensor, Tenso
     return torch.stack(commands), torch.stack(actions), decisions
 
 
-@pytest.mark.parametrize(("name", "variant"), CASES)
-def test_actions_are_within_bounds_and_records_have_their_shapes(parts: Parts, name: str, variant: str) -> None:
-    commands, actions, decisions = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
+@pytest.mark.parametrize(("name", "variant", "settings"), CASES)
+def test_actions_are_within_bounds_and_records_have_their_shapes(parts: Parts, name: str, variant: str, settings: dict[str, Any]) -> None:
+    commands, actions, decisions = drive(parts, assistant(parts, name, variant, **settings), list(range(ROWS)))
     assert actions.shape == commands.shape == (STEPS, ROWS, 2)
     assert torch.isfinite(actions).all()
     assert actions.abs().max() <= 1
@@ -88,23 +95,23 @@ def test_actions_are_within_bounds_and_records_have_their_shapes(parts: Parts, n
             assert decision.planned.residuals[~planned].isnan().all()
 
 
-@pytest.mark.parametrize(("name", "variant"), CASES)
-def test_the_same_seeds_give_the_same_actions(parts: Parts, name: str, variant: str) -> None:
-    made = assistant(parts, name, variant)
+@pytest.mark.parametrize(("name", "variant", "settings"), CASES)
+def test_the_same_seeds_give_the_same_actions(parts: Parts, name: str, variant: str, settings: dict[str, Any]) -> None:
+    made = assistant(parts, name, variant, **settings)
     first, again = (drive(parts, made, list(range(ROWS)))[1] for _ in range(2))
     assert torch.equal(first, again)
 
 
-@pytest.mark.parametrize(("name", "variant"), CASES)
-def test_an_episode_does_not_depend_on_those_beside_it(parts: Parts, name: str, variant: str) -> None:
-    _, together, _ = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
-    _, alone, _ = drive(parts, assistant(parts, name, variant), [3])
+@pytest.mark.parametrize(("name", "variant", "settings"), CASES)
+def test_an_episode_does_not_depend_on_those_beside_it(parts: Parts, name: str, variant: str, settings: dict[str, Any]) -> None:
+    _, together, _ = drive(parts, assistant(parts, name, variant, **settings), list(range(ROWS)))
+    _, alone, _ = drive(parts, assistant(parts, name, variant, **settings), [3])
     torch.testing.assert_close(alone[:, 0], together[:, 3], atol=1e-5, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("name", "variant"), CASES)
-def test_where_no_gate_fired_the_command_stands(parts: Parts, name: str, variant: str) -> None:
-    commands, actions, decisions = drive(parts, assistant(parts, name, variant), list(range(ROWS)))
+@pytest.mark.parametrize(("name", "variant", "settings"), CASES)
+def test_where_no_gate_fired_the_command_stands(parts: Parts, name: str, variant: str, settings: dict[str, Any]) -> None:
+    commands, actions, decisions = drive(parts, assistant(parts, name, variant, **settings), list(range(ROWS)))
     silent = torch.stack([(decision.record or blank_record(ROWS)).gate for decision in decisions]) == 0
     assert torch.equal(actions[silent], commands[silent])
 

@@ -56,6 +56,15 @@ def test_the_expert_runs_once_for_all_operators() -> None:
     assert [(cell.operator, cell.severity, cell.value) for cell in cells] == [("none", None, None)] * 2
 
 
+def test_what_a_method_reads_may_depend_on_its_settings() -> None:
+    def needs(**settings: object) -> dict[str, set[str]]:
+        nodes = {node.label: node for node in grid(methods=["ida"], **settings).nodes}
+        return {kind: set(nodes[f"goal1 s0 {kind}"].needs) for kind in ("calibration ida", "ida noisy=0.2")}
+
+    assert all("denoiser" not in kinds for kinds in needs().values())
+    assert all("denoiser" in kinds for kinds in needs(ida={"copilot": "diffusion"}).values())
+
+
 def test_names_and_orders_enter_no_key() -> None:
     shuffled = {
         "name": "other",
