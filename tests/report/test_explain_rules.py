@@ -17,7 +17,7 @@ def test_a_method_that_votes(tmp_path: Path) -> None:
     made.pay(3, 4)
     episode = made.read(tmp_path)
     text = looked(episode, 3)
-    assert "1.000 on a scale from -1 (no member of the ensemble finds the expert's action better by more than 0.100 (τ_Q))" in text
+    assert "1.000 on a scale from -1 (no member of the ensemble finds the copilot's action better by more than 0.100 (τ_Q))" in text
     assert "it takes over above 0.990: IDA took over" in text
     assert "The plan" not in text
     assert "safety gate" not in text

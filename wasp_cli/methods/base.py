@@ -43,7 +43,7 @@ class Parts:
     inputs: Mapping[str, Path]
     """Artifact folders by stage kind, for what only one method reads."""
     thresholds: Mapping[str, float]
-    """Calibrated values by name (`tau_r`, `tau_q`); empty for methods without any."""
+    """Calibrated values by name (`tau_c`, `tau_r`, `tau_q`); empty for methods without any."""
     gamma_r: float
     gamma_c: float
     lam: float

@@ -166,7 +166,7 @@ def _signal(look: Look) -> str:
     above = "" if look.constants.vote is None else f"; it takes over above {short(look.constants.vote)}"
     margin = "" if look.tau_q is None else f" by more than {short(look.tau_q)} (τ_Q)"
     does = "IDA took over" if look.gate == "method" else "the command stood"
-    return f"{value} on a scale from -1 (no member of the ensemble finds the expert's action better{margin}) to 1 (all do){above}: {does}"
+    return f"{value} on a scale from -1 (no member of the ensemble finds the copilot's action better{margin}) to 1 (all do){above}: {does}"
 
 
 def _happened(what: Happened) -> str:

@@ -21,7 +21,8 @@ LABEL = 16
 RULES = {
     "human": "Human-only never intervenes: the command is executed as it is.",
     "expert": "The unimpaired operator without assistance: the command is executed as it is.",
-    "ida": "IDA puts the expert's action in the place of the command where an ensemble of Q functions votes for it.",
+    "ida": "IDA puts its copilot's action (the expert's, unless the spec says otherwise) in the place of the command where an ensemble "
+    "of Q functions votes for it.",
     "diffusion": "Diffusion has no gate: every command is blurred with noise and led back towards what an expert would do.",
     "filter": "The safety filter looks one imagined step ahead: where that step and V_c behind it cost more than τ_c, it makes the least "
     "correction towards the safest action that brings the cost below.",
