@@ -24,7 +24,7 @@ from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.residual import AssistedTask, huber, train_residual
 from wasp_cli.methods.base import Heldout, Parts
 from wasp_cli.models.base import Latent
-from wasp_cli.models.denoiser import NoiseSchedule
+from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.policy import Skills
 from wasp_cli.stages.base import no_progress
 
@@ -67,6 +67,25 @@ def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_d
     assert found["expert"]["0"]["conformity"] == 0.0
     assert summary["demonstrations"] == sum(recorded.episode % 10 != 9)
     assert quality_markdown(found).count("\n") == 2 + 3 * 5
+
+
+def test_the_weights_that_are_used_are_the_average_over_the_updates(data: tuple[Replay, Latents]) -> None:
+    recorded, latents = data
+
+    def weights(updates: int, ema: float) -> torch.Tensor:
+        torch.manual_seed(0)
+        config = DenoiserConfig(updates=updates, batch=16, hidden=(8,), ema=ema)
+        denoiser, _, _ = train_denoiser(recorded, latents.h[:, :2].tanh(), latents, config, 1, no_progress)
+        return torch.cat([parameter.flatten() for parameter in denoiser.parameters()])
+
+    last = [weights(updates, 0.0) for updates in (1, 2, 3)]  # of a training of the same draws that stops there
+    torch.manual_seed(0)
+    average = torch.cat([parameter.flatten() for parameter in Denoiser(6, 2, [8], 50).parameters()]).detach()
+    for update, now in enumerate(last):
+        decay = min(0.15, (1 + update) / (10 + update))  # it forgets the first updates sooner
+        average = decay * average + (1 - decay) * now
+    torch.testing.assert_close(weights(3, 0.15), average)
+    assert not torch.allclose(weights(3, 0.15), last[-1])
 
 
 def test_predicting_no_noise_at_all_scores_one() -> None:
