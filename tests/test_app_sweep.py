@@ -85,7 +85,7 @@ def test_reports_of_the_folder_still_work(cells: None, small_spec: Path, tmp_pat
 
 
 def test_a_value_that_fails_leaves_the_rows_of_the_others(cells: None, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    fakes.set(behave={"s1 evaluate diffusion {'ratio': 0.4} noisy": "refuse"})
+    fakes.set(behave={"s1 evaluate diffusion {'ratio': 0.4, 'last_noise': False} noisy": "refuse"})
     done = sweep(small_spec, tmp_path / "results", *VARY)
     assert done.exit_code == 1
     assert "error: 1 failed:\n  goal1 s1 diffusion noisy=0.2 [diffusion.ratio=0.4]: the loss is not finite" in done.stderr

@@ -74,7 +74,7 @@ def test_wasp_drives_in_later_rounds_so_that_its_settings_train_again(
 
 
 def test_a_value_that_fails_leaves_the_others(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    fakes.set(behave={"{'ratio': 0.4}": "refuse"})
+    fakes.set(behave={"'ratio': 0.4": "refuse"})
     done = swept(small_spec, tmp_path / "results")
     assert {failure.node.axes["method_config"]["ratio"] for failure in done.session.summary.failed} == {0.4}
     assert len(done.session.summary.failed) == 4

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wasp_cli.spec.load import Loaded, load
-
-LONGEST = 64
-"""Characters of a spec's name at most (`names.SpecName`)."""
+from wasp_cli.spec.names import LONGEST
 
 
 def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
