@@ -95,6 +95,13 @@ def test_where_no_action_is_safe_the_safest_is_executed() -> None:
     assert action[0, 0] == -1
 
 
+def test_many_actions_have_too_many_corners_to_try_them_all() -> None:
+    a_h = torch.full((2, 24), 0.9)  # 2^24 corners
+    action, _ = decide(made(tau_c=0.6, candidates=32, segment=8), torch.tensor([0.5, 0.1]), a_h)
+    assert action[0, 0] < 0.9
+    assert torch.equal(action[1], a_h[1])
+
+
 def test_every_action_of_a_decision_meets_the_same_noise() -> None:
     filter_ = made(shake=0.2, rollouts=4)
     filter_.reset(torch.ones(1, dtype=torch.bool), [5])

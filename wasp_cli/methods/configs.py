@@ -43,7 +43,9 @@ class FilterConfig(Config):
     quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
     )
-    candidates: int = assumed(64, "actions among which the safest is sought: all corners, zero, and random ones", ge=1)
+    candidates: int = assumed(
+        64, "random actions among which the safest is sought, beside zero and, unless they are more, all corners", ge=1
+    )
     segment: int = assumed(32, "points from the command to the safest action at which Q_c is read (the original has 2000)", ge=1)
     rollouts: int = assumed(8, "imagined next states over which Q_c is a mean, the same for every action", ge=1)
 

@@ -97,7 +97,9 @@ class SafetyFilter:
     def _corrected(self, latent: Latent, a_h: Tensor, draws: Tensor, uniforms: Tensor) -> Tensor:
         """The least correction [B, A] along the segment from a_h to the safest candidate."""
         batch, actions = a_h.shape
-        known = torch.tensor([*product((-1.0, 1.0), repeat=actions), [0.0] * actions])  # where motors saturate, and a stop
+        # Where motors saturate, as far as there are no more corners than candidates; and a stop.
+        corners = product((-1.0, 1.0), repeat=actions) if 2**actions <= self.config.candidates else ()
+        known = torch.tensor([*corners, [0.0] * actions])
         candidates = torch.cat([known.expand(batch, -1, -1), 2 * uniforms - 1], 1)
         safest = candidates[torch.arange(batch), self.q_c(latent, candidates, draws).argmin(1)].unsqueeze(1)  # [B, 1, A]
         share = torch.arange(1, self.config.segment + 1).view(1, -1, 1) / self.config.segment

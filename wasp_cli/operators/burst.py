@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Human, Memory, Operator
-from wasp_cli.operators.noise import NoiseSource
+from wasp_cli.operators.base import Memory
+from wasp_cli.operators.noisy import NoisyOperator
 
 MEAN_BURST = 10.0
 """Decisions; IDA stops a burst with probability 0.1."""
 
 
-class BurstNoiseOperator(Operator):
+class BurstNoiseOperator(NoisyOperator):
     """See the module; the severity `epsilon` is the share of the decisions within bursts, from the first decision of an episode on."""
-
-    noise_size = 1
-    draws_action = True
-    epsilon: float
-
-    @classmethod
-    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
-        operator = super().build(value, human, noise, batch)
-        operator.epsilon = value
-        return operator
 
     def initial(self, batch: int) -> Memory:
         return {"burst": torch.zeros(batch, 1, dtype=torch.bool), "started": torch.zeros(batch, 1, dtype=torch.bool)}

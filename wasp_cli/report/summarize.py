@@ -65,23 +65,17 @@ class Report:
         if self.missing:
             total = len(self.frame.cells) + len(self.missing)
             console.print(Text(f"\n{len(self.missing)} of {total} cells are missing:", style="bold red"))
-            for cell in self.missing[:NAMED]:
-                console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
-            if len(self.missing) > NAMED:
-                console.print(Text(f"  and {len(self.missing) - NAMED} more; report.md names all"))
+            name_missing(console, self.missing)
 
     def write(self, folder: Path) -> list[Path]:
         """Write every table in every format, the figures and `report.md`; returns the files, `report.md` first."""
         folder.mkdir(parents=True, exist_ok=True)
         figures = cost_return_figure(self.frame, folder)
-        texts = {f"{table.name}.{ending}": render(table) for table in self.tables for ending, render in RENDERERS.items()}
-        texts = {"report.md": self.markdown([path.name for path in figures]), **texts}
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
+        pages = write_pages(folder, self.markdown([path.name for path in figures]), self.tables)
         # What an earlier report had and this one has not would pass for a part of it.
-        for name in KNOWN - texts.keys() - {path.name for path in figures}:
+        for name in KNOWN - {path.name for path in (*pages, *figures)}:
             (folder / name).unlink(missing_ok=True)
-        return [*(folder / name for name in texts), *figures]
+        return [*pages, *figures]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
         """The whole report as one page."""
@@ -96,6 +90,23 @@ class Report:
             parts.append(trained_markdown(self.trained))
         parts.append(assumptions_markdown(self.assumptions))
         return "\n".join(parts)
+
+
+def name_missing(console: Console, missing: Sequence[Missing]) -> None:
+    """Print the first missing cells, each with its reason, and how many more there are."""
+    for cell in missing[:NAMED]:
+        console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
+    if len(missing) > NAMED:
+        console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
+
+
+def write_pages(folder: Path, page: str, tables: Sequence[Table]) -> list[Path]:
+    """Write `report.md` and every table in every format; returns the files, `report.md` first."""
+    texts = {"report.md": page}
+    texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
 
 
 def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], parts: Sequence[tuple[Part, str]] = ()) -> Report:

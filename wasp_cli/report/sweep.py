@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.text import Text
 
 from wasp_cli.plan.cell import Cell
 from wasp_cli.report.frame import Missing
-from wasp_cli.report.summarize import NAMED, identity_of, report_run
+from wasp_cli.report.summarize import identity_of, name_missing, report_run, write_pages
 from wasp_cli.report.sweep_figure import sweep_figures
 from wasp_cli.report.sweep_table import COLUMNS, OPERATOR_COLUMNS, Swept, combined, lines, operator_lines, sweep_operator_table, sweep_table
-from wasp_cli.report.table import RENDERERS, markdown, terminal
+from wasp_cli.report.table import Table, markdown, terminal
 from wasp_cli.spec.sweep import Sweep
 
 
@@ -35,28 +35,26 @@ class SweepReport:
         """Cells without readable rows, each once, with the value that it belongs to and the reason."""
         return combined(self.key, self.swept).missing
 
+    @cached_property
+    def tables(self) -> tuple[Table, Table]:
+        """Over all operators, and for each of them."""
+        return sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)
+
     def terminal(self, console: Console) -> None:
         """Print both tables and name what is missing."""
-        for table in (sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)):
+        for table in self.tables:
             if table.rows:
                 console.print(terminal(table, console.width))
-        for cell in self.missing[:NAMED]:
-            console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
-        if len(self.missing) > NAMED:
-            console.print(Text(f"  and {len(self.missing) - NAMED} more; report.md names all"))
+        name_missing(console, self.missing)
 
     def write(self, folder: Path) -> list[Path]:
         """Write both tables in every format, a figure for each task, and `report.md`; returns the files, `report.md` first."""
         folder.mkdir(parents=True, exist_ok=True)
         figures = sweep_figures(self.key, self.swept, folder)
-        tables = (sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept))
-        texts = {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
-        texts = {"report.md": self.markdown([path.name for path in figures]), **texts}
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
+        pages = write_pages(folder, self.markdown([path.name for path in figures]), self.tables)
         for path in {*folder.glob("sweep_*.png"), *folder.glob("sweep_*.svg")} - {*figures}:
             path.unlink(missing_ok=True)  # of a task that an earlier sweep had
-        return [*(folder / name for name in texts), *figures]
+        return [*pages, *figures]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
         """The whole report as one page."""
@@ -70,9 +68,10 @@ class SweepReport:
         parts = [f"# Sweep: {self.name}\n", "".join(f"- {fact}\n" for fact in facts)]
         if frame.missing:
             parts.append("## Missing cells\n\n" + "".join(f"- {cell.label}: {cell.reason}\n" for cell in frame.missing))
-        parts.append(markdown(sweep_table(self.key, self.swept)))
+        whole, by_operator = self.tables
+        parts.append(markdown(whole))
         parts += [f"![{self.key}]({name})\n" for name in figures if name.endswith(".png")]
-        parts.append(markdown(sweep_operator_table(self.key, self.swept)))
+        parts.append(markdown(by_operator))
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:

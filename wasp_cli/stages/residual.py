@@ -43,5 +43,5 @@ class ResidualStage:
             policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)
         )
         (job.out_dir / "curve.json").write_text(finite_json(curve))
-        draw_curve(curve, config.cost_limit, job.out_dir / "curve.png")
+        draw_curve(curve, config.cost_limit if config.mode == "lagrangian" else None, job.out_dir / "curve.png")
         return {name: curve[-1][name] for name in ("interactions", "cost_per_1000", "multiplier")}
