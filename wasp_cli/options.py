@@ -52,6 +52,16 @@ SetOption = Annotated[
         show_default=False,
     ),
 ]
+SelectOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--select",
+        metavar="FIELD=VALUE,...",
+        help="Only these cells: 'task=race1,method=wasp|ida'; with 'stage=world_model' also what is trained. Repeatable.",
+        show_default=False,
+    ),
+]
+FailedOption = Annotated[bool, typer.Option("--failed", help="Only what failed before, and what waits for it.")]
 
 
 def expected_errors(command: Callable[P, R]) -> Callable[P, R]:

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from tests.plan.test_grid import grid
-from wasp_cli.plan.plan import Plan, make_plan, plan_against, sort_of
+from wasp_cli.plan.plan import Plan, make_plan, plan_against
 from wasp_cli.plan.show import show
 from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.layout import Layout
@@ -36,18 +36,18 @@ def test_each_node_has_a_state_and_a_reason() -> None:
 
 def test_times_come_from_nodes_of_the_same_sort() -> None:
     laid_out = grid(seeds=[0], methods=["human", "expert"])
-    seconds = {sort_of(node): 10.0 for node in laid_out.nodes}
+    seconds = {node.sort: 10.0 for node in laid_out.nodes}
     plan = make_plan(laid_out, {}, {}, seconds)
     # expert, dataset, world model and policies follow one another; the four evaluations share two workers
     assert plan.estimate(2) == (pytest.approx(4 * 10 + 4 * 10 / 2), 0)
     assert plan.estimate(100) == (pytest.approx(5 * 10), 0)
-    expert = sort_of(laid_out.nodes[0])
+    expert = laid_out.nodes[0].sort
     assert make_plan(laid_out, {}, {}, {expert: 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
 
 
 def test_times_of_other_sizes_do_not_count() -> None:
-    assert sort_of(grid(expert={"interactions": 3000}).nodes[0]) != sort_of(grid().nodes[0])
-    assert len({sort_of(node) for node in grid().nodes if node.kind == "expert"}) == 1
+    assert grid(expert={"interactions": 3000}).nodes[0].sort != grid().nodes[0].sort
+    assert len({node.sort for node in grid().nodes if node.kind == "expert"}) == 1
 
 
 def test_the_plan_reads_well() -> None:

@@ -38,13 +38,9 @@ def closure(roots: Iterable[str]) -> frozenset[str]:
     return frozenset(found)
 
 
+@cache
 def closure_hash(roots: tuple[str, ...]) -> str:
     """One hash over the source of the closure."""
-    return _hash_of(frozenset(roots))
-
-
-@cache
-def _hash_of(roots: frozenset[str]) -> str:
     lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots))]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:20]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import gc
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -13,8 +15,8 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import closure_hash
-from wasp_cli.plan.keys import key_of
-from wasp_cli.plan.node import Node, with_upstream
+from wasp_cli.plan.keys import Text, canonical, joined, key_of
+from wasp_cli.plan.node import Node, sort_of, with_upstream
 from wasp_cli.plan.part import Part
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
@@ -38,8 +40,15 @@ class Grid:
     cells: tuple[tuple[Cell, Node], ...]
     nodes: tuple[Node, ...]
     """Each once, needed ones first."""
+    named: tuple[Node, ...]
+    """What the spec trains by name."""
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
+
+    @property
+    def targets(self) -> frozenset[str]:
+        """The keys of what the spec asks for; the other nodes are there for these."""
+        return frozenset([*(node.key for _, node in self.cells), *(node.key for node in self.named)])
 
     @property
     def parts(self) -> list[tuple[Part, Node]]:
@@ -49,20 +58,39 @@ class Grid:
 
 def lay_out(spec: Spec) -> Grid:
     """Every cell of a spec, every stage that it names, and every node behind them, each node once."""
-    builder = _Builder(spec)
-    cells = tuple((cell, builder.evaluation(cell)) for cell in cells_of(spec))
+    with _uncollected():
+        return _lay_out(spec, _Builder(spec))
+
+
+def _lay_out(spec: Spec, builder: _Builder) -> Grid:
+    cells = tuple([(cell, builder.evaluation(cell)) for cell in cells_of(spec)])
     severities = sum(len(values) for values in spec.operators.values())
     per_seed = sum(len(spec.variants_of(method)) for method in spec.methods) * max(severities, 1)
-    named = [builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), spec.stages)]
+    named = tuple(
+        builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), spec.stages)
+    )
     nodes = with_upstream([*(node for _, node in cells), *named])
-    return Grid(cells, tuple(nodes), len(spec.tasks) * len(spec.seeds) * per_seed)
+    return Grid(cells, tuple(nodes), named, len(spec.tasks) * len(spec.seeds) * per_seed)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Nothing of a grid is garbage while it grows, and looking for it takes a fifth of the time."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 def together(grids: Sequence[Grid]) -> Grid:
     """What several specs ask for: what they share is there once."""
     cells = {node.key: (cell, node) for grid in grids for cell, node in grid.cells}
     nodes = with_upstream([node for grid in grids for node in grid.nodes])
-    return Grid(tuple(cells.values()), tuple(nodes), sum(grid.points for grid in grids))
+    named = {node.key: node for grid in grids for node in grid.named}
+    return Grid(tuple(cells.values()), tuple(nodes), tuple(named.values()), sum(grid.points for grid in grids))
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
@@ -72,6 +100,20 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
         operators = impaired if METHODS[method].impaired else [(UNIMPAIRED, None, None)]
         for assistant, (operator, severity, value), seed in product(spec.variants_of(method), operators, spec.seeds):
             yield Cell(task, method, assistant, operator, severity, value, seed)
+
+
+@dataclass(frozen=True)
+class _Assisted:
+    """What all evaluations of one assistant on one training chain share."""
+
+    needs: Mapping[str, Node]
+    upstream: Text
+    roots: tuple[str, ...]
+    config: Mapping[str, Any]
+    text: Text
+    """of `config`"""
+    sort: str
+    """of the nodes"""
 
 
 class _Builder:
@@ -84,33 +126,42 @@ class _Builder:
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
         self.config = cache(lambda kind: spec.stage(kind).model_dump(mode="json"))
-        self.identity = cache(lambda kind: spec.stage(kind).identity())
+        self.identity = cache(lambda kind: canonical(spec.stage(kind).identity()))
         self.settings = cache(self._settings)
+        self.settings_text = cache(lambda kind: canonical(self.settings(kind)))
         self.method_config = cache(lambda method, variant: spec.method(method, variant).model_dump(mode="json"))
         self.training = cache(self._training)
         self.rollouts = cache(self._rollouts)
         self.calibration = cache(self._calibration)
+        self.assisted = cache(self._assisted)
+        self.modules = cache(_modules)
 
     def evaluation(self, cell: Cell) -> Node:
         """The node that computes a cell, from the training chain of its seed."""
-        info, chain = METHODS[cell.method], self.spec.chain_seed(cell.seed)
-        config = self.method_config(cell.method, cell.assistant)
-        needs = self._inputs("evaluate", cell.task, chain, self.spec.rounds, info.needs_of(config))
-        if info.calibrated:
-            variant = cell.assistant if cell.assistant in info.own_thresholds else CALIBRATED_VARIANT
-            needs["calibration"] = self.calibration(cell.task, chain, cell.method, variant)
+        shared: _Assisted = self.assisted(cell.task, self.spec.chain_seed(cell.seed), cell.method, cell.assistant)
         axes = _round_axis(self.spec.rounds) | {
             "method": cell.method,
-            "method_config": config,
+            "method_config": shared.config,
             "variant": cell.operator,
             "value": cell.value,
         }
-        roots = [module_of(info.target)]
-        if cell.operator in OPERATORS:
-            roots.append(module_of(OPERATORS[cell.operator].target))
+        text = joined({**axes, "method_config": shared.text})
+        roots = (*shared.roots, *([module_of(OPERATORS[cell.operator].target)] if cell.operator in OPERATORS else ()))
         assistant = "" if cell.assistant == CALIBRATED_VARIANT else f"/{cell.assistant}"
         operator = "unimpaired" if cell.value is None else f"{cell.operator}={cell.value:g}"
-        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, f"{cell.method}{assistant} {operator}")
+        label = f"{cell.method}{assistant} {operator}"
+        return self._node("evaluate", cell.task, cell.seed, axes, shared.needs, roots, label, (text, shared.upstream, shared.sort))
+
+    def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
+        info = METHODS[method]
+        config = self.method_config(method, assistant)
+        needs = self._inputs("evaluate", task, chain, self.spec.rounds, info.needs_of(config))
+        if info.calibrated:
+            variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
+            needs["calibration"] = self.calibration(task, chain, method, variant)
+        axes = _round_axis(self.spec.rounds) | {"method": method, "method_config": config}
+        sort = sort_of("evaluate", task, self.config("evaluate"), axes)
+        return _Assisted(needs, _upstream(needs), (module_of(info.target),), config, canonical(config), sort)
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
@@ -119,7 +170,7 @@ class _Builder:
         axes = _round_axis(number) | {"method": method, "method_config": config}
         needs = self._inputs("calibration", task, seed, number, info.needs_of(config))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
-        return self._node("calibration", task, seed, axes, needs, [module_of(info.target)], _in_round(f"calibration {name}", number))
+        return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), _in_round(f"calibration {name}", number))
 
     def _training(self, kind: str, task: str, seed: int, number: int) -> Node:
         if kind in BEFORE_ROUNDS and number > 1:
@@ -132,7 +183,7 @@ class _Builder:
     def _rollouts(self, task: str, seed: int, number: int) -> Node:
         axes = _round_axis(number) | {"method": ASSISTANT, "method_config": self.method_config(ASSISTANT, CALIBRATED_VARIANT)}
         needs = self._inputs(ROLLOUTS, task, seed, number - 1)
-        roots = [module_of(METHODS[ASSISTANT].target), *self._operators(ROLLOUTS)]
+        roots = (module_of(METHODS[ASSISTANT].target), *self._operators(ROLLOUTS))
         return self._node(ROLLOUTS, task, seed, axes, needs, roots, _in_round(ROLLOUTS, number))
 
     def _inputs(self, kind: str, task: str, seed: int, number: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
@@ -145,32 +196,51 @@ class _Builder:
             return self.rollouts(task, seed, number)
         return self.training(name, task, seed, number)
 
-    def _operators(self, kind: str) -> list[str]:
+    def _operators(self, kind: str) -> tuple[str, ...]:
         """A stage that mixes operators finds them by the names in its section."""
-        return [module_of(OPERATORS[name].target) for name in self.config(kind).get("operators", {})]
+        return tuple(module_of(OPERATORS[name].target) for name in self.config(kind).get("operators", {}))
 
     def _settings(self, kind: str) -> dict[str, Any]:
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
         return {name: value.model_dump(mode="json") if isinstance(value, Config) else value for name, value in values.items()}
 
     def _node(
-        self, kind: str, task: str, seed: int, axes: Mapping[str, Any], needs: Mapping[str, Node], roots: list[str], label: str
+        self,
+        kind: str,
+        task: str,
+        seed: int,
+        axes: Mapping[str, Any],
+        needs: Mapping[str, Node],
+        roots: tuple[str, ...],
+        label: str,
+        made: tuple[Text, Text, str] | None = None,
     ) -> Node:
-        modules = tuple(sorted({module_of(STAGES[kind].target), *_task_modules(task), *roots}))
-        config, settings = self.config(kind), self.settings(kind)
+        """A node; `made` are the text of its axes, that of its upstream keys, and its sort, where many nodes share them."""
+        modules: tuple[str, ...] = self.modules(kind, task, roots)
+        config = self.config(kind)
+        text, upstream, sort = made or (canonical(axes), _upstream(needs), sort_of(kind, task, config, axes))
         key = key_of(
             {
                 "kind": kind,
-                "task": _task_facts(task),
+                "task": _task_text(task),
                 "seed": seed,
-                "axes": axes,
+                "axes": text,
                 "config": self.identity(kind),
-                "settings": settings,
-                "upstream": {name: node.key for name, node in needs.items()},
+                "settings": self.settings_text(kind),
+                "upstream": upstream,
                 "code": closure_hash(modules),
             }
         )
-        return Node(kind, task, seed, axes, config, settings, needs, modules, key, f"{task} s{seed} {label}")
+        return Node(kind, task, seed, axes, config, self.settings(kind), needs, modules, key, f"{task} s{seed} {label}", sort)
+
+
+def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
+    """Where the code of a node begins."""
+    return tuple(sorted({module_of(STAGES[kind].target), *_task_modules(task), *roots}))
+
+
+def _upstream(needs: Mapping[str, Node]) -> Text:
+    return canonical({name: node.key for name, node in needs.items()})
 
 
 def round_of(node: Node) -> int:
@@ -199,5 +269,5 @@ def _task_modules(task: str) -> tuple[str, ...]:
 
 
 @cache
-def _task_facts(task: str) -> dict[str, Any]:
-    return TASKS[task].facts()
+def _task_text(task: str) -> Text:
+    return canonical(TASKS[task].facts())

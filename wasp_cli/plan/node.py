@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import hashlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+from wasp_cli.plan.keys import canonical
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -27,6 +30,8 @@ class Node:
     key: str
     label: str
     """For people: `goal1 s0 world_model`."""
+    sort: str
+    """Nodes of a sort take about as long: the same stage, task, method and round at the same sizes, whatever the seed and the operator."""
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -38,16 +43,23 @@ class Node:
         return self.label
 
 
-def with_upstream(nodes: Iterator[Node] | list[Node]) -> list[Node]:
+def with_upstream(nodes: Iterable[Node]) -> list[Node]:
     """The nodes and everything they need, each once, needed ones first."""
     found: dict[str, Node] = {}
 
     def visit(node: Node) -> None:
-        if node.key not in found:
-            for needed in node.needs.values():
+        for needed in node.needs.values():
+            if needed.key not in found:
                 visit(needed)
-            found[node.key] = node
+        found[node.key] = node
 
     for node in nodes:
-        visit(node)
+        if node.key not in found:
+            visit(node)
     return list(found.values())
+
+
+def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
+    """What `Node.sort` is; a manifest tells the same four things of a node that was computed."""
+    text = canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

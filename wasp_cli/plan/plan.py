@@ -1,30 +1,31 @@
-"""What a run would do: each node with a state and a reason."""
+"""What a run would do: each node with a state and a reason. The run does exactly that."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Container, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from statistics import median
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.facts import VERSION, facts_of, measured
 from wasp_cli.plan.grid import Grid
-from wasp_cli.plan.keys import canonical
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.part import Part
+from wasp_cli.plan.reasons import Reasons
 from wasp_cli.plan.waves import waves
-from wasp_cli.store.artifact import damage, published, read_manifest, read_record
+from wasp_cli.store.artifact import read_record
+from wasp_cli.store.index import take_stock
 from wasp_cli.store.layout import Layout
 
-State = Literal["cached", "missing", "damaged", "failed"]
-_MEASURED = 300
-"""Manifests read per kind for the estimate of times."""
+State = Literal["cached", "missing", "changed", "failed", "damaged", "unneeded"]
+IDLE = ("cached", "unneeded")
+"""States in which a run leaves a node as it is."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Step:
     """A node and what becomes of it."""
 
@@ -35,7 +36,7 @@ class Step:
     @property
     def runs(self) -> bool:
         """Whether a run would compute it."""
-        return self.state != "cached"
+        return self.state not in IDLE
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class Plan:
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Median time of each sort of node, where the store has some."""
+    wanted: frozenset[str] | None = None
+    """Keys of the targets that were selected; None when all are wanted."""
 
     def to_run(self) -> list[Node]:
         """The nodes that a run computes, needed ones first."""
@@ -55,47 +58,80 @@ class Plan:
         """Number of nodes in a state."""
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
-    def kinds(self) -> list[str]:
-        """The kinds of nodes, in the order in which they first run."""
-        return list(dict.fromkeys(node.kind for wave in waves(step.node for step in self.steps) for node in wave))
+    def counts(self) -> dict[str, Counter[State]]:
+        """Number of nodes by kind and state; kinds in the order in which they first run."""
+        found: dict[str, Counter[State]] = {}
+        for step in self.steps:
+            found.setdefault(step.node.kind, Counter())[step.state] += 1
+        order = dict.fromkeys(node.kind for wave in waves(step.node for step in self.steps) for node in wave)
+        return {kind: found[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
         """Seconds for the nodes that are to run, and how many of them have no measured time."""
         total, unknown = 0.0, 0
         for wave in waves(self.to_run()):
-            known = [self.seconds[sort_of(node)] for node in wave if sort_of(node) in self.seconds]
+            known = [self.seconds[node.sort] for node in wave if node.sort in self.seconds]
             unknown += len(wave) - len(known)
             total += max(sum(known) / workers, max(known, default=0.0))
         return total, unknown
 
+    def critical_path(self) -> tuple[float, list[Node]]:
+        """The chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""
+        ends: dict[str, float] = {}
+        before: dict[str, Node | None] = {}
+        last: Node | None = None
+        for node in self.to_run():
+            previous = max((needed for needed in node.needs.values() if needed.key in ends), key=lambda each: ends[each.key], default=None)
+            ends[node.key] = (ends[previous.key] if previous else 0.0) + self.seconds.get(node.sort, 0.0)
+            before[node.key] = previous
+            if last is None or ends[node.key] > ends[last.key]:
+                last = node
+        path: list[Node] = []
+        seconds = ends[last.key] if last else 0.0
+        while last is not None:
+            path.append(last)
+            last = before[last.key]
+        return seconds, path[::-1]
+
     def as_json(self) -> dict[str, Any]:
         """As plain values: for machines, and for the report of a run that is long over."""
+        seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
             "cells": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.cells],
             "parts": [{**part.as_json(), "key": node.key} for part, node in self.grid.parts],
-            "nodes": [_node_json(step) for step in self.steps],
+            "nodes": [self._node_json(step) for step in self.steps],
             "counts": dict(Counter(step.state for step in self.steps)),
+            "critical_path": {"seconds": seconds, "nodes": [node.key for node in path]},
+        }
+
+    def _node_json(self, step: Step) -> dict[str, Any]:
+        node = step.node
+        return {
+            "key": node.key,
+            "kind": node.kind,
+            "label": node.label,
+            "state": step.state,
+            "reason": step.reason,
+            "needs": {name: needed.key for name, needed in node.needs.items()},
+            "seconds": self.seconds.get(node.sort),
         }
 
     def of(self, grid: Grid) -> Plan:
         """The part of this plan that is about a grid whose nodes it has."""
         steps = {step.node.key: step for step in self.steps}
-        return Plan(grid, tuple(steps[node.key] for node in grid.nodes), self.seconds)
-
-
-def _node_json(step: Step) -> dict[str, Any]:
-    node = step.node
-    needs = {name: needed.key for name, needed in node.needs.items()}
-    return {"key": node.key, "kind": node.kind, "label": node.label, "state": step.state, "reason": step.reason, "needs": needs}
+        return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
 
 
 def make_plan(
     grid: Grid,
-    stored: Mapping[str, set[str]],
+    stored: Mapping[str, Container[str]],
     failures: Mapping[str, str],
     seconds: Mapping[str, float] | None = None,
     damages: Mapping[str, str] | None = None,
+    *,
+    changed: Callable[[Node], str | None] = lambda node: None,
+    wanted: frozenset[str] | None = None,
 ) -> Plan:
     """Give each node its state.
 
@@ -103,13 +139,30 @@ def make_plan(
         grid: what the spec asks for.
         stored: keys in the store, by kind.
         failures: cause of the last failure, by key.
-        seconds: measured times by `sort_of` node.
+        seconds: measured times by sort of node.
         damages: what is wrong with a stored artifact, by key.
+        changed: why an earlier version of a node does not serve; None where there is none.
+        wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
     """
-    return Plan(grid, tuple(_step(node, stored, failures, damages or {}) for node in grid.nodes), seconds or {})
+    targets = grid.targets if wanted is None else wanted
+    scope, required = set(targets), set(targets)
+    steps: list[Step] = []
+    for node in reversed(grid.nodes):
+        step = _step(node, stored, failures, damages or {})
+        if node.key in scope:
+            scope.update(needed.key for needed in node.needs.values())
+        # What is damaged is repaired also where only a finished node has read it: reports show it.
+        if step.runs and (node.key in required or (step.state == "damaged" and node.key in scope)):
+            required.update(needed.key for needed in node.needs.values())
+            if step.state == "missing" and (reason := changed(node)) is not None:
+                step = Step(node, "changed", reason)
+        elif step.runs:
+            step = Step(node, "unneeded", _why_not(node, grid, scope))
+        steps.append(step)
+    return Plan(grid, tuple(reversed(steps)), seconds or {}, wanted)
 
 
-def _step(node: Node, stored: Mapping[str, set[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
+def _step(node: Node, stored: Mapping[str, Container[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
     if node.key in damages:
         return Step(node, "damaged", f"damaged, to be computed again: {damages[node.key]}")
     if node.key in stored.get(node.kind, ()):
@@ -119,20 +172,46 @@ def _step(node: Node, stored: Mapping[str, set[str]], failures: Mapping[str, str
     return Step(node, "missing", "not computed yet")
 
 
-def plan_against(grid: Grid, layout: Layout, *, estimate: bool = True) -> Plan:
-    """The plan of a grid over the store of a results folder."""
-    kinds = dict.fromkeys(node.kind for node in grid.nodes)
-    stored = {kind: published(layout, kind) for kind in kinds}
-    damages = {node.key: wrong for node in grid.nodes if node.key in stored[node.kind] and (wrong := damage(layout, node.kind, node.key))}
-    failures: dict[str, str] = {}
-    wanted = {node.key for node in grid.nodes}
-    for path in layout.failures.glob("*.json"):
-        if path.stem in wanted:
-            failures[path.stem] = _cause(path)
-    plan = make_plan(grid, stored, failures, damages=damages)
-    if not estimate or not plan.to_run():
-        return plan
-    return Plan(grid, plan.steps, measured(layout, stored))
+def _why_not(node: Node, grid: Grid, scope: Container[str]) -> str:
+    return "everything that needs it is computed" if node.key in scope else "not selected"
+
+
+def plan_against(
+    grid: Grid,
+    layout: Layout,
+    *,
+    wanted: frozenset[str] | None = None,
+    failed_only: bool = False,
+) -> Plan:
+    """The plan of a grid over the store of a results folder.
+
+    Args:
+        grid: what the spec asks for.
+        layout: the results folder; it need not be there.
+        wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
+        failed_only: of these, only what failed before and what was blocked by it.
+
+    Raises:
+        StoreError: the results folder cannot be read.
+    """
+    kinds = list(dict.fromkeys(node.kind for node in grid.nodes))
+    stock = take_stock(layout, kinds, facts_of, VERSION)
+    nodes = {node.key for node in grid.nodes}
+    failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
+    damages = {key: wrong for key, wrong in stock.damaged.items() if key in nodes}
+    if failed_only:
+        wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
+    reasons = Reasons(layout, stock, kinds)
+    return make_plan(grid, stock.whole, failures, measured(stock), damages, changed=reasons.of, wanted=wanted)
+
+
+def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:
+    """Of the wanted nodes, those that failed or need one that did."""
+    touched: set[str] = set()
+    for node in grid.nodes:
+        if node.key in failures or any(needed.key in touched for needed in node.needs.values()):
+            touched.add(node.key)
+    return frozenset(touched.intersection(wanted))
 
 
 def _cause(path: Path) -> str:
@@ -140,29 +219,6 @@ def _cause(path: Path) -> str:
         return str((read_record(path) or {}).get("message", "unknown cause"))
     except ArtifactError:
         return "its record is damaged"
-
-
-def sort_of(node: Node) -> str:
-    """Nodes of a sort take about as long: the same stage, method and round at the same sizes, whatever the seed and the operator."""
-    return _sort(node.kind, node.task, node.config, node.axes)
-
-
-def _sort(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
-    return canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
-
-
-def measured(layout: Layout, stored: Mapping[str, Iterable[str]]) -> dict[str, float]:
-    """Median seconds by sort of node, from the manifests in the store."""
-    times: dict[str, list[float]] = {}
-    for kind, keys in stored.items():
-        for key in sorted(keys)[:_MEASURED]:
-            try:
-                manifest = read_manifest(layout, kind, key)
-                sort = _sort(kind, manifest["task"], manifest["config"], manifest["axes"])
-                times.setdefault(sort, []).append(float(manifest["provenance"]["seconds"]))
-            except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):  # damaged: no measurement
-                continue
-    return {sort: median(values) for sort, values in times.items()}
 
 
 def cells_with_keys(grid: Grid) -> list[tuple[Cell, str]]:

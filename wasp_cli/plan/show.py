@@ -2,53 +2,97 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from wasp_cli.console import duration
-from wasp_cli.plan.plan import Plan
+from wasp_cli.plan.plan import Plan, State, Step
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+COLUMNS: dict[State, str] = {
+    "cached": "cached",
+    "missing": "missing",
+    "changed": "changed",
+    "failed": "failed before",
+    "damaged": "damaged",
+    "unneeded": "not needed",
+}
+SHOWN = 12
+"""Reasons that are shown at most, and nodes of the critical path."""
 
-def show(plan: Plan, console: Console, workers: int) -> None:
-    """Print the counts by kind, the size of the grid, and what stands in the way."""
+
+def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> None:
+    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it will take.
+
+    Args:
+        plan: the plan.
+        console: where to.
+        workers: worker processes of the run that the time is for.
+        every: list every node with its state and reason, too.
+    """
     from rich.table import Table
 
+    counts = plan.counts()
+    total = sum(counts.values(), Counter())
+    columns = [state for state in COLUMNS if state in ("cached", "missing") or total[state]]
     table = Table(box=None, padding=(0, 2), header_style="bold")
     table.add_column("stage")
-    for column in ("nodes", "cached", "to run", "failed before"):
-        table.add_column(column, justify="right")
-    for kind in plan.kinds():
-        counts = [
-            sum(step.node.kind == kind for step in plan.steps),
-            plan.count("cached", kind),
-            plan.count("missing", kind) + plan.count("damaged", kind),
-        ]
-        counts.append(plan.count("failed", kind))
-        table.add_row(kind, *(str(count) if count else "-" for count in counts))
+    for heading in ("nodes", *(COLUMNS[state] for state in columns)):
+        table.add_column(heading, justify="right")
+    for kind, states in counts.items():
+        table.add_row(kind, str(states.total()), *(str(states[state] or "-") for state in columns))
     table.add_section()
-    fresh = plan.count("missing") + plan.count("damaged")
-    totals = [len(plan.steps), plan.count("cached"), fresh, plan.count("failed")]
-    table.add_row("total", *map(str, totals), style="bold")
+    table.add_row("total", str(total.total()), *(str(total[state]) for state in columns), style="bold")
     console.print(table)
+    console.print(_size(plan))
+    for line in _every(plan) if every else _reasons(plan):
+        console.print(line, markup=False, soft_wrap=True)
+    for line in _time(plan, workers):
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _size(plan: Plan) -> str:
     cells = len({node.key for _, node in plan.grid.cells})
     text = f"{plan.grid.points} grid points, {cells} cells to evaluate"
     if cells < plan.grid.points:
         text += " (the unimpaired reference is one cell for all operators)"
-    console.print(text if cells else "nothing to evaluate: the spec lists no methods")
+    return text if cells else "nothing to evaluate: the spec lists no methods"
+
+
+def _reasons(plan: Plan) -> list[str]:
+    """Why nodes run that someone may believe to be done: each reason once, with the nodes that have it."""
+    found: dict[str, list[Step]] = {}
     for step in plan.steps:
-        if step.state in ("failed", "damaged"):
-            console.print(f"{step.node.label}: {step.reason}", markup=False, soft_wrap=True)
-    console.print(_time(plan, workers))
+        if step.state in ("changed", "failed", "damaged"):
+            found.setdefault(step.reason, []).append(step)
+    lines = []
+    for reason, steps in list(found.items())[:SHOWN]:
+        more = f" and {len(steps) - 1} more" if len(steps) > 1 else ""
+        lines.append(f"{steps[0].node.label}{more}: {reason}")
+    if len(found) > SHOWN:
+        lines.append(f"and {len(found) - SHOWN} more reasons; --all lists every node")
+    return lines
 
 
-def _time(plan: Plan, workers: int) -> str:
+def _every(plan: Plan) -> list[str]:
+    labels = max((len(step.node.label) for step in plan.steps), default=0)
+    return [f"{step.node.key[:8]}  {COLUMNS[step.state]:<13}  {step.node.label:<{labels}}  {step.reason}" for step in plan.steps]
+
+
+def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
-        return "nothing to run"
+        return ["nothing to run"]
     seconds, unknown = plan.estimate(workers)
-    who = f"{workers} worker" + ("s" if workers > 1 else "")
     if not seconds:
-        return "no node of these sizes has been measured yet, so there is no estimate of the time"
+        return ["no node of these sizes has been measured yet, so there is no estimate of the time"]
     rest = f", without {unknown} nodes of sizes that have not been measured yet" if unknown else ""
-    return f"about {duration(seconds)} on {who}{rest}"
+    longest, path = plan.critical_path()
+    names = [node.label for node in path]
+    if len(names) > SHOWN:
+        names[SHOWN // 2 : -SHOWN // 2] = ["..."]
+    return [
+        f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}",
+        f"critical path {duration(longest)}: {' > '.join(names)}",
+    ]

@@ -15,14 +15,19 @@ def waves(nodes: Iterable[Node]) -> list[list[Node]]:
     members = {node.key: node for node in nodes}
     levels: dict[str, int] = {}
 
-    def level(node: Node) -> int:
-        if node.key not in levels:
-            levels[node.key] = 1 + max((level(needed) for needed in node.needs.values() if needed.key in members), default=-1)
-        return levels[node.key]
+    def place(node: Node) -> int:
+        level = 0
+        for needed in node.needs.values():
+            if needed.key in members:
+                known = levels.get(needed.key)
+                level = max(level, 1 + (place(members[needed.key]) if known is None else known))
+        levels[node.key] = level
+        return level
 
     result: list[list[Node]] = []
     for node in members.values():
-        while len(result) <= level(node):
+        level = place(node)
+        while len(result) <= level:
             result.append([])
-        result[level(node)].append(node)
+        result[level].append(node)
     return result

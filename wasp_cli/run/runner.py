@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.plan import Plan, sort_of
+from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.waves import waves
 from wasp_cli.run.journal import Journal
 from wasp_cli.run.order import Order, Outcome
@@ -186,7 +186,7 @@ class Runner:
 
 
 def _rank(node: Node, plan: Plan) -> tuple[float, int]:
-    measured = plan.seconds.get(sort_of(node))
+    measured = plan.seconds.get(node.sort)
     return (-measured if measured is not None else 0.0), _LONG.index(node.kind) if node.kind in _LONG else len(_LONG)
 
 

@@ -74,18 +74,31 @@ def damage(layout: Layout, kind: str, key: str) -> str | None:
     Sizes only: the manifest has each file's SHA-256 too, but planning must not read gigabytes.
     """
     try:
-        files = read_manifest(layout, kind, key).get("files")
+        files = listed_files(read_manifest(layout, kind, key), layout.manifest(kind, key))
     except ArtifactError as error:
         return error.message
-    if not isinstance(files, dict):
-        return f"'{layout.manifest(kind, key)}' is damaged: it does not list the files"
-    place = layout.artifact(kind, key)
-    for name, known in files.items():
+    return missing_file(layout.artifact(kind, key), files)
+
+
+def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
+    """Size of each file that an artifact was published with, by relative name.
+
+    Raises:
+        ArtifactError: the manifest, read from `path`, has no such list.
+    """
+    try:
+        return {str(name): int(known["size"]) for name, known in manifest["files"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ArtifactError(f"'{path}' is damaged: it does not list the files") from error
+
+
+def missing_file(place: Path, files: Mapping[str, int]) -> str | None:
+    """The first file that is gone or has another size, in words; None when all are there."""
+    for name, size in files.items():
         try:
-            state = os.stat(place / name)
+            state = os.stat(f"{place}/{name}")
         except (OSError, ValueError):
             return f"'{place / name}' is gone"
-        size = known.get("size") if isinstance(known, dict) else None
         if not stat.S_ISREG(state.st_mode) or state.st_size != size:
             return f"'{place / name}' has {state.st_size} bytes, not {size}"
     return None
@@ -106,9 +119,18 @@ def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
     """Write a small JSON file; readers see the old one or the new one."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(path, dumps(record))
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a text; readers see the old file or the new one."""
     partial = path.with_name(f".{path.name}-{uuid.uuid4().hex[:8]}")
-    partial.write_text(dumps(record), encoding="utf-8")
-    os.replace(partial, path)
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def read_record(path: Path) -> dict[str, Any] | None:

@@ -8,6 +8,7 @@ results/
   tmp/                     artifacts being written; on the same file system, so that publishing is one rename
   runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
+  index.json               what plans know of the artifacts; can be removed
 """
 
 from __future__ import annotations
@@ -42,6 +43,10 @@ class Layout:
     @property
     def runs(self) -> Path:
         return self.root / "runs"
+
+    @property
+    def index(self) -> Path:
+        return self.root / "index.json"
 
     def kind(self, kind: str) -> Path:
         """The folder of all artifacts of a kind."""

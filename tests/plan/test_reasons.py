@@ -1,0 +1,163 @@
+"""Why a node runs again, over a real store of fake artifacts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.plan.test_grid import grid
+from wasp_cli.plan import reasons
+from wasp_cli.plan.closure import source_hashes
+from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.store import index
+from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.provenance import provenance
+
+
+@pytest.fixture
+def layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Layout:
+    monkeypatch.setattr(index, "LEAST_GAIN", 1)
+    layout = Layout(tmp_path)
+    layout.prepare()
+    return layout
+
+
+def store(layout: Layout, node: Node, **changes: Any) -> None:
+    """An artifact as a worker leaves it, with changes to its manifest."""
+    folder = staging_folder(layout, node.key)
+    (folder / "data.bin").write_bytes(b"12345")
+    manifest = {
+        "kind": node.kind,
+        "key": node.key,
+        "task": node.task,
+        "seed": node.seed,
+        "axes": node.axes,
+        "config": node.config,
+        "settings": node.settings,
+        "upstream": {name: needed.key for name, needed in node.needs.items()},
+        "sources": source_hashes(node.modules),
+        "provenance": {"versions": provenance()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"},
+    }
+    publish(layout, node.kind, node.key, folder, {**manifest, **changes})
+
+
+def fill(layout: Layout, laid_out: Grid) -> None:
+    for node in laid_out.nodes:
+        store(layout, node)
+
+
+def reasons_of(plan: Plan) -> dict[str, str]:
+    return {step.node.label: step.reason for step in plan.steps if step.state == "changed"}
+
+
+def test_a_changed_field_is_named_with_both_values(layout: Layout) -> None:
+    fill(layout, grid())
+    plan = plan_against(grid(wasp={"candidates": 9}), layout)
+    found = reasons_of(plan)
+    assert plan.count("missing") == 0
+    assert found["goal1 s0 calibration wasp"] == "spec changed: wasp.candidates 8 -> 9"
+    assert found["goal1 s1 wasp noisy=0.2"] == "spec changed: wasp.candidates 8 -> 9"
+    assert all(" wasp" in label for label in found)
+
+
+def test_fields_of_stages_and_shared_settings_have_the_names_of_the_spec(layout: Layout) -> None:
+    fill(layout, grid())
+    found = reasons_of(plan_against(grid(returns={"gamma_c": 0.9}, episodes=3), layout))
+    assert found["goal1 s0 critics"] == "spec changed: returns.gamma_c 0.95 -> 0.9"
+    assert found["goal1 s0 human noisy=0.2"] == "spec changed: episodes 2 -> 3, returns.gamma_c 0.95 -> 0.9"
+
+
+def test_what_only_reads_something_new_says_what(layout: Layout) -> None:
+    fill(layout, grid())
+    found = reasons_of(plan_against(grid(world_model={"updates": 21}), layout))
+    assert found["goal1 s0 world_model"] == "spec changed: world_model.updates 20 -> 21"
+    assert found["goal1 s0 policies"] == "upstream changed: world_model"
+
+
+def test_changed_code_is_named_by_module(layout: Layout) -> None:
+    laid_out = grid()
+    node = next(node for node in laid_out.nodes if node.label == "goal1 s0 wasp noisy=0.2")
+    sources = source_hashes(node.modules)
+    module = "wasp_cli.methods.wasp.gates"
+    assert module in sources
+    earlier = Node(**{name: getattr(node, name) for name in Node.__slots__} | {"key": "a" * 20})
+    store(layout, earlier, sources={**sources, module: "before", "wasp_cli.methods.wasp.gone": "x"})
+    found = reasons_of(plan_against(laid_out, layout))
+    assert found == {node.label: f"code changed: {module}, wasp_cli.methods.wasp.gone (no longer used)"}
+
+
+def test_another_version_of_a_library_is_named(layout: Layout) -> None:
+    laid_out = grid()
+    node = laid_out.nodes[0]
+    earlier = Node(**{name: getattr(node, name) for name in Node.__slots__} | {"key": "a" * 20})
+    before = provenance()["versions"] | {"torch": "1.13.1"}
+    store(layout, earlier, provenance={"versions": before, "seconds": 1.0})
+    (reason,) = reasons_of(plan_against(laid_out, layout)).values()
+    assert reason.startswith("library changed: torch 1.13 -> ")
+
+
+def test_the_nearest_of_several_versions_is_the_one_compared(layout: Layout) -> None:
+    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "probe": 7}))
+    fill(layout, grid(wasp={"candidates": 9}))
+    fill(layout, grid(wasp={"candidates": 9, "elites": 2}))
+    found = reasons_of(plan_against(grid(), layout))
+    assert found["goal1 s0 wasp noisy=0.2"] == "spec changed: wasp.candidates 9 -> 8"
+
+
+def test_many_changes_are_counted(layout: Layout) -> None:
+    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "probe": 7, "feasible": 2, "iterations": 3}))
+    found = reasons_of(plan_against(grid(), layout))["goal1 s0 wasp noisy=0.2"]
+    assert found.count(" -> ") == reasons.NAMED
+    assert found.endswith("and 2 more")
+
+
+def test_a_manifest_of_another_form_gives_no_reason(layout: Layout) -> None:
+    laid_out = grid()
+    earlier = Node(**{name: getattr(laid_out.nodes[0], name) for name in Node.__slots__} | {"key": "a" * 20})
+    store(layout, earlier, sources=None)
+    assert plan_against(laid_out, layout).count("missing") == len(laid_out.nodes)
+
+
+def test_the_index_answers_what_the_manifests_would(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
+    fill(layout, grid())
+    changed = grid(wasp={"candidates": 9})
+    first = plan_against(changed, layout)
+    assert layout.index.is_file()
+    read: list[str] = []
+    real = reasons.read_manifest
+    monkeypatch.setattr("wasp_cli.store.index.read_manifest", lambda *arguments: pytest.fail("the index knows this artifact"))
+    monkeypatch.setattr(reasons, "read_manifest", lambda layout, kind, key: read.append(key) or real(layout, kind, key))
+    second = plan_against(changed, layout)
+    assert second.as_json() == first.as_json()
+    assert len(read) < second.count("changed")
+
+
+@pytest.mark.parametrize("harm", ["gone", "rubbish", "another version", "folder"])
+def test_a_harmed_index_costs_nothing_but_time(harm: str, layout: Layout) -> None:
+    fill(layout, grid())
+    before = plan_against(grid(), layout)
+    if harm in ("gone", "folder"):
+        layout.index.unlink()
+    if harm == "folder":
+        layout.index.mkdir()
+    if harm == "rubbish":
+        layout.index.write_text('{"version": 1, "kinds": {"expert": [1]}}')
+    if harm == "another version":
+        layout.index.write_text('{"version": -1, "kinds": {}}')
+    assert plan_against(grid(), layout).as_json() == before.as_json()
+
+
+def test_an_artifact_that_changes_after_the_index_was_written_is_seen(layout: Layout) -> None:
+    laid_out = grid()
+    fill(layout, laid_out)
+    plan_against(laid_out, layout)
+    first, second = laid_out.nodes[:2]
+    (layout.artifact(first.kind, first.key) / "data.bin").write_bytes(b"1")
+    layout.manifest(second.kind, second.key).unlink()
+    states = {step.node: step.state for step in plan_against(laid_out, layout).steps}
+    assert states[first] == states[second] == "damaged"

@@ -1,0 +1,108 @@
+"""Why a node has to be computed though an earlier version of it is there: what changed since."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.plan.closure import source_hashes
+from wasp_cli.plan.facts import versions, who_is
+from wasp_cli.plan.grid import stage_class
+from wasp_cli.plan.keys import libraries
+from wasp_cli.plan.node import Node
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.index import Entry, Stock
+from wasp_cli.store.layout import Layout
+
+NEWEST = 5
+"""Earlier versions that are looked at for the nearest one."""
+NAMED = 3
+"""Changes of one kind that a reason names."""
+_ABSENT = object()
+
+
+class Reasons:
+    """Finds the nearest earlier version of a node, and says what is different now."""
+
+    def __init__(self, layout: Layout, stock: Stock, kinds: Sequence[str]) -> None:
+        self._layout = layout
+        self._versions = versions(stock, kinds)
+        self._known: dict[tuple[object, ...], tuple[int, str]] = {}
+        """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
+
+    def of(self, node: Node) -> str | None:
+        """What changed since the nearest version; None where there is none."""
+        candidates = self._versions.get(who_is(node), [])[:NEWEST]
+        found = [difference for key, entry in candidates if (difference := self._difference(node, key, entry)) is not None]
+        return min(found, key=lambda item: item[0])[1] if found else None
+
+    def _difference(self, node: Node, key: str, entry: Entry) -> tuple[int, str] | None:
+        method = node.axes.get("method_config")
+        # Identity is enough: the grid builds each of these once.
+        pair = (entry.facts["signature"], id(node.config), id(node.settings), id(method), id(node.needs), node.modules)
+        if pair not in self._known:
+            try:
+                self._known[pair] = _compared(node, read_manifest(self._layout, node.kind, key))
+            except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
+                return None
+        return self._known[pair]
+
+
+def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
+    """How many things differ, and the words for them."""
+    fields = list(_fields(node, manifest))
+    modules = _modules(source_hashes(node.modules), manifest["sources"])
+    installed = manifest["provenance"]["versions"]
+    versions = [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := _minor(installed.get(name))) != new]
+    parts = [f"{what} changed: {_few(items)}" for what, items in (("spec", fields), ("code", modules), ("library", versions)) if items]
+    if not parts:
+        upstream = manifest["upstream"]
+        parts = [f"upstream changed: {_few([name for name, needed in node.needs.items() if upstream.get(name) != needed.key])}"]
+    return len(fields) + len(modules) + len(versions), "; ".join(parts)
+
+
+def _fields(node: Node, manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Settings that differ, named as a spec names them."""
+    model = stage_class(node.kind).config
+    try:
+        before, now = (model.model_validate(values).identity() for values in (manifest["config"], node.config))
+    except ValidationError:  # written by a version with other fields
+        before, now = dict(manifest["config"]), dict(node.config)
+    for text in _differing(before, now, f"{node.kind}."):
+        yield text.removeprefix("evaluate.") if text.startswith("evaluate.episodes ") else text  # specs say it at the top
+    yield from _differing(manifest["settings"], node.settings, "")
+    method = str(node.axes.get("method"))
+    yield from _differing(manifest["axes"].get("method_config") or {}, node.axes.get("method_config") or {}, f"{method}.")
+
+
+def _differing(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -> Iterator[str]:
+    for name in dict.fromkeys((*now, *before)):
+        old, new = before.get(name, _ABSENT), now.get(name, _ABSENT)
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            yield from _differing(old, new, f"{prefix}{name}.")
+        elif old != new and not (isinstance(old, list | tuple) and isinstance(new, list | tuple) and list(old) == list(new)):
+            yield f"{prefix}{name} {_shown(old)} -> {_shown(new)}"
+
+
+def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
+    changed = [name for name in now if before.get(name) != now[name]]
+    return changed + [f"{name} (no longer used)" for name in before if name not in now]
+
+
+def _minor(version: str | None) -> str:
+    return "absent" if version is None else ".".join(version.split(".")[:2])
+
+
+def _few(items: Sequence[str]) -> str:
+    more = f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
+    return ", ".join(items[:NAMED]) + more
+
+
+def _shown(value: object) -> str:
+    if value is _ABSENT:
+        return "nothing"
+    text = str(value)
+    return text if len(text) <= 30 else text[:27] + "..."
