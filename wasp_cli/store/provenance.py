@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import subprocess
@@ -14,6 +15,8 @@ from typing import Any
 import wasp_cli
 
 RECORDED = ("torch", "mujoco", "numpy", "gymnasium", "stable-baselines3", "joblib", "pyarrow", "safetensors")
+CHANGES_LENGTH = 16
+"""Hexadecimal digits of the hash of what was changed."""
 
 
 @cache
@@ -42,20 +45,68 @@ def installed(name: str) -> str | None:
 
 
 def git_state() -> dict[str, Any] | None:
-    """Commit of the source tree that runs and whether it was changed since; None outside a checkout."""
-    root = Path(wasp_cli.__file__).resolve().parent.parent
+    """Commit of the source tree that runs, whether it was changed since, and a hash of what was changed; None outside a checkout.
+
+    `dirty`: any tracked file differs, or the package has a Python file that is not tracked. `changes` tells two such runs apart: a
+    hash over the names and contents of what differs in the package, None where only something else does, such as a README.
+    """
+    package = Path(wasp_cli.__file__).resolve().parent
+    root = package.parent
     if not (root / ".git").exists():
         return None
     try:
-        sha = _git(root, "rev-parse", "HEAD")
-        return {"sha": sha, "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no"))}
-    except (OSError, subprocess.SubprocessError):  # no git on this machine, or a damaged checkout
+        sha = _git(root, "rev-parse", "HEAD").strip()
+        changed = _names(_git(root, "diff", "--name-only", "--no-renames", "-z", "HEAD"))
+        added = _names(_git(root, "ls-files", "--others", "--exclude-standard", "-z", "--", f"{package.name}/*.py"))
+    except (OSError, ValueError, subprocess.SubprocessError):  # no git on this machine, or a damaged checkout
         return None
+    own = [name for name in changed if name.startswith(f"{package.name}/")]
+    return {"sha": sha, "dirty": bool(changed or added), "changes": _hash_of_files(root, own + added)}
 
 
 def _git(root: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10, check=True)
-    return done.stdout.strip()
+    # Without optional locks: to look at a checkout must not make someone's commit in it fail.
+    environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
+    command = ["git", "-C", str(root), *arguments]
+    done = subprocess.run(command, capture_output=True, errors="surrogateescape", timeout=10, check=True, env=environment)
+    return done.stdout
+
+
+def _names(listed: str) -> list[str]:
+    return [name for name in listed.split("\0") if name]
+
+
+def _hash_of_files(root: Path, names: list[str]) -> str | None:
+    """One hash over names and contents, None of no files. Not over a diff's text: that depends on each user's settings of git."""
+    if not names:
+        return None
+    digest = hashlib.sha256()
+    for name in sorted(set(names)):
+        try:
+            content = (root / name).read_bytes()
+        except OSError:  # removed, or a folder that is a repository of its own
+            content = b""
+        digest.update(f"{name}\0{hashlib.sha256(content).hexdigest()}\n".encode(errors="surrogateescape"))
+    return digest.hexdigest()[:CHANGES_LENGTH]
+
+
+def boot_id() -> str | None:
+    """Names the time since this machine started, so that a process id can be told from an older one; None where unknown."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
+    except (OSError, ValueError):
+        return None
+
+
+def cuda_devices() -> list[str]:
+    """Names of the CUDA devices that this process computes on; empty where it does not.
+
+    Never imports torch, and asks nothing of a device that is idle: only to name it would reserve hundreds of megabytes on it.
+    """
+    cuda = getattr(sys.modules.get("torch"), "cuda", None)
+    if cuda is None or not cuda.is_initialized():
+        return []
+    return [str(cuda.get_device_name(index)) for index in range(cuda.device_count())]
 
 
 def processor() -> str:
