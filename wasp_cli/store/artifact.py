@@ -16,6 +16,10 @@ from typing import Any
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.lock import is_held
+from wasp_cli.store.plain import parse, read_plain
+
+LONGEST_NAME = 1024
+"""Characters of a file's name in a manifest at most."""
 
 
 def staging_folder(layout: Layout, key: str) -> Path:
@@ -55,12 +59,16 @@ def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mappin
 def published(layout: Layout, kind: str) -> set[str]:
     """The keys of all artifacts of a kind, damaged ones too."""
     try:
-        with os.scandir(layout.kind(kind)) as entries:
-            return {entry.name for entry in entries if os.path.isfile(f"{entry.path}/{MANIFEST}")}
+        with os.scandir(layout.within(layout.kind(kind))) as entries:
+            return {entry.name for entry in entries if _holds_manifest(entry)}
     except FileNotFoundError:
         return set()
     except OSError as error:
         raise StoreError(f"cannot read '{layout.kind(kind)}': {(error.strerror or str(error)).lower()}") from error
+
+
+def _holds_manifest(entry: os.DirEntry[str]) -> bool:
+    return entry.is_dir(follow_symlinks=False) and os.path.isfile(f"{entry.path}/{MANIFEST}")
 
 
 def is_published(layout: Layout, kind: str, key: str) -> bool:
@@ -77,26 +85,35 @@ def damage(layout: Layout, kind: str, key: str) -> str | None:
         files = listed_files(read_manifest(layout, kind, key), layout.manifest(kind, key))
     except ArtifactError as error:
         return error.message
-    return missing_file(layout.artifact(kind, key), files)
+    return missing_file(layout, layout.artifact(kind, key), files)
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
     """Size of each file that an artifact was published with, by relative name.
 
     Raises:
-        ArtifactError: the manifest, read from `path`, has no such list.
+        ArtifactError: the manifest, read from `path`, has no such list, or names something else than files of the artifact.
     """
     try:
-        return {str(name): int(known["size"]) for name, known in manifest["files"].items()}
+        files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ArtifactError(f"'{path}' is damaged: it does not list the files") from error
+    for name in files:
+        if not is_file_name(name):
+            raise ArtifactError(f"'{path}' is damaged: '{name}' is no file of the artifact")
+    return files
 
 
-def missing_file(place: Path, files: Mapping[str, int]) -> str | None:
-    """The first file that is gone or has another size, in words; None when all are there."""
+def missing_file(layout: Layout, place: Path, files: Mapping[str, int]) -> str | None:
+    """The first file of an artifact that is gone, a link, or of another size, in words; None when all are there.
+
+    The names are those of `listed_files`, and the way to the artifact is known to have no links.
+    """
     for name, size in files.items():
         try:
-            state = os.stat(f"{place}/{name}")
+            state = os.stat(layout.within(place / name) if "/" in name else f"{place}/{name}", follow_symlinks=False)
+        except StoreError as error:
+            return error.message
         except (OSError, ValueError):
             return f"'{place / name}' is gone"
         if not stat.S_ISREG(state.st_mode) or state.st_size != size:
@@ -104,13 +121,23 @@ def missing_file(place: Path, files: Mapping[str, int]) -> str | None:
     return None
 
 
+def is_file_name(name: str) -> bool:
+    """Whether a manifest may list a file of this name: it lies in the artifact, wherever that is."""
+    parts = name.split("/")
+    return len(name) < LONGEST_NAME and "\0" not in name and not {"", ".", ".."} & set(parts)
+
+
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
     """What is known of an artifact.
 
     Raises:
-        ArtifactError: it is not there, or its manifest is damaged.
+        ArtifactError: it is not there, is a link to somewhere else, or its manifest is damaged.
     """
-    manifest = read_record(layout.manifest(kind, key))
+    try:
+        path = layout.within(layout.manifest(kind, key))
+    except StoreError as error:
+        raise ArtifactError(error.message, error.hint) from error
+    manifest = read_record(path)
     if manifest is None:
         raise ArtifactError(f"no artifact {kind}/{key} in '{layout.root}'")
     return manifest
@@ -140,7 +167,7 @@ def read_record(path: Path) -> dict[str, Any] | None:
         ArtifactError: the file is damaged.
     """
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = parse(read_plain(path))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError) as error:
@@ -167,9 +194,12 @@ def sweep(layout: Layout) -> int:
 
 
 def discard(folder: Path) -> None:
-    """Remove a folder that nobody needs any more; one that is already gone is fine."""
+    """Remove a folder, or a file, that nobody needs any more; what is already gone is fine, and what a link leads to stays."""
     with suppress(FileNotFoundError):
-        shutil.rmtree(folder)
+        if folder.is_symlink() or not folder.is_dir():
+            folder.unlink()
+        else:
+            shutil.rmtree(folder)
 
 
 def _files(folder: Path) -> dict[str, dict[str, Any]]:

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.store.artifact import listed_files, missing_file, read_manifest, replace_file
+from wasp_cli.store.artifact import is_file_name, listed_files, missing_file, read_manifest, replace_file
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.plain import read_plain
 
 LEAST_GAIN = 50
 """Manifests that have to be read anew before the index is written again."""
@@ -80,7 +81,7 @@ def take_stock(layout: Layout, kinds: Iterable[str], facts: Facts, version: int)
                 except ArtifactError as error:
                     damaged[key] = error.message
                     continue
-            wrong = missing_file(place, entry.files)
+            wrong = missing_file(layout, place, entry.files)
             if wrong is None:
                 now[key] = entry
             else:
@@ -93,8 +94,8 @@ def take_stock(layout: Layout, kinds: Iterable[str], facts: Facts, version: int)
 def _keys(layout: Layout, kind: str) -> list[str]:
     folder = layout.kind(kind)
     try:
-        with os.scandir(folder) as entries:
-            return sorted(entry.name for entry in entries if is_key(entry.name))
+        with os.scandir(layout.within(folder)) as entries:
+            return sorted(entry.name for entry in entries if is_key(entry.name) and entry.is_dir(follow_symlinks=False))
     except FileNotFoundError:
         return []
     except OSError as error:
@@ -111,7 +112,7 @@ def _entry(path: Path, manifest: Mapping[str, Any], stamp: tuple[int, int], fact
 
 def _read(layout: Layout, version: int) -> dict[str, dict[str, Entry]]:
     try:
-        record = json.loads(layout.index.read_text(encoding="utf-8"))
+        record = json.loads(read_plain(layout.index))
         if record["version"] != version:
             return {}
         return {kind: {key: _old(*values) for key, values in entries.items()} for kind, entries in record["kinds"].items()}
@@ -120,6 +121,8 @@ def _read(layout: Layout, version: int) -> dict[str, dict[str, Entry]]:
 
 
 def _old(time: int, size: int, files: dict[str, int], facts: dict[str, Any]) -> Entry:
+    if not all(map(is_file_name, files)):
+        raise ValueError("no files of an artifact")
     return Entry((time, size), files, facts)
 
 

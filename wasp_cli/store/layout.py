@@ -96,12 +96,35 @@ class Layout:
         """The folders that every run writes to."""
         return self.store, self.tmp, self.runs, self.failures, self.root / "work", self.root / "locks"
 
+    def require_own_folders(self) -> None:
+        """See that none of the folders is a link: what is written to them, or removed, would be so elsewhere.
+
+        Raises:
+            StoreError: one is. The results folder itself may be.
+        """
+        for folder in (*self.needed(), self.root / "reports"):
+            self.within(folder)
+
+    def within(self, path: Path) -> Path:
+        """A path below the results folder as it is, after seeing that no link on the way leads somewhere else.
+
+        Raises:
+            StoreError: a part of it is a link.
+        """
+        reached = str(self.root)
+        for part in path.parts[len(self.root.parts) :]:
+            reached = f"{reached}/{part}"
+            if os.path.islink(reached):
+                raise StoreError(f"'{reached}' is a link; results hold plain files and folders", "link the whole results folder instead")
+        return path
+
     def prepare(self) -> None:
         """Make the folders and see that they can be written.
 
         Raises:
-            StoreError: the results folder is a file, or cannot be written.
+            StoreError: the results folder is a file, cannot be written, or has links in it.
         """
+        self.require_own_folders()
         try:
             for folder in self.needed():
                 folder.mkdir(parents=True, exist_ok=True)
@@ -123,8 +146,13 @@ def is_key(text: str) -> bool:
     return bool(_KEY.fullmatch(text))
 
 
+def is_name(text: str) -> bool:
+    """Whether a text can name a folder of the results: a kind, a run, a spec."""
+    return bool(_NAME.fullmatch(text))
+
+
 def _name(name: str) -> str:
-    if not _NAME.fullmatch(name):
+    if not is_name(name):
         raise StoreError(f"'{name}' cannot name a folder of the results")
     return name
 

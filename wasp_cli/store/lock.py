@@ -6,6 +6,7 @@ The kernel releases a lock however its process ends, so that no lock is ever sta
 from __future__ import annotations
 
 import fcntl
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,27 +16,73 @@ from pathlib import Path
 def held(path: Path, waiting: Callable[[], None]) -> Iterator[None]:
     """Hold a lock; `waiting` is called once if someone else has it.
 
-    The file stays: removing it would let two processes hold locks on two files of one name.
+    The file stays. Only `remove_lock` removes one, and that while it holds it: so a lock counts when, once held, its file is still the
+    one that the path names. Otherwise two processes could hold two files of one name.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as file:
+    told = False
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            waiting()
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+            if not _taken(descriptor):
+                if not told:
+                    told = True
+                    waiting()
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if _is_at(descriptor, path):
+                yield
+                return
+        finally:
+            os.close(descriptor)
 
 
 def is_held(path: Path) -> bool:
     """Whether some process holds a lock now."""
+    while (descriptor := _opened(path)) is not None:
+        try:
+            if not _taken(descriptor):
+                return True
+            if _is_at(descriptor, path):
+                return False
+        finally:
+            os.close(descriptor)
+    return False
+
+
+def remove_lock(path: Path) -> bool:
+    """Remove a lock file unless someone holds it; whether it is removed."""
+    descriptor = _opened(path)
+    if descriptor is None:
+        return False
     try:
-        file = path.open("rb")
+        if not _taken(descriptor) or not _is_at(descriptor, path):
+            return False
+        path.unlink()
+        return True
+    finally:
+        os.close(descriptor)
+
+
+def _opened(path: Path) -> int | None:
+    """The file of a lock; None where there is none."""
+    try:
+        return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+
+
+def _taken(descriptor: int) -> bool:
+    """Take the lock of an open file if nobody has it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Whether an open file is the one that a path names now."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path, follow_symlinks=False))
     except FileNotFoundError:
         return False
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False

@@ -1,0 +1,80 @@
+"""Locks whose files are removed meanwhile."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.store.lock import held, is_held, remove_lock
+
+
+def nothing() -> None:
+    pass
+
+
+def test_a_file_that_nobody_holds_goes(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    assert not remove_lock(path)
+    with held(path, nothing):
+        assert not remove_lock(path)
+        assert path.exists()
+    assert remove_lock(path)
+    assert not path.exists()
+
+
+def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path: Path) -> None:
+    """Without looking again, it would hold a file that no path names, and the next process another one."""
+    path = tmp_path / "key"
+    waits, holds, end = threading.Event(), threading.Event(), threading.Event()
+
+    def wait_and_hold() -> None:
+        with held(path, waits.set):
+            holds.set()
+            end.wait(10)
+
+    with held(path, nothing):
+        waiter = threading.Thread(target=wait_and_hold)
+        waiter.start()
+        assert waits.wait(10)
+        path.unlink()
+    assert holds.wait(10)
+    assert is_held(path)
+    assert not remove_lock(path)
+    end.set()
+    waiter.join()
+
+
+def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("text")
+    (tmp_path / "key").symlink_to(tmp_path / "precious")
+    with pytest.raises(OSError, match="key"), held(tmp_path / "key", nothing):
+        pass
+    assert (tmp_path / "precious").read_text() == "text"
+
+
+def count_up(lock: str, counter: str, times: int) -> None:
+    """Add to a file that only a lock protects."""
+    for _ in range(times):
+        with held(Path(lock), nothing):
+            number = int(Path(counter).read_text())
+            os.sched_yield()
+            Path(counter).write_text(str(number + 1))
+
+
+def test_one_at_a_time_although_the_file_is_removed_all_the_time(tmp_path: Path) -> None:
+    counter = tmp_path / "counter"
+    counter.write_text("0")
+    context = multiprocessing.get_context("spawn")
+    processes = [context.Process(target=count_up, args=(str(tmp_path / "key"), str(counter), 300)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    removed = 0
+    while any(process.is_alive() for process in processes):
+        removed += remove_lock(tmp_path / "key")
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert counter.read_text() == "600"
+    assert removed > 1

@@ -1,0 +1,96 @@
+"""Reading small files of a results folder, which may come from a stranger.
+
+What is read is a plain file, no link, pipe or device, and fits into memory. What it says is text that a terminal shows as it is, nested no
+deeper than whoever walks over it can follow.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import stat
+from pathlib import Path
+from typing import Any
+
+LARGEST = 256 * 2**20
+"""Bytes of a record or a journal at most; the plan of ten thousand nodes has four million."""
+DEEPEST = 40
+"""How deep a record may be nested; ours stay below ten."""
+
+_UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters (a terminal obeys them), changes of the reading direction, and halves of characters (no stream takes them)."""
+
+
+def read_plain(path: Path) -> str:
+    """The text of a plain file.
+
+    Raises:
+        OSError: there is none, it is something else, or it is too large.
+        ValueError: it is not UTF-8.
+    """
+    try:
+        # Without waiting: a pipe in the place of a file would otherwise hold the reader for ever.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise OSError(errno.ELOOP, "it is a link", str(path)) from error
+        raise
+    with open(descriptor, "rb") as file:
+        state = os.fstat(descriptor)
+        if not stat.S_ISREG(state.st_mode):
+            raise OSError(errno.EINVAL, "it is no plain file", str(path))
+        if state.st_size > LARGEST:
+            raise OSError(errno.EFBIG, f"it has {state.st_size} bytes", str(path))
+        return file.read(LARGEST).decode("utf-8")
+
+
+def parse(text: str) -> Any:
+    """What a JSON text says, its strings printable.
+
+    Raises:
+        ValueError: it is no JSON, or is nested too deeply.
+        RecursionError: it is nested far too deeply.
+    """
+    value = json.loads(text)
+    harmless = text.count("{") + text.count("[") <= DEEPEST and "\\u" not in text and not _UNPRINTABLE.search(text)
+    return value if harmless else _tame(value, 0)
+
+
+def read_json_lines(path: Path) -> list[dict[str, Any]]:
+    """The objects of a file that has one a line; what a kill cut short, or is something else, is left out.
+
+    Raises:
+        OSError: as `read_plain`.
+    """
+    try:
+        lines = read_plain(path).splitlines()
+    except ValueError:
+        return []
+    found = []
+    for line in lines:
+        try:
+            value = parse(line)
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(value, dict):
+            found.append(value)
+    return found
+
+
+def printable(text: str) -> str:
+    """A text without what a terminal would obey instead of showing it."""
+    return _UNPRINTABLE.sub("\ufffd", text)
+
+
+def _tame(value: Any, depth: int) -> Any:
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, dict | list) and depth >= DEEPEST:
+        raise ValueError(f"it is nested more than {DEEPEST} deep")
+    if isinstance(value, dict):
+        return {printable(name): _tame(part, depth + 1) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_tame(part, depth + 1) for part in value]
+    return value
