@@ -139,7 +139,7 @@ def test_a_cell_without_rows_ends_with_1(fakes: Fakes, spec: Path, tmp_path: Pat
     results = store(spec, tmp_path / "results", FALLING, without="goal1 s0 expert unimpaired")
     done = invoke(spec, "--results", results, "-j", "0")  # the fake stage ends well, and writes no cell
     assert done.exit_code == 1
-    assert "error: 1 cells cannot be read:\n  goal1 expert unimpaired seed 0: not computed yet" in done.stderr
+    assert "error: 1 cell cannot be read:\n  goal1 expert unimpaired seed 0: not computed yet" in done.stderr
     assert done.stdout.count("incomplete: 1 of its cells, or of the expert's, is missing") == 2
     assert LINES[2] in done.stdout
 

@@ -14,21 +14,29 @@ from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
 from wasp_cli.app_sweep import sweep_app
 from wasp_cli.options import (
+    BackendOption,
+    FailedOption,
     JobsOption,
     ResultsOption,
+    RetriesOption,
+    SchedulerOption,
+    SelectOption,
     SetOption,
     SpecArgument,
     TaskOption,
+    TimeoutOption,
     expected_errors,
     folder_of,
     print_json,
     require_cells,
+    way_of,
 )
 
 if TYPE_CHECKING:
     from wasp_cli.plan.cell import Cell
-    from wasp_cli.plan.part import Part
+    from wasp_cli.plan.part import Part as TrainedPart
     from wasp_cli.report.summarize import Report
+    from wasp_cli.run.session import Part, Way
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
     from wasp_cli.store.layout import Layout
@@ -70,16 +78,29 @@ def run(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
+    select: SelectOption = None,
+    failed: FailedOption = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")] = False,
+    timeout: TimeoutOption = None,
+    retries: RetriesOption = 0,
+    backend: BackendOption = "loky",
+    scheduler: SchedulerOption = None,
     set_: SetOption = None,
 ) -> None:
     """Compute what is missing of a spec, then print its tables.
 
-    What is in the results folder already is used as it is; what failed runs again. Ctrl-C loses only the nodes that are being computed.
+    What is in the results folder already is used as it is; what failed runs again. The first Ctrl-C lets finish what runs, the second
+    ends it; what is finished is kept either way.
     """
-    from wasp_cli.run.session import restricted
+    from wasp_cli.run.session import Part, restricted
     from wasp_cli.spec.load import load
 
-    _run_and_report(restricted(load(spec, set_ or ()), task), results, jobs)
+    loaded, part = restricted(load(spec, set_ or ()), task), Part(select or (), failed)
+    way = way_of(jobs, timeout, retries, backend, scheduler)
+    if dry_run:
+        _show_plan(loaded.spec, results, part, way.jobs)
+    else:
+        _run_and_report(loaded, results, way, part)
 
 
 @app.command(epilog="[bold]wasp plan specs/table1.yaml[/]   ·   [bold]wasp plan specs/table1.yaml --json | jq '.nodes[0]'[/]")
@@ -89,24 +110,18 @@ def plan(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
+    select: SelectOption = None,
+    failed: FailedOption = False,
+    every: Annotated[bool, typer.Option("--all", help="List every node with its state and reason.")] = False,
     set_: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Every cell and node with its key, state and reason.")] = False,
 ) -> None:
-    """Show what a run would compute, and run nothing."""
-    from wasp_cli.console import out
-    from wasp_cli.plan.grid import lay_out
-    from wasp_cli.plan.plan import plan_against
-    from wasp_cli.plan.show import show
-    from wasp_cli.run.session import cores, restricted
+    """Show what a run would compute and why, and how long it will take; run nothing."""
+    from wasp_cli.run.session import Part, cores, restricted
     from wasp_cli.spec.load import load
-    from wasp_cli.store.layout import Layout
 
     loaded = restricted(load(spec, set_ or ()), task)
-    laid_out = plan_against(lay_out(loaded.spec), Layout(results))
-    if json:
-        print_json({"spec": loaded.spec.name, **laid_out.as_json()})
-    else:
-        show(laid_out, out(), max(cores() if jobs is None else jobs, 1))
+    _show_plan(loaded.spec, results, Part(select or (), failed), cores() if jobs is None else jobs, every=every, json=json)
 
 
 @app.command(epilog="[bold]wasp check specs/*.yaml[/]")
@@ -179,12 +194,16 @@ def ablate(
     ] = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
+    timeout: TimeoutOption = None,
+    retries: RetriesOption = 0,
+    backend: BackendOption = "loky",
+    scheduler: SchedulerOption = None,
     set_: SetOption = None,
 ) -> None:
     """Run a method without one of its parts, and the whole method beside it."""
     from wasp_cli.spec.ablation import ablation
 
-    _run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, jobs)
+    _run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, way_of(jobs, timeout, retries, backend, scheduler))
 
 
 tasks_app = typer.Typer(
@@ -262,19 +281,35 @@ def doctor(results: ResultsOption = Path("results")) -> None:
     require(findings)
 
 
-def _run_and_report(loaded: Loaded, results: Path, jobs: int | None) -> None:
-    from wasp_cli.plan.plan import cells_with_keys, parts_with_keys
-    from wasp_cli.run.session import cores, run_spec
+def _show_plan(spec: Spec, results: Path, part: Part, jobs: int, *, every: bool = False, json: bool = False) -> None:
+    from wasp_cli.console import out
+    from wasp_cli.plan.grid import lay_out
+    from wasp_cli.plan.plan import plan_against
+    from wasp_cli.plan.select import select
+    from wasp_cli.plan.show import show
+    from wasp_cli.store.layout import Layout
 
-    session = run_spec(loaded, results, cores() if jobs is None else jobs)
+    grid = lay_out(spec)
+    laid_out = plan_against(grid, Layout(results.absolute()), wanted=select(grid, part.select), failed_only=part.failed)
+    if json:
+        print_json({"spec": spec.name, **laid_out.as_json()})
+    else:
+        show(laid_out, out(), max(jobs, 1), every=every)
+
+
+def _run_and_report(loaded: Loaded, results: Path, way: Way, part: Part | None = None) -> None:
+    from wasp_cli.plan.plan import cells_with_keys, parts_with_keys
+    from wasp_cli.run.session import WHOLE, run_spec
+
+    session = run_spec(loaded, results, way, part or WHOLE)
     # Also after failures: what is there is worth seeing, and the report names what is not.
-    grid = session.plan.grid
+    grid, wanted = session.plan.grid, session.plan.wanted
     report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid))
     session.require_complete()
-    require_cells(report.missing if report is not None else ())
+    require_cells([cell for cell in report.missing if wanted is None or cell.key in wanted], session.layout)
 
 
-def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]]) -> Report:
+def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[TrainedPart, str]]) -> Report:
     from wasp_cli.console import out
     from wasp_cli.report.summarize import report_run
 

@@ -8,14 +8,19 @@ from typing import Annotated
 import typer
 
 from wasp_cli.options import (
+    BackendOption,
     JobsOption,
     ResultsOption,
+    RetriesOption,
+    SchedulerOption,
     SetOption,
     SpecArgument,
     TaskOption,
+    TimeoutOption,
     expected_errors,
     print_json,
     require_cells,
+    way_of,
 )
 
 operators_app = typer.Typer()
@@ -32,6 +37,10 @@ def operators(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
+    timeout: TimeoutOption = None,
+    retries: RetriesOption = 0,
+    backend: BackendOption = "loky",
+    scheduler: SchedulerOption = None,
     set_: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Every number and verdict, for machines.")] = False,
 ) -> None:
@@ -47,11 +56,11 @@ def operators(
     from wasp_cli.report.ladder_table import as_json, ladder_table, write_ladder
     from wasp_cli.report.summarize import wanted_cells
     from wasp_cli.report.table import terminal
-    from wasp_cli.run.session import cores, restricted, run_spec
+    from wasp_cli.run.session import restricted, run_spec
     from wasp_cli.spec.operators import operators_alone
 
     loaded = restricted(operators_alone(spec, set_ or ()), task)
-    session = run_spec(loaded, results, cores() if jobs is None else jobs)
+    session = run_spec(loaded, results, way_of(jobs, timeout, retries, backend, scheduler))
     # Also after failures: what is there is worth seeing.
     wanted, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
     ladders, frame = read_ladders(loaded.spec, wanted)
@@ -64,5 +73,5 @@ def operators(
         for line in ("", *verdict_lines(ladders), f"table: {', '.join(map(str, files))}"):
             out().print(line, markup=False, soft_wrap=True)
     session.require_complete()
-    require_cells(frame.missing)
+    require_cells(frame.missing, session.layout)
     require_accepted(ladders)

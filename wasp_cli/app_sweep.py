@@ -8,14 +8,19 @@ from typing import Annotated
 import typer
 
 from wasp_cli.options import (
+    BackendOption,
     JobsOption,
     ResultsOption,
+    RetriesOption,
+    SchedulerOption,
     SetOption,
     SpecArgument,
     TaskOption,
+    TimeoutOption,
     expected_errors,
     print_json,
     require_cells,
+    way_of,
 )
 
 sweep_app = typer.Typer()
@@ -46,6 +51,10 @@ def sweep(
     ] = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
+    timeout: TimeoutOption = None,
+    retries: RetriesOption = 0,
+    backend: BackendOption = "loky",
+    scheduler: SchedulerOption = None,
     set_: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="The rows for machines.")] = False,
 ) -> None:
@@ -57,14 +66,13 @@ def sweep(
     from wasp_cli.errors import UsageError
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
-    from wasp_cli.run.session import cores
     from wasp_cli.run.sweep import on_task, run_sweep
     from wasp_cli.spec.sweep import read_sweep
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
     wanted = on_task(read_sweep(spec, vary[0], method or (), set_ or ()), task)
-    done = run_sweep(wanted, results, cores() if jobs is None else jobs)
+    done = run_sweep(wanted, results, way_of(jobs, timeout, retries, backend, scheduler))
     layout = done.session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
     report = report_sweep(layout.root, wanted, [cells_with_keys(grid) for grid in done.grids])
@@ -75,4 +83,4 @@ def sweep(
         report.terminal(out())
         out().print(f"report: {page} (its tables as Markdown and CSV, and the curves, are beside it)", markup=False, soft_wrap=True)
     done.session.require_complete()
-    require_cells(report.missing)
+    require_cells(report.missing, layout)

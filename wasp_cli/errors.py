@@ -5,6 +5,7 @@
     ├── StoreError                  1   the results folder cannot be read or written
     ├── ArtifactError               1   an artifact is damaged or does not fit what reads it
     ├── SourceChanged               1   the code changed while a run was going
+    ├── TimeLimitExceeded           1   a node took longer than it was given
     ├── TaskError                   1   a task was driven wrongly (bad action, step after the end)
     ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
     ├── NotAccepted                 1   what was measured does not keep the rule that it is held against
@@ -51,6 +52,10 @@ class ArtifactError(WaspError):
 
 class SourceChanged(WaspError):
     """The code changed while a run was going, so that a result would not belong to its key."""
+
+
+class TimeLimitExceeded(WaspError):
+    """A node took longer than the run gave it."""
 
 
 class TaskError(WaspError):

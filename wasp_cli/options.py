@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,6 +14,8 @@ import typer
 
 if TYPE_CHECKING:
     from wasp_cli.report.frame import Missing
+    from wasp_cli.run.session import Way
+    from wasp_cli.store.layout import Layout
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -41,6 +44,37 @@ JobsOption = Annotated[
         metavar="N",
         help="Worker processes at most; 0 computes in this process. (default: all cores)",
         show_default=False,
+    ),
+]
+
+
+def seconds_of(text: str | float) -> float:
+    """A time as it is typed: `90`, `90s`, `30m`, `2h`."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
+    seconds = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[found[2]] if found else 0.0
+    if not seconds:
+        raise typer.BadParameter(f"'{text}' is no time; write seconds, or 30m, or 2h")
+    return seconds
+
+
+TimeoutOption = Annotated[
+    float | None,
+    typer.Option(
+        "--timeout",
+        metavar="TIME",
+        parser=seconds_of,
+        help="Time that a node may take: 90, 30m, 2h. (default: no limit)",
+        show_default=False,
+    ),
+]
+RetriesOption = Annotated[int, typer.Option("--retries", min=0, max=9, metavar="N", help="Further attempts at what fails by chance.")]
+BackendOption = Annotated[
+    str, typer.Option("--backend", metavar="NAME", envvar="WASP_BACKEND", help="Who provides the workers: loky, dask, ray.")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="URL", envvar="WASP_SCHEDULER", help="Address of the dask scheduler or the ray cluster.", show_default=False
     ),
 ]
 SetOption = Annotated[
@@ -100,6 +134,13 @@ def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
     return wrapped
 
 
+def way_of(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> Way:
+    """How a run is carried out, from what was typed."""
+    from wasp_cli.run.session import Way, cores
+
+    return Way(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
+
+
 def print_json(value: Any) -> None:
     """Print for machines."""
     import json
@@ -108,11 +149,21 @@ def print_json(value: Any) -> None:
     sys.stdout.write("\n")
 
 
-def require_cells(missing: Sequence[Missing]) -> None:
-    """Raise CellsFailed when a cell has no readable rows, though its node ended well."""
+def require_cells(missing: Sequence[Missing], layout: Layout | None = None) -> None:
+    """Raise CellsFailed when a cell has no readable rows, though its node ended well.
+
+    Args:
+        missing: the cells without rows.
+        layout: the results folder of a run; damaged cells are taken out of use there, so that the next run computes them.
+    """
     from wasp_cli.errors import CellsFailed
+    from wasp_cli.store.artifact import condemn
 
     if missing:
+        for cell in missing:
+            if cell.damaged and layout is not None:
+                condemn(layout, "evaluate", cell.key, cell.reason)
         named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
-        raise CellsFailed(f"{len(missing)} cells cannot be read:\n{named}{more}")
+        what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"
+        raise CellsFailed(f"{what}:\n{named}{more}", None if layout is None else "run again: what is damaged is computed again")

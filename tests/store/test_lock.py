@@ -12,8 +12,8 @@ import pytest
 from wasp_cli.store.lock import held, is_held, remove_lock
 
 
-def nothing() -> None:
-    pass
+def nothing() -> bool:
+    return True
 
 
 def test_a_file_that_nobody_holds_goes(tmp_path: Path) -> None:
@@ -32,7 +32,7 @@ def test_who_waits_for_a_file_that_goes_holds_the_new_one(tmp_path: Path) -> Non
     waits, holds, end = threading.Event(), threading.Event(), threading.Event()
 
     def wait_and_hold() -> None:
-        with held(path, waits.set):
+        with held(path, lambda: waits.set() is None):
             holds.set()
             end.wait(10)
 

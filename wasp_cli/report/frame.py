@@ -43,6 +43,9 @@ class Missing:
     identity: CellIdentity
     label: str
     reason: str
+    key: str = ""
+    damaged: bool = False
+    """Whether its rows are there and do not read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +116,15 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
     missing: list[Missing] = []
     for cell in wanted:
         if not cell.path.exists():
-            missing.append(Missing(cell.identity, cell.label, _absence(cell)))
+            missing.append(Missing(cell.identity, cell.label, _absence(cell), cell.path.parent.name))
             continue
         try:
             table = read_episodes([cell.path])
             _require_identity(table, cell)
         except StoreError as error:
             # A report names a damaged cell and goes on; it never averages without it in silence.
-            missing.append(Missing(cell.identity, cell.label, error.message + (f" ({error.hint})" if error.hint else "")))
+            reason = error.message + (f" ({error.hint})" if error.hint else "")
+            missing.append(Missing(cell.identity, cell.label, reason, cell.path.parent.name, damaged=True))
         else:
             found.append((cell, table))
     return Frame(tuple(pool_cells(found)), tuple(missing), tuple(cell.identity for cell in wanted))

@@ -30,15 +30,19 @@ class Order:
     """Hash by module of the code that decides the result."""
     attempt: int = 1
     threads: int = 1
+    limit: float | None = None
+    """Seconds that it may take; None for no limit."""
+    wait: bool = False
+    """Whether to wait while another run computes it; otherwise it comes back as `busy`."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-State = Literal["done", "shared", "failed"]
+State = Literal["done", "shared", "failed", "busy", "skipped"]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a node ended. `shared`: another run computed it meanwhile."""
+    """How a node ended. `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is to end."""
 
     key: str
     state: State
@@ -48,3 +52,5 @@ class Outcome:
     """Cause of a failure, in one line."""
     hint: str | None = None
     log: str = ""
+    by_chance: bool = False
+    """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck), so that another attempt may succeed."""

@@ -7,10 +7,11 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import BrokenExecutor
 from typing import Any, Protocol
 
+from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.run.order import Order, Outcome
 from wasp_cli.run.worker import execute
 
@@ -23,9 +24,11 @@ class Pool(Protocol):
     """Carries out the orders of one wave, side by side."""
 
     jobs: int
+    name: str
+    """As the journal has it."""
 
-    def run(self, orders: Sequence[Order]) -> Iterator[Outcome]:
-        """Outcomes in the order of their end.
+    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        """Outcomes in the order of their end. Orders are taken as workers come free, not all at once.
 
         Raises:
             WorkersDied: a worker was killed. The pool can be used again.
@@ -49,8 +52,9 @@ class InlinePool:
     """This process, one order after the other: for tests and debuggers."""
 
     jobs = 1
+    name = "inline"
 
-    def run(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
         for order in orders:
             yield execute(order, own_process=False)
 
@@ -64,11 +68,13 @@ class InlinePool:
 class LokyPool:
     """joblib's loky workers: started on first use, reused from wave to wave, so that torch is imported once in each."""
 
+    name = "loky"
+
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self._single: Any = None
 
-    def run(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
         try:
             # joblib takes n_jobs=1 as "in this process", where a killed node would take the run along.
             yield from self._one_by_one(orders) if self.jobs == 1 else self._side_by_side(orders)
@@ -76,7 +82,7 @@ class LokyPool:
             self._single = None
             raise WorkersDied(str(error)) from error
 
-    def _side_by_side(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+    def _side_by_side(self, orders: Iterable[Order]) -> Iterator[Outcome]:
         from joblib import Parallel, delayed
 
         workers = Parallel(
@@ -92,7 +98,7 @@ class LokyPool:
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
             yield from workers(delayed(execute)(order) for order in orders)
 
-    def _one_by_one(self, orders: Sequence[Order]) -> Iterator[Outcome]:
+    def _one_by_one(self, orders: Iterable[Order]) -> Iterator[Outcome]:
         if self._single is None:
             self._single = _new_worker()
         for order in orders:
@@ -117,6 +123,31 @@ class LokyPool:
             if executor is not None:
                 executor.shutdown(wait=not kill, kill_workers=kill)
         self._single = None
+
+
+BACKENDS = ("loky", "dask", "ray")
+
+
+def pool_of(backend: str, jobs: int, scheduler: str | None = None) -> Pool:
+    """The workers of a backend.
+
+    Args:
+        backend: one of `BACKENDS`.
+        jobs: worker processes on this machine at most; 0 computes in this process. Others bring their own number.
+        scheduler: address of the others' scheduler.
+
+    Raises:
+        UsageError: no such backend, its package is not installed, or its scheduler does not answer.
+    """
+    if backend not in BACKENDS:
+        raise UnknownName("backend", backend, BACKENDS)
+    if backend != "loky":
+        from wasp_cli.run.cluster import cluster_pool
+
+        return cluster_pool(backend, scheduler)
+    if scheduler is not None:
+        raise UsageError("--scheduler is for the backends dask and ray", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT")
+    return LokyPool(jobs) if jobs else InlinePool()
 
 
 def _new_worker() -> Any:

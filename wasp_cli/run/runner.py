@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
+from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.waves import waves
 from wasp_cli.run.journal import Journal
+from wasp_cli.run.limit import HINT, was_ended
 from wasp_cli.run.order import Order, Outcome
 from wasp_cli.run.pool import Pool, WorkersDied
-from wasp_cli.run.progress import NAMES, Board, Quiet, running_nodes
+from wasp_cli.run.progress import NAMES, numbers
+from wasp_cli.run.signals import Stop
 from wasp_cli.run.worker import attempts, record_failure
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import is_published, read_manifest
+from wasp_cli.store.artifact import is_published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.provenance import provenance
+from wasp_cli.store.provenance import boot_id, provenance
 
 # Longest first, so that a wave does not end with one worker busy and the others idle.
 _LONG = (
@@ -56,83 +62,130 @@ class Summary:
 class Runner:
     """One run over one store."""
 
-    def __init__(self, layout: Layout, run_id: str, pool: Pool, *, cores: int = 1, board: Board | None = None) -> None:
+    def __init__(self, layout: Layout, run_id: str, pool: Pool, *, cores: int = 1, limit: float | None = None, retries: int = 0) -> None:
+        """Prepare a run.
+
+        Args:
+            layout: the results folder.
+            run_id: the run, whose folder is there.
+            pool: who computes.
+            cores: of this machine; what a wave leaves free goes to physics and cameras.
+            limit: seconds that a node may take; None for no limit.
+            retries: further attempts at a node that fails by chance.
+        """
         self._layout, self._run_id, self._pool = layout, run_id, pool
-        self._cores = cores
-        self._board: Board = board or Quiet()
+        self._cores, self._limit, self._retries = cores, limit, retries
+        self._journal = Journal(layout.journal(run_id))
         self._broken: dict[str, Node] = {}
         """Failed node by key of itself and of everything that needs it."""
-        self._nodes: dict[str, Node] = {}
+        self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
 
     def run(self, plan: Plan) -> Summary:
-        """Compute what the plan says, and nothing else."""
+        """Compute what the plan says, and nothing else.
+
+        Raises:
+            KeyboardInterrupt: it was asked to stop; what was finished is kept.
+        """
         started = time.monotonic()
-        journal = self._journal = Journal(self._layout.run(self._run_id) / "journal.jsonl")
-        journal.write("run started", nodes=len(plan.to_run()))
+        facts = {"pid": os.getpid(), "host": platform.node(), "boot": boot_id(), "jobs": self._pool.jobs, "backend": self._pool.name}
+        self._journal.write("run started", nodes=len(plan.to_run()), **facts)
         try:
             for wave in waves(plan.to_run()):
                 self._wave(wave, plan)
+                if self.stop.asked:
+                    raise KeyboardInterrupt
         except BaseException as error:
-            journal.write("run interrupted", cause=type(error).__name__, done=self.summary.done)
+            self._journal.write("run interrupted", cause=type(error).__name__, done=self.summary.done)
             raise
         finally:
             self.summary.seconds = time.monotonic() - started
-        journal.write("run ended", done=self.summary.done, failed=len(self.summary.failed), blocked=len(self.summary.blocked))
-        journal.close()
+        self._journal.write("run ended", done=self.summary.done, failed=len(self.summary.failed), blocked=len(self.summary.blocked))
         return self.summary
 
     def _wave(self, wave: list[Node], plan: Plan) -> None:
         ready = [node for node in wave if not self._blocked(node)]
         ready.sort(key=lambda node: _rank(node, plan))
         threads = max(1, self._cores // max(1, min(self._pool.jobs, len(ready))))
-        pending = {node.key: (node, self._order(node, threads)) for node in ready}
-        for outcome in self._outcomes([order for _, order in pending.values()]):
-            node, _ = pending.pop(outcome.key)
-            self._ended(node, outcome)
+        nodes = {node.key: node for node in ready}
+        for outcome in self._outcomes([self._order(node, threads) for node in ready]):
+            self._ended(nodes[outcome.key], outcome)
 
     def _outcomes(self, orders: list[Order]) -> Iterator[Outcome]:
-        """Outcomes of all orders, over the deaths of workers.
+        """Outcomes of all orders, over busy nodes, further attempts and the deaths of workers.
 
         A killed worker takes its pool along. What was in flight then runs again, each node alone in a process, so that the one
         that kills is named and the others finish.
         """
         left = {order.key: order for order in orders}
-        while left:
+        tries = dict.fromkeys(left, self._retries)
+        while left and not self.stop.asked:
+            again: dict[str, Order] = {}
             try:
-                for outcome in self._pool.run(list(left.values())):
-                    del left[outcome.key]
-                    yield outcome
+                for outcome in self._pool.run(self._until_stopped(list(left.values()))):
+                    order = left.pop(outcome.key)
+                    if outcome.state == "busy":
+                        # Another run computes it. It is waited for when nothing else of the wave is left to do.
+                        again[order.key] = replace(order, wait=True)
+                    elif outcome.state == "failed" and outcome.by_chance and tries[order.key]:
+                        tries[order.key] -= 1
+                        again[order.key] = self._another(order, outcome)
+                    elif outcome.state != "skipped":
+                        yield outcome
             except WorkersDied:
-                # Asked before anything else runs: a killed worker leaves its running file behind.
-                in_flight = self._in_flight()
-                for order in [order for order in left.values() if is_published(self._layout, order.kind, order.key)]:
-                    del left[order.key]
-                    yield self._stored(order)
-                suspects = [order for order in left.values() if order.key in in_flight] or list(left.values())
-                labels = ", ".join(order.label for order in suspects)
-                self._board.note(f"a worker was killed; what it could have been doing runs again, one at a time: {labels}")
-                self._journal.write("worker killed", suspects=[order.key for order in suspects])
-                for order in suspects:
-                    del left[order.key]
-                    yield self._alone(order)
+                if not self.stop.asked:
+                    yield from self._after_death(left)
+            left |= again
 
-    def _alone(self, order: Order) -> Outcome:
+    def _until_stopped(self, orders: list[Order]) -> Iterator[Order]:
+        for order in orders:
+            if self.stop.asked:
+                return
+            yield order
+
+    def _after_death(self, left: dict[str, Order]) -> Iterator[Outcome]:
+        """The outcomes of what was in flight when a worker died; taken out of `left`."""
+        # Asked before anything else runs: a killed worker leaves its running file behind.
+        in_flight = self._in_flight()
+        for order in [order for order in left.values() if is_published(self._layout, order.kind, order.key)]:
+            del left[order.key]
+            yield self._stored(order)
+        suspects = [order for order in left.values() if order.key in in_flight] or list(left.values())
+        self._journal.write(
+            "worker killed", suspects=[order.key for order in suspects], labels=[order.label for order in suspects], memory_mb=in_flight
+        )
+        for order in suspects:
+            if self.stop.asked:
+                return
+            del left[order.key]
+            yield self._alone(order, in_flight.get(order.key))
+
+    def _alone(self, order: Order, memory: float | None) -> Outcome:
+        """The outcome of a node that may have killed its worker."""
         started = time.monotonic()
+        log = str(self._layout.log(order.run_id, order.label, order.key))
+        overdue = self._layout.overdue(self._run_id, order.key)
         try:
-            return self._pool.alone(order)
+            if not was_ended(overdue):
+                return self._pool.alone(replace(order, wait=True))
+            message, hint = "it did not react to its time limit, so its process was ended", HINT
         except WorkersDied:
             if is_published(self._layout, order.kind, order.key):
                 return self._stored(order)
-            log = str(self._layout.log(order.run_id, order.label, order.key))
-            outcome = Outcome(order.key, "failed", time.monotonic() - started, message=KILLED, log=log)
-            record_failure(self._layout, order, outcome)
-            return outcome
-        finally:
-            self._layout.running(self._run_id, order.key).unlink(missing_ok=True)
+            memory = self._in_flight().get(order.key, memory)
+            message, hint = KILLED + (f"; it last held {memory:.0f} MB" if memory else ""), None
+        outcome = Outcome(order.key, "failed", time.monotonic() - started, message=message, hint=hint, log=log)
+        record_failure(self._layout, order, outcome)
+        overdue.unlink(missing_ok=True)
+        return outcome
 
-    def _in_flight(self) -> set[str]:
-        found = {node.key for node in running_nodes(self._layout.run(self._run_id) / "running")}
+    def _another(self, order: Order, outcome: Outcome) -> Order:
+        self._journal.write("retry", key=order.key, label=order.label, message=outcome.message, attempt=order.attempt + 1)
+        return replace(order, attempt=order.attempt + 1)
+
+    def _in_flight(self) -> dict[str, float | None]:
+        """The memory that each node last held which was running when its worker died, in MB."""
+        found = {path.stem: _memory(path) for path in self._layout.run(self._run_id).glob("running/*.json")}
         for key in found:
             self._layout.running(self._run_id, key).unlink(missing_ok=True)
         return found
@@ -151,8 +204,7 @@ class Runner:
         else:
             self.summary.done += outcome.state == "done"
             self.summary.shared += outcome.state == "shared"
-            self._journal.write(outcome.state, **facts)
-        self._board.ended(node, outcome)
+            self._journal.write(outcome.state, **facts, numbers=numbers(outcome.summary))
 
     def _blocked(self, node: Node) -> bool:
         cause = next((self._broken[needed.key] for needed in node.needs.values() if needed.key in self._broken), None)
@@ -160,8 +212,7 @@ class Runner:
             return False
         self._broken[node.key] = cause
         self.summary.blocked.append((node, cause))
-        self._journal.write("blocked", key=node.key, label=node.label, by=cause.key)
-        self._board.blocked(node, cause)
+        self._journal.write("blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label)
         return True
 
     def _order(self, node: Node, threads: int) -> Order:
@@ -181,8 +232,17 @@ class Runner:
             sources=source_hashes(node.modules),
             attempt=attempts(self._layout, node.key) + 1,
             threads=threads,
+            limit=self._limit,
             provenance=provenance(),
         )
+
+
+def _memory(path: Path) -> float | None:
+    try:
+        memory = (read_record(path) or {}).get("memory_mb")
+    except ArtifactError:  # killed while it wrote
+        return None
+    return float(memory) if isinstance(memory, int | float) else None
 
 
 def _rank(node: Node, plan: Plan) -> tuple[float, int]:

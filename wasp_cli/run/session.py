@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,11 +12,13 @@ from wasp_cli.console import duration, plain
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.select import select
 from wasp_cli.plan.waves import waves
-from wasp_cli.run.pool import InlinePool, LokyPool, Pool
+from wasp_cli.run.pool import Pool, pool_of
 from wasp_cli.run.progress import NAMES, board
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary, failures_text
+from wasp_cli.run.signals import SIGNALS, listening
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
@@ -63,21 +64,54 @@ class Session:
             raise CellsFailed(_failure_message(self.summary, self.names), "the same command runs what failed again")
 
 
-def run_spec(loaded: Loaded, results: Path, jobs: int) -> Session:
+@dataclass(frozen=True)
+class Way:
+    """How a run is carried out. None of it changes a result."""
+
+    jobs: int
+    """Worker processes at most; 0 computes in this process."""
+    limit: float | None = None
+    """Seconds that a node may take."""
+    retries: int = 0
+    """Further attempts at a node that fails by chance."""
+    backend: str = "loky"
+    """Who provides the workers: one of `pool.BACKENDS`."""
+    scheduler: str | None = None
+    """Address of a dask scheduler or a ray cluster."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Which part of a spec is meant."""
+
+    select: Sequence[str] = ()
+    """Texts of `--select`; all is meant without any."""
+    failed: bool = False
+    """Only what failed before, and what waits for it."""
+
+
+WHOLE = Part()
+
+
+def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE) -> Session:
     """Compute what is missing of a spec.
 
     Args:
         loaded: the spec.
         results: the results folder.
-        jobs: worker processes at most; 0 computes in this process.
+        way: how it is carried out.
+        part: which part of the spec is meant.
 
     Raises:
         StoreError: the results folder cannot be written.
-        Interrupted: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
+        UsageError: the selection means nothing, or the backend is not there.
+        Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
+    grid = lay_out(loaded.spec)
+    wanted = select(grid, part.select)
     layout = prepared(results)
-    plan = plan_against(lay_out(loaded.spec), layout)
-    return carry_out(plan, layout, new_run(layout, loaded, plan), jobs)
+    plan = plan_against(grid, layout, wanted=wanted, failed_only=part.failed)
+    return carry_out(plan, layout, new_run(layout, loaded, plan), way)
 
 
 def prepared(results: Path) -> Layout:
@@ -88,60 +122,46 @@ def prepared(results: Path) -> Layout:
     return layout
 
 
-def carry_out(plan: Plan, layout: Layout, run_id: str, jobs: int, names: Mapping[str, str] = NAMES) -> Session:
+def carry_out(plan: Plan, layout: Layout, run_id: str, way: Way, names: Mapping[str, str] = NAMES) -> Session:
     """Compute what a plan says, and say how it ended.
 
     Args:
         plan: what to compute.
         layout: the results folder.
         run_id: the run whose folder has the logs.
-        jobs: worker processes at most; 0 computes in this process.
+        way: how it is carried out.
         names: what people call a node, by its key, where that is not its label.
     """
-    summary = _compute(plan, layout, run_id, jobs, names) if plan.to_run() else Summary()
+    summary = _compute(plan, layout, run_id, way, names) if plan.to_run() else Summary()
     plain(_summary_line(plan, summary))
     return Session(layout, plan, summary, names)
 
 
-def _compute(plan: Plan, layout: Layout, run_id: str, jobs: int, names: Mapping[str, str]) -> Summary:
-    jobs = useful_jobs(plan, jobs)
-    workers = max(jobs, 1)
-    seconds, unknown = plan.estimate(workers)
+def _compute(plan: Plan, layout: Layout, run_id: str, way: Way, names: Mapping[str, str]) -> Summary:
+    nodes = len(plan.to_run())
+    pool = pool_of(way.backend, useful_jobs(plan, way.jobs), way.scheduler)
+    seconds, unknown = plan.estimate(max(pool.jobs, 1))
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
-    plain(f"{len(plan.to_run())} to compute, {plan.count('cached')} computed before{estimate}; logs in {layout.run(run_id) / 'logs'}")
-    pool: Pool = LokyPool(jobs) if jobs else InlinePool()
-    with _terminable(), board(len(plan.to_run()), layout.run(run_id) / "running", names) as shown:
-        runner = Runner(layout, run_id, pool, cores=cores(), board=shown)
-        try:
+    plain(f"{nodes} to compute, {plan.count('cached')} computed before{estimate}; logs in {layout.run(run_id) / 'logs'}")
+    runner = Runner(layout, run_id, pool, cores=cores(), limit=way.limit, retries=way.retries)
+    try:
+        with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)
-        except KeyboardInterrupt:
-            _kill(pool)
-            kept = f"{runner.summary.done} of {len(plan.to_run())} nodes were finished and are kept"
-            raise Interrupted(f"interrupted: {kept}", "the same command goes on from there") from None
-        except BaseException:
-            _kill(pool)
-            raise
+    except KeyboardInterrupt:
+        _kill(pool)
+        kept = f"{runner.summary.done} of {nodes} nodes were finished and are kept"
+        raise Interrupted(f"interrupted: {kept}", "the same command goes on from there") from None
+    except BaseException:
+        _kill(pool)
+        raise
     pool.close()
     return summary
 
 
 def _kill(pool: Pool) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not leave workers behind
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)  # one more Ctrl-C must not leave workers behind
     pool.close(kill=True)
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """SIGTERM ends a run like Ctrl-C; by default it would leave the workers alive."""
-
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _summary_line(plan: Plan, summary: Summary) -> str:

@@ -11,7 +11,7 @@ from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import Grid, lay_out, together
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_sweep
-from wasp_cli.run.session import Session, carry_out, prepared, restricted
+from wasp_cli.run.session import Session, Way, carry_out, prepared, restricted
 from wasp_cli.spec.names import OF_METHODS
 from wasp_cli.spec.sweep import Sweep
 
@@ -35,18 +35,18 @@ def on_task(sweep: Sweep, task: str | None) -> Sweep:
     return replace(sweep, points=tuple(replace(point, loaded=restricted(point.loaded, task)) for point in sweep.points))
 
 
-def run_sweep(sweep: Sweep, results: Path, jobs: int) -> SweepSession:
+def run_sweep(sweep: Sweep, results: Path, way: Way) -> SweepSession:
     """Compute what is missing of a spec under every value of a setting.
 
     Args:
         sweep: the setting and its values.
         results: the results folder.
-        jobs: worker processes at most; 0 computes in this process.
+        way: how it is carried out.
 
     Raises:
         UsageError: there are no cells, or they are the same under every value.
         StoreError: the results folder cannot be written.
-        Interrupted: Ctrl-C or SIGTERM; workers have been killed, finished nodes are kept.
+        Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
     grids = tuple(lay_out(point.loaded.spec) for point in sweep.points)
     _require_effect(sweep, grids)
@@ -55,7 +55,7 @@ def run_sweep(sweep: Sweep, results: Path, jobs: int) -> SweepSession:
     users = _users(grids)
     plain(_shares(sweep, grids, users))
     names = {node.key: _name(sweep, node.label, users[node.key]) for node in plan.grid.nodes}
-    return SweepSession(carry_out(plan, layout, new_sweep(layout, sweep, plan, grids), jobs, names), grids)
+    return SweepSession(carry_out(plan, layout, new_sweep(layout, sweep, plan, grids), way, names), grids)
 
 
 def _require_effect(sweep: Sweep, grids: Sequence[Grid]) -> None:

@@ -8,25 +8,34 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
 from wasp_cli.config import Config
-from wasp_cli.errors import ArtifactError, SourceChanged, TrainingError, WaspError
+from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, WaspError
 from wasp_cli.memory import keep_memory
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.registry import load_target
+from wasp_cli.run.limit import limited
 from wasp_cli.run.order import Order, Outcome
+from wasp_cli.run.pulse import Pulse
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
-from wasp_cli.store.artifact import discard, is_published, publish, read_manifest, read_record, staging_folder, write_record
+from wasp_cli.store.artifact import (
+    condemn,
+    corruption,
+    discard,
+    is_published,
+    publish,
+    read_manifest,
+    read_record,
+    staging_folder,
+    write_record,
+)
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.lock import held
-
-PROGRESS_SECONDS = 0.5
-"""How often a node may write down its progress."""
+from wasp_cli.store.lock import Busy, held
 
 
 def execute(order: Order, *, own_process: bool = True) -> Outcome:
@@ -39,39 +48,50 @@ def execute(order: Order, *, own_process: bool = True) -> Outcome:
     started = time.monotonic()
     layout = Layout(Path(order.root))
     log = layout.log(order.run_id, order.label, order.key)
+    if layout.stop(order.run_id).exists():
+        return Outcome(order.key, "skipped", 0.0)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             stream = stack.enter_context(log.open("a", encoding="utf-8", errors="replace", buffering=1))
             stack.enter_context(_logged(stream, own_process))
-            return _locked(order, layout, log, started)
-    except Exception as error:  # the results folder itself is in the way: full, gone, read-only
+            return _locked(order, layout, log, started, own_process)
+    except OSError as error:  # the results folder itself is in the way: full, gone, read-only
+        return _failed(order, started, log, f"{type(error).__name__}: {error}", None, by_chance=True)
+    except Exception as error:
         return _failed(order, started, log, f"{type(error).__name__}: {error}", None)
 
 
-def _locked(order: Order, layout: Layout, log: Path, started: float) -> Outcome:
-    running = layout.running(order.run_id, order.key)
-    try:
-        with held(layout.lock(order.key), lambda: _tell(running, order, 0.0, "another run computes it; waiting")):
-            if not is_published(layout, order.kind, order.key):
-                return _computed(order, layout, log, started, running)
-            summary = read_manifest(layout, order.kind, order.key).get("summary", {})
-            return Outcome(order.key, "shared", time.monotonic() - started, summary, log=str(log))
-    finally:
-        running.unlink(missing_ok=True)
+def _locked(order: Order, layout: Layout, log: Path, started: float, own_process: bool) -> Outcome:
+    with Pulse(layout.running(order.run_id, order.key), order) as pulse:
+
+        def waiting() -> bool:
+            pulse.tell(0.0, "another run computes it; waiting")
+            return order.wait and not layout.stop(order.run_id).exists()
+
+        try:
+            with held(layout.lock(order.key), waiting, pulse.fixed):
+                if not is_published(layout, order.kind, order.key):
+                    return _computed(order, layout, log, started, pulse, own_process)
+                summary = read_manifest(layout, order.kind, order.key).get("summary", {})
+                return Outcome(order.key, "shared", time.monotonic() - started, summary, log=str(log))
+        except Busy:
+            return Outcome(order.key, "skipped" if order.wait else "busy", time.monotonic() - started)
 
 
-def _computed(order: Order, layout: Layout, log: Path, started: float, running: Path) -> Outcome:
+def _computed(order: Order, layout: Layout, log: Path, started: float, pulse: Pulse, own_process: bool) -> Outcome:
     staging = staging_folder(layout, order.key)
     started_at = datetime.now(UTC).isoformat(timespec="seconds")
-    _tell(running, order, 0.0, "")
+    began = time.monotonic()
     try:
-        stage: Stage = load_target(order.stage)()
-        keep_memory()
-        _set_threads(getattr(stage, "torch_threads", 1))
-        summary = _finite(stage.run(_job(order, layout, stage, staging, _progress(running, order))))
+        with limited(order.limit, layout.overdue(order.run_id, order.key), own_process):
+            _require_inputs(order, layout)
+            stage: Stage = load_target(order.stage)()
+            keep_memory()
+            _set_threads(getattr(stage, "torch_threads", 1))
+            summary = _finite(stage.run(_job(order, layout, stage, staging, pulse.tell)))
         _require_planned_source(order)
-        seconds = time.monotonic() - started
+        seconds = time.monotonic() - began
         publish(layout, order.kind, order.key, staging, _manifest(order, summary, seconds, started_at))
     except (Exception, SystemExit) as error:
         discard(staging)
@@ -81,7 +101,16 @@ def _computed(order: Order, layout: Layout, log: Path, started: float, running: 
         raise
     layout.failure(order.key).unlink(missing_ok=True)
     discard(layout.work(order.key))
-    return Outcome(order.key, "done", seconds, summary, log=str(log))
+    return Outcome(order.key, "done", time.monotonic() - started, summary, log=str(log))
+
+
+def _require_inputs(order: Order, layout: Layout) -> None:
+    """See that what the node reads has the bytes that were published; what has not is computed again by the next run."""
+    for kind, key in order.inputs.values():
+        wrong = corruption(layout, kind, key)
+        if wrong is not None:
+            condemn(layout, kind, key, wrong)
+            raise ArtifactError(f"what it reads is damaged: {wrong}", "run again: what is damaged is computed again")
 
 
 def _require_planned_source(order: Order) -> None:
@@ -164,7 +193,8 @@ def _recorded_failure(order: Order, layout: Layout, log: Path, started: float, e
     else:
         message, hint = _cause(error), None
         traceback.print_exception(error)
-    outcome = _failed(order, started, log, message, hint)
+    by_chance = not isinstance(error, WaspError) or isinstance(error, StoreError)
+    outcome = _failed(order, started, log, message, hint, by_chance=by_chance)
     record_failure(layout, order, outcome)
     return outcome
 
@@ -172,7 +202,8 @@ def _recorded_failure(order: Order, layout: Layout, log: Path, started: float, e
 def record_failure(layout: Layout, order: Order, outcome: Outcome) -> None:
     """Keep why a node failed, so that the next plan can say so."""
     record = {"kind": order.kind, "label": order.label, "message": outcome.message, "hint": outcome.hint, "log": outcome.log}
-    write_record(layout.failure(order.key), {**record, "attempt": order.attempt, "run": order.run_id})
+    with suppress(OSError):  # a full disk: the outcome and the journal of a living run tell it
+        write_record(layout.failure(order.key), {**record, "attempt": order.attempt, "run": order.run_id})
 
 
 def attempts(layout: Layout, key: str) -> int:
@@ -185,8 +216,9 @@ def attempts(layout: Layout, key: str) -> int:
     return attempt if isinstance(attempt, int) else 1
 
 
-def _failed(order: Order, started: float, log: Path, message: str, hint: str | None) -> Outcome:
-    return Outcome(order.key, "failed", time.monotonic() - started, message=message, hint=hint, log=str(log))
+def _failed(order: Order, started: float, log: Path, message: str, hint: str | None, *, by_chance: bool = False) -> Outcome:
+    seconds = time.monotonic() - started
+    return Outcome(order.key, "failed", seconds, message=message, hint=hint, log=str(log), by_chance=by_chance)
 
 
 def _cause(error: BaseException) -> str:
@@ -195,23 +227,6 @@ def _cause(error: BaseException) -> str:
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     text = " ".join(str(error).split()) or "no message"
     return f"{type(error).__name__}: {text[:300]}{place}"
-
-
-def _progress(running: Path, order: Order) -> Progress:
-    last = -math.inf
-
-    def tell(share: float, text: str) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last >= PROGRESS_SECONDS:
-            last = now
-            _tell(running, order, share, text)
-
-    return tell
-
-
-def _tell(running: Path, order: Order, share: float, text: str) -> None:
-    write_record(running, {"label": order.label, "share": min(max(float(share), 0.0), 1.0), "text": text, "pid": os.getpid()})
 
 
 def _finite(summary: Mapping[str, Any]) -> dict[str, Any]:

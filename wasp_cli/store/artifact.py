@@ -16,7 +16,7 @@ from typing import Any
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.lock import is_held
-from wasp_cli.store.plain import parse, read_plain
+from wasp_cli.store.plain import parse, printable, read_plain
 
 LONGEST_NAME = 1024
 """Characters of a file's name in a manifest at most."""
@@ -121,6 +121,53 @@ def missing_file(layout: Layout, place: Path, files: Mapping[str, int]) -> str |
     return None
 
 
+WHY = "why.txt"
+"""Lies in an artifact that was taken out of use."""
+
+_verified: dict[str, tuple[int, int]] = {}
+"""Time and size of each file whose bytes this process has seen to be the published ones."""
+
+
+def corruption(layout: Layout, kind: str, key: str) -> str | None:
+    """What is wrong with the bytes of an artifact, by the SHA-256 of each file; None when they are those that were published.
+
+    A process reads a file once, as long as its time and size stay.
+    """
+    wrong = damage(layout, kind, key)
+    if wrong is not None:
+        return wrong
+    for name, known in read_manifest(layout, kind, key)["files"].items():
+        path = layout.artifact(kind, key) / name
+        state = path.stat()
+        stamp = state.st_mtime_ns, state.st_size
+        if _verified.get(str(path)) == stamp:
+            continue
+        if file_digest(path) != known.get("sha256"):
+            return f"'{path}' does not have the bytes that were published"
+        _verified[str(path)] = stamp
+    return None
+
+
+def condemn(layout: Layout, kind: str, key: str, why: str) -> None:
+    """Take an artifact out of use, so that it is computed again; its files stay until then.
+
+    Another process may have done so before.
+    """
+    manifest = layout.manifest(kind, key)
+    with suppress(FileNotFoundError):
+        os.replace(manifest, manifest.with_suffix(".condemned"))
+    with suppress(OSError):
+        (layout.artifact(kind, key) / WHY).write_text(why + "\n", encoding="utf-8")
+
+
+def why_condemned(layout: Layout, kind: str, key: str) -> str | None:
+    """Why an artifact was taken out of use; None of others."""
+    try:
+        return " ".join(printable(read_plain(layout.artifact(kind, key) / WHY)).split())[:500] or None
+    except (OSError, ValueError):
+        return None
+
+
 def is_file_name(name: str) -> bool:
     """Whether a manifest may list a file of this name: it lies in the artifact, wherever that is."""
     parts = name.split("/")
@@ -210,9 +257,14 @@ def _files(folder: Path) -> dict[str, dict[str, Any]]:
             raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
         name = path.relative_to(folder).as_posix()
         if path.is_file() and name != MANIFEST:
-            with path.open("rb") as file:
-                found[name] = {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
+            found[name] = {"size": path.stat().st_size, "sha256": file_digest(path)}
     return found
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _sync(path: Path) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.store.artifact import is_file_name, listed_files, missing_file, read_manifest, replace_file
+from wasp_cli.store.artifact import is_file_name, listed_files, missing_file, read_manifest, replace_file, why_condemned
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import read_plain
 
@@ -71,7 +71,7 @@ def take_stock(layout: Layout, kinds: Iterable[str], facts: Facts, version: int)
             try:
                 state = os.stat(place / MANIFEST)
             except OSError:
-                damaged[key] = f"'{place / MANIFEST}' is gone"
+                damaged[key] = why_condemned(layout, kind, key) or f"'{place / MANIFEST}' is gone"
                 continue
             entry = before.get(key)
             if entry is None or entry.stamp != (state.st_mtime_ns, state.st_size):

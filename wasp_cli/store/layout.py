@@ -88,6 +88,18 @@ class Layout:
         """What a running node says of its progress."""
         return self.run(run_id) / "running" / f"{_key(key)}.json"
 
+    def journal(self, run_id: str) -> Path:
+        """The events of a run."""
+        return self.run(run_id) / "journal.jsonl"
+
+    def stop(self, run_id: str) -> Path:
+        """Is there when a run was asked to end."""
+        return self.run(run_id) / "stop"
+
+    def overdue(self, run_id: str, key: str) -> Path:
+        """Has text when a node's process was ended because it did not react to its time limit."""
+        return self.run(run_id) / "running" / f"{_key(key)}.overdue"
+
     def reports(self, spec: str) -> Path:
         """The folder of a spec's tables and figures."""
         return self.root / "reports" / _name(spec)

@@ -5,35 +5,67 @@ The kernel releases a lock however its process ends, so that no lock is ever sta
 
 from __future__ import annotations
 
+import errno
 import fcntl
+import json
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+from wasp_cli.store.plain import parse, read_plain
+
+POLL_SECONDS = 0.2
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""What a file system answers that has no locks."""
+
+
+class Busy(Exception):
+    """Someone else holds a lock, and it was not waited for."""
 
 
 @contextmanager
-def held(path: Path, waiting: Callable[[], None]) -> Iterator[None]:
-    """Hold a lock; `waiting` is called once if someone else has it.
+def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether to go on waiting.
 
     The file stays. Only `remove_lock` removes one, and that while it holds it: so a lock counts when, once held, its file is still the
     one that the path names. Otherwise two processes could hold two files of one name.
+
+    Args:
+        path: the lock file.
+        waiting: called as long as someone else has it.
+        holder: what to tell others of this process, for `holder_of`.
+
+    Raises:
+        Busy: someone else has it, and `waiting` said no.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    told = False
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         try:
-            if not _taken(descriptor):
-                if not told:
-                    told = True
-                    waiting()
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            while not _taken(descriptor):
+                if not waiting():
+                    raise Busy
+                time.sleep(POLL_SECONDS)
             if _is_at(descriptor, path):
+                with suppress(OSError):  # a full disk: who holds it stays unsaid
+                    os.ftruncate(descriptor, 0)
+                    os.write(descriptor, json.dumps(holder or {}).encode())
                 yield
                 return
         finally:
             os.close(descriptor)
+
+
+def holder_of(path: Path) -> dict[str, Any]:
+    """What the holder of a lock told of itself, or the last one that had it; empty where nobody did."""
+    try:
+        record = parse(read_plain(path))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return record if isinstance(record, dict) else {}
 
 
 def is_held(path: Path) -> bool:
@@ -77,6 +109,10 @@ def _taken(descriptor: int) -> bool:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        # Two runs may then compute a node twice; what they publish is the same, and appears in one step.
     return True
 
 
