@@ -12,6 +12,7 @@ from wasp_cli import __version__
 from wasp_cli.app_bench import bench_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
+from wasp_cli.app_status import status_app
 from wasp_cli.app_sweep import sweep_app
 from wasp_cli.options import (
     BackendOption,
@@ -215,6 +216,7 @@ app.add_typer(tasks_app, name="tasks")
 app.add_typer(bench_app, name="bench")
 app.add_typer(explain_app)
 app.add_typer(operators_app)
+app.add_typer(status_app)
 app.add_typer(sweep_app)
 
 

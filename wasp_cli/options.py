@@ -34,6 +34,11 @@ def folder_of(value: str | Path) -> Path:
 
 
 ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=folder_of, help="Where results are kept.")]
+ResultsArgument = Annotated[Path, typer.Argument(metavar="DIR", parser=folder_of, help="A results folder.")]
+NodeArgument = Annotated[
+    str,
+    typer.Argument(metavar="CELL", help="The beginning of a key, or a label ('goal1 s0 wasp laggy=0.7').", show_default=False),
+]
 TaskOption = Annotated[str | None, typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False)]
 JobsOption = Annotated[
     int | None,

@@ -1,8 +1,9 @@
-"""Which evaluated cell a person means: by key, by label, or by path.
+"""Which node a person means: by key, by label, or, if it is an evaluated cell, by path.
 
     find_cell(Layout(Path("results")), "611a4993")                       the beginning of a key
     find_cell(Layout(Path("results")), "goal1 s0 wasp/no-case2 laggy=0.7")   a label, as `wasp run` and the report print it
     find_cell(Layout(Path("results")), "copied/cell.parquet")            a file, or the folder of an artifact
+    find_node(Layout(Path("results")), "goal1 s0 world_model")           a node of any kind, also one that failed
 
 Keys and labels are compared with what is there; neither ever becomes a path.
 """
@@ -12,13 +13,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.errors import ArtifactError, UnknownName, UsageError
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.store.artifact import published, read_manifest, read_record
-from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.layout import MANIFEST, Layout, is_key, is_name
 from wasp_cli.store.tables import CELL_FILE
 
 KIND = "evaluate"
@@ -31,18 +33,18 @@ _PREFIX = re.compile(r"[0-9a-f]{1,64}")
 _REPORTED = re.compile(r"(\S+) (.+) seed (\d+)")
 SHOWN = 12
 """Candidates that an error lists at most."""
+ONE_OF = "say the first characters of one of these keys"
 
 
 @dataclass(frozen=True)
-class FoundCell:
-    """A cell on disk, and what its manifest says of it."""
+class Found:
+    """Something on disk, and what its manifest says of it."""
 
     path: Path
-    """of the table"""
     key: str | None = None
     """None of a file outside of a store"""
     manifest: Mapping[str, Any] = field(default_factory=dict)
-    """empty of a file outside of a store"""
+    """empty where there is none"""
 
     @property
     def label(self) -> str | None:
@@ -68,6 +70,26 @@ class FoundCell:
         return value
 
 
+@dataclass(frozen=True)
+class FoundCell(Found):
+    """A cell; `path` is that of its table."""
+
+
+@dataclass(frozen=True)
+class FoundNode(Found):
+    """A node of any kind; `path` is the folder of its artifact, or the record of its failure where it has none."""
+
+    kind: str = ""
+    failure: Mapping[str, Any] = field(default_factory=dict)
+    """Of its last failure; empty when it succeeded since"""
+
+    @property
+    def label(self) -> str | None:
+        """As the run printed it."""
+        label = self.manifest.get("label", self.failure.get("label"))
+        return None if label is None else str(label)
+
+
 def find_cell(layout: Layout, text: str) -> FoundCell:
     """The one cell that `text` names: the beginning of a key, a label, or a path.
 
@@ -78,20 +100,88 @@ def find_cell(layout: Layout, text: str) -> FoundCell:
     """
     wanted = " ".join(text.split())
     keys = sorted(filter(is_key, published(layout, KIND)))
-    found = [_of_key(layout, key) for key in keys if _begins(key, wanted)]
+    found = [_of_key(layout, key) for key in keys if begins(key, wanted)]
     named: list[str] = []
     if not found:
         for cell in _readable(layout, keys):
             named.append(cell.label or "")
-            if named[-1].casefold() == _as_run(wanted).casefold():
+            if same_label(named[-1], wanted):
                 found.append(cell)
     if len(found) > 1:
-        raise UsageError(_several(wanted, found), "say the first characters of one of these keys")
+        raise UsageError(_several(wanted, "evaluations", found), ONE_OF)
     return found[0] if found else _by_path(layout, text, wanted, named)
 
 
-def _begins(key: str, wanted: str) -> bool:
+def find_node(layout: Layout, text: str) -> FoundNode:
+    """The one node that `text` names: the beginning of a key, or a label; of any kind, and also when it has only failed.
+
+    Raises:
+        UsageError: it names several; the message lists them, newest first.
+        UnknownName: it names none.
+        ArtifactError: the manifest of the node is damaged.
+    """
+    wanted = " ".join(text.split())
+    places = [(kind, key) for kind in stored_kinds(layout) for key in sorted(filter(is_key, published(layout, kind)))]
+    failures = _failures(layout)
+    found = [_node(layout, kind, key, failures) for kind, key in places if begins(key, wanted)]
+    there = {key for _, key in places}
+    only_failed = [_failed_node(layout, key, record) for key, record in failures.items() if key not in there]
+    found += [node for node in only_failed if begins(node.key or "", wanted)]
+    labels: list[str] = []
+    if not found:
+        for node in (*_readable_nodes(layout, places, failures), *only_failed):
+            labels.append(node.label or "")
+            if same_label(labels[-1], wanted):
+                found.append(node)
+    if len(found) > 1:
+        raise UsageError(_several(wanted, "nodes", found), ONE_OF)
+    if not found:
+        how = "say a key (a folder name in store/<kind>), or a label" + (f" such as '{labels[0]}'" if labels else "")
+        raise UnknownName("node", wanted, set(labels), f"no node '{wanted}' in '{layout.root}'", otherwise=how)
+    return found[0]
+
+
+def stored_kinds(layout: Layout) -> list[str]:
+    """The kinds of which a store has artifacts, whatever version wrote them."""
+    try:
+        with os.scandir(layout.within(layout.store)) as entries:
+            return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
+    except OSError:
+        return []
+
+
+def _node(layout: Layout, kind: str, key: str, failures: Mapping[str, Mapping[str, Any]]) -> FoundNode:
+    return FoundNode(layout.artifact(kind, key), key, read_manifest(layout, kind, key), kind, failures.get(key, {}))
+
+
+def _readable_nodes(layout: Layout, places: Sequence[tuple[str, str]], failures: Mapping[str, Mapping[str, Any]]) -> Iterator[FoundNode]:
+    for kind, key in places:
+        with suppress(ArtifactError):
+            yield _node(layout, kind, key, failures)
+
+
+def _failed_node(layout: Layout, key: str, record: Mapping[str, Any]) -> FoundNode:
+    return FoundNode(layout.failure(key), key, {}, str(record.get("kind", "")), record)
+
+
+def _failures(layout: Layout) -> dict[str, dict[str, Any]]:
+    """The records of last failures that read, by key."""
+    found: dict[str, dict[str, Any]] = {}
+    for path in sorted(layout.within(layout.failures).glob("*.json")):
+        with suppress(ArtifactError):
+            if is_key(path.stem):
+                found[path.stem] = read_record(path) or {}
+    return found
+
+
+def begins(key: str, wanted: str) -> bool:
+    """Whether what was written is the beginning of a key."""
     return len(wanted) >= LEAST and key.startswith(wanted.lower())
+
+
+def same_label(label: str, wanted: str) -> bool:
+    """Whether what was written is a label, as a run or a report names it; capitals do not count."""
+    return label.casefold() == _as_run(wanted).casefold()
 
 
 def _as_run(label: str) -> str:
@@ -101,16 +191,15 @@ def _as_run(label: str) -> str:
 
 
 def _of_key(layout: Layout, key: str) -> FoundCell:
-    return FoundCell(layout.artifact(KIND, key) / CELL_FILE, key, read_manifest(layout, KIND, key))
+    manifest = read_manifest(layout, KIND, key)
+    return FoundCell(layout.within(layout.artifact(KIND, key) / CELL_FILE), key, manifest)
 
 
 def _readable(layout: Layout, keys: Sequence[str]) -> Iterator[FoundCell]:
     """A cell whose manifest is damaged has lost its label; its key still finds it."""
     for key in keys:
-        try:
+        with suppress(ArtifactError, StoreError):
             yield _of_key(layout, key)
-        except ArtifactError:
-            continue
 
 
 def _by_path(layout: Layout, text: str, wanted: str, labels: Sequence[str]) -> FoundCell:
@@ -142,19 +231,15 @@ def _unknown(layout: Layout, wanted: str, labels: Sequence[str]) -> UsageError:
 
 def _failure(layout: Layout, wanted: str) -> str | None:
     """Why the cell of a label, or of the beginning of a key, failed last; None where nothing of it did."""
-    for path in sorted(layout.failures.glob("*.json")):
-        try:
-            record = read_record(path) or {}
-        except ArtifactError:
-            continue
-        names = str(record.get("label")).casefold() == _as_run(wanted).casefold() or _begins(path.stem, wanted)
+    for key, record in _failures(layout).items():
+        names = same_label(str(record.get("label")), wanted) or begins(key, wanted)
         if record.get("kind") == KIND and names:
             return str(record.get("message"))
     return None
 
 
-def _several(wanted: str, found: Sequence[FoundCell]) -> str:
-    newest = sorted(found, key=lambda cell: cell.started_at, reverse=True)
-    lines = [f"  {cell.key}  {cell.label}  {cell.date}".rstrip() for cell in newest[:SHOWN]]
+def _several(wanted: str, what: str, found: Sequence[Found]) -> str:
+    newest = sorted(found, key=lambda each: each.started_at, reverse=True)
+    lines = [f"  {each.key}  {each.label}  {each.date}".rstrip() for each in newest[:SHOWN]]
     more = [f"  and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
-    return "\n".join([f"'{wanted}' names {len(found)} evaluations, newest first:", *lines, *more])
+    return "\n".join([f"'{wanted}' names {len(found)} {what}, newest first:", *lines, *more])

@@ -12,7 +12,7 @@ import os
 import re
 import stat
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 LARGEST = 256 * 2**20
 """Bytes of a record or a journal at most; the plan of ten thousand nodes has four million."""
@@ -23,12 +23,11 @@ _UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\
 """Control characters (a terminal obeys them), changes of the reading direction, and halves of characters (no stream takes them)."""
 
 
-def read_plain(path: Path) -> str:
-    """The text of a plain file.
+def open_plain(path: Path) -> BinaryIO:
+    """A plain file, open for reading.
 
     Raises:
-        OSError: there is none, it is something else, or it is too large.
-        ValueError: it is not UTF-8.
+        OSError: there is none, or it is something else.
     """
     try:
         # Without waiting: a pipe in the place of a file would otherwise hold the reader for ever.
@@ -37,12 +36,23 @@ def read_plain(path: Path) -> str:
         if error.errno == errno.ELOOP:
             raise OSError(errno.ELOOP, "it is a link", str(path)) from error
         raise
-    with open(descriptor, "rb") as file:
-        state = os.fstat(descriptor)
-        if not stat.S_ISREG(state.st_mode):
-            raise OSError(errno.EINVAL, "it is no plain file", str(path))
-        if state.st_size > LARGEST:
-            raise OSError(errno.EFBIG, f"it has {state.st_size} bytes", str(path))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+    return open(descriptor, "rb")
+
+
+def read_plain(path: Path) -> str:
+    """The text of a plain file.
+
+    Raises:
+        OSError: there is none, it is something else, or it is too large.
+        ValueError: it is not UTF-8.
+    """
+    with open_plain(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > LARGEST:
+            raise OSError(errno.EFBIG, f"it has {size} bytes", str(path))
         return file.read(LARGEST).decode("utf-8")
 
 

@@ -1,0 +1,156 @@
+"""`wasp status` and `wasp logs`, beside a real run and on folders written by hand."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.run.harness import ROOT, Fakes, run, start, wait_until
+from tests.run.recorded import at, dead_pid, key, planned, process, write_run
+from wasp_cli.run.show_status import FAILURES
+from wasp_cli.store.layout import Layout
+
+RUN = "20260501-120000-small-0001"
+
+
+@pytest.fixture
+def layout(tmp_path: Path) -> Layout:
+    layout = Layout(tmp_path / "results")
+    layout.prepare()
+    return layout
+
+
+def status(layout: Layout, *options: str) -> str:
+    done = run_here("status", layout.root, *options, columns=120)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def test_a_run_that_died(layout: Layout) -> None:
+    events = [(0.0, "run started", {"nodes": 3, **process(dead_pid())}), (60.0, "done", {"key": key(1), "label": "a"})]
+    events.append((61.0, "failed", {"key": key(2), "label": "b", "message": "no [memory]", "log": "/x/b.log"}))
+    write_run(layout, RUN, [planned(n, "abc"[n - 1]) for n in (1, 2, 3)], events, {3: {"label": "c", "share": 0.5, "text": "step 7"}})
+    lines = status(layout).splitlines()
+    assert lines[0] == "small  died; its last event was 2026-05-01 12:01 UTC, after 1 min 01 s (started 2026-05-01 12:00 UTC)"
+    assert lines[1] == f"run {RUN}"
+    assert lines[2] == "[" + "=" * 13 + " " * 27 + "] 1 of 3 done, 1 failed, 1 not computed"
+    assert re.fullmatch(r"  c +50% +gone +step 7 *", lines[3])
+    assert lines[4:] == ["FAILED b: no [memory]", "       log: /x/b.log"]
+
+
+def test_failures_are_counted_where_they_are_many(layout: Layout) -> None:
+    failed = [(float(n), "failed", {"key": key(n), "label": f"n{n}", "message": "x"}) for n in range(20)]
+    write_run(layout, RUN, [planned(n, f"n{n}") for n in range(20)], [(0.0, "run started", process(dead_pid())), *failed])
+    shown = status(layout)
+    assert shown.count("FAILED") == FAILURES
+    assert f"and {20 - FAILURES} more" in shown
+    assert len(json.loads(status(layout, "--json"))[0]["failed"]) == 20
+
+
+def test_silence_is_told(layout: Layout) -> None:
+    running = {1: {"label": "a", "started": at(0), "at": at(0), **process(os.getpid())}}
+    write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", process(os.getpid()))], running)
+    assert "silent for" in status(layout)
+
+
+def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    layout = Layout(tmp_path / "results")
+    fakes.set(free=6, behave={"s1 ida_q": "refuse"})
+    process = start("run", small_spec, "--results", layout.root, "-j", "2")
+    try:
+        wait_until(lambda: len(fakes.executions()) >= 8 and len(list(layout.root.glob("runs/*/running/*.json"))) == 2)
+        (state,) = json.loads(status(layout, "--json"))
+        assert (state["spec"], state["state"], state["total"], state["running"]) == ("small", "running", 34, 2)
+        assert state["finished"] + state["running"] + state["waiting"] == 34
+        assert {node["share"] for node in state["active"]} == {0.5}
+        text = status(layout)
+        assert "2 running" in text
+        label = state["active"][0]["label"]
+        assert f"  {label}  " in text
+        shown = run_here("logs", label, "--results", layout.root, columns=80)
+        assert (shown.exit_code, shown.stdout) == (0, f"fake {executed(fakes, label)}\n")
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.communicate(timeout=30)
+    assert json.loads(status(layout, "--json"))[0]["state"] == "interrupted"
+
+
+def executed(fakes: Fakes, label: str) -> str:
+    """What the fake stage of a node printed: its task, seed, kind and axes."""
+    task, seed, kind = label.split()[:3]
+    return next(line for line in fakes.executions() if line.startswith(f"{task} {seed} {kind}"))
+
+
+def test_results_without_runs_are_refused(layout: Layout, tmp_path: Path) -> None:
+    for folder in (tmp_path / "absent", layout.root):
+        done = run_here("status", folder, columns=80)
+        assert done.exit_code == 1
+        assert "no results in" in done.stderr
+    write_run(layout, RUN, [])
+    assert run_here("status", layout.root, "--run", "0001", columns=80).exit_code == 0
+    assert run_here("status", layout.root, "--run", "0002", columns=80).exit_code == 2
+
+
+def test_the_log_of_any_node(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(behave={"s0 ida_q": "refuse"})
+    run(small_spec, results)
+    for label in ("goal1 s0 world_model", "goal1 s0 ida_q", "GOAL1 s1 human noisy=0.2", "goal1 human noisy=0.2 seed 1"):
+        done = run_here("logs", label, "--results", results, columns=80)
+        assert done.exit_code == 0, done.output
+        assert done.stdout.startswith("fake goal1 s")
+    assert "error: the loss is not finite" in run_here("logs", "goal1 s0 ida_q", "--results", results, columns=80).stdout
+    path = Path(run_here("logs", "goal1 s0 ida_q", "--path", "--results", results, columns=20).stdout.rstrip("\n"))
+    assert path.is_file()
+    by_key = run_here("logs", path.stem.rpartition("-")[2], "--path", "--results", results, columns=20)
+    assert by_key.stdout.rstrip("\n") == str(path)
+    unknown = run_here("logs", "goal1 s0 ida_p", "--results", results, columns=200)
+    assert unknown.exit_code == 2
+    assert "did you mean 'goal1 s0 ida_q'" in unknown.stderr
+
+
+def test_the_newest_log_is_shown_and_an_older_one_by_its_run(layout: Layout) -> None:
+    for run_id, number in ((RUN, 1), ("20260501-130000-small-0002", 1), ("20260501-140000-small-0003", 2)):
+        write_run(layout, run_id, [planned(number, "a"), planned(7, "b", "cached")])
+        layout.log(run_id, "a", key(number)).write_text(f"of {run_id}\n")
+    layout.log(RUN, "b", key(7)).write_text("of b\n")
+
+    def log(*arguments: str) -> str:
+        done = run_here("logs", *arguments, "--results", layout.root, columns=80)
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    assert log("a") == "of 20260501-140000-small-0003\n"
+    assert log(key(1)) == "of 20260501-130000-small-0002\n"
+    assert log(key(1), "--run", "0001") == f"of {RUN}\n"
+    assert log("b") == "of b\n"  # computed in the first run; later ones found it there
+    several = run_here("logs", "0000", "--results", layout.root, columns=80)
+    assert several.exit_code == 2
+    assert "'0000' names 3 nodes" in several.stderr
+
+
+def test_a_log_commands_no_terminal(layout: Layout) -> None:
+    """A pipe gets a log as it is; a terminal its colours, and of a bar that redraws itself the last state."""
+    write_run(layout, RUN, [planned(1, "a")])
+    layout.log(RUN, "a", key(1)).write_bytes(b"\x1b]0;title\x07\x1b[31mred\x1b[0m \xff\n10 %\r20 %\nend")
+    arguments = ["logs", "a", "--results", str(layout.root)]
+    piped = run_here(*arguments, columns=80)
+    assert piped.stdout == "\x1b]0;title\x07\x1b[31mred\x1b[0m \ufffd\n10 %\r20 %\nend"
+    reader, writer = os.openpty()
+    subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], stdout=writer, check=True, cwd=ROOT)
+    os.close(writer)
+    shown = b""
+    with suppress(OSError):  # how Linux says that a terminal has no writer any more
+        while chunk := os.read(reader, 4096):  # so little stays in the terminal until it is read
+            shown += chunk
+    os.close(reader)
+    assert shown.decode().replace("\r\n", "\n") == "\ufffd]0;title\ufffd\x1b[31mred\x1b[0m \ufffd\n20 %\nend"

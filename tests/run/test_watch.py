@@ -1,0 +1,239 @@
+"""How far a run is, from its folder alone."""
+
+from __future__ import annotations
+
+import os
+import platform
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.run.recorded import START, at, dead_pid, key, planned, process, write_run
+from wasp_cli.errors import UnknownName
+from wasp_cli.run.planned import named_run, planned_runs, upstream_first
+from wasp_cli.run.watch import RunState, is_gone, moment, shown_runs, state_of
+from wasp_cli.store.artifact import write_record
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.provenance import boot_id
+
+NODES = [
+    planned(0, "a", "cached"),
+    planned(1, "b", seconds=100.0),
+    planned(2, "c", needs=[1], seconds=60.0),
+    planned(3, "d", needs=[2], seconds=40.0),
+    planned(4, "e", "failed"),
+    planned(5, "f", needs=[4]),
+]
+HERE = process(os.getpid())
+
+
+@pytest.fixture
+def layout(tmp_path: Path) -> Layout:
+    layout = Layout(tmp_path / "results")
+    layout.prepare()
+    return layout
+
+
+def started(**facts: Any) -> tuple[float, str, dict[str, Any]]:
+    return (0, "run started", {"nodes": 5, "jobs": 2, **HERE, **facts})
+
+
+def ended(event: str, number: int, seconds: float, **facts: Any) -> tuple[float, str, dict[str, Any]]:
+    return (seconds, event, {"key": key(number), "label": f"node {number}", "seconds": 1.0, **facts})
+
+
+def only(layout: Layout, seconds: float = 120.0) -> RunState:
+    (run,) = planned_runs(layout)
+    return state_of(layout, run, START + timedelta(seconds=seconds))
+
+
+def test_a_run_that_goes_on(layout: Layout) -> None:
+    events = [
+        started(),
+        ended("done", 1, 60),
+        ended("retry", 4, 70, message="killed", attempt=1),
+        ended("failed", 4, 90, message="no memory", log="/x/e.log"),
+        ended("blocked", 5, 90, by=key(4)),
+    ]
+    running = {
+        2: {"label": "c", "kind": "expert", "share": 0.25, "text": "step 5", "started": at(60), "at": at(119), "memory_mb": 512, **HERE},
+        1: {"label": "b", "share": 1.0, "text": "left behind by a node that has ended", **HERE},
+    }
+    write_run(layout, "20260501-120000-small-0001", NODES, events, running)
+    state = only(layout)
+    assert (state.state, state.spec, state.total) == ("running", "small", 5)
+    assert (state.done, state.shared, len(state.failed), state.blocked, state.running, state.waiting) == (1, 0, 1, 1, 1, 1)
+    assert (state.retried, state.draining) == (1, False)
+    assert (state.failed[0].label, state.failed[0].message, state.failed[0].log) == ("node 4", "no memory", "/x/e.log")
+    (node,) = state.active
+    assert (node.label, node.kind, node.share, node.text, node.memory_mb, node.gone) == ("c", "expert", 0.25, "step 5", 512.0, False)
+    assert (node.started, node.seen) == (moment(at(60)), moment(at(119)))
+    assert state.per_minute == pytest.approx(1.0)  # a done and a failed node in two minutes
+    assert state.left_seconds == pytest.approx(0.75 * 60 + 40)  # d waits for c, however many workers there are
+    assert state.unknown == 0
+
+
+def test_workers_share_what_does_not_wait(layout: Layout) -> None:
+    nodes = [planned(number, f"n{number}", seconds=60.0) for number in range(6)]
+    write_run(layout, "20260501-120000-small-0001", nodes, [started(jobs=2)])
+    assert only(layout).left_seconds == pytest.approx(180)
+
+
+@pytest.mark.parametrize(("share", "left"), [(0.5, 50.0), (0.0, 70.0)], ids=["by its share", "by the clock"])
+def test_a_running_node_has_less_left(share: float, left: float, layout: Layout) -> None:
+    running = {1: {"label": "b", "share": share, "started": at(90), **HERE}}
+    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=100.0)], [started()], running)
+    assert only(layout).left_seconds == pytest.approx(left)
+
+
+def test_without_estimates_the_rate_tells_what_is_left(layout: Layout) -> None:
+    nodes = [planned(number, f"n{number}") for number in range(40)]
+    events = [started(), *(ended("done", number, 600 + 6 * number) for number in range(20))]
+    write_run(layout, "20260501-120000-small-0001", nodes, events)
+    state = only(layout, 600 + 6 * 19)
+    assert state.per_minute == pytest.approx(10)  # the slow beginning is over
+    assert state.left_seconds == pytest.approx(120)
+    assert state.unknown == 0
+
+
+def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0), planned(2, "c")], [started()])
+    assert (only(layout).left_seconds, only(layout).unknown) == (pytest.approx(10), 1)
+
+
+@pytest.mark.parametrize(
+    ("facts", "state"),
+    [
+        ({}, "running"),
+        ({"pid": dead_pid()}, "died"),
+        ({"boot": "of yesterday"}, "died" if boot_id() else "running"),
+        ({"host": "elsewhere", "pid": dead_pid()}, "running"),  # cannot be seen from here
+    ],
+)
+def test_the_death_of_a_run_shows(facts: dict[str, Any], state: str, layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", NODES, [started(**facts), ended("done", 1, 60)])
+    found = only(layout)
+    assert found.state == state
+    assert (found.ended == moment(at(60))) == (state == "died")
+    assert (found.left_seconds is None) == (state == "died")
+
+
+def test_a_run_of_an_older_version_dies_of_silence(layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", NODES, [(0, "run started", {"nodes": 5})])
+    assert only(layout, 3600).state == "running"
+    assert only(layout, 3 * 86400).state == "died"
+
+
+@pytest.mark.parametrize(("event", "state"), [("run ended", "ended"), ("run interrupted", "interrupted")])
+def test_a_run_that_is_over_says_so(event: str, state: str, layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])
+    found = only(layout)
+    assert (found.state, found.ended, found.left_seconds) == (state, moment(at(70)), None)
+
+
+def test_a_node_whose_process_is_gone(layout: Layout) -> None:
+    running = {1: {"label": "b", **process(dead_pid())}, 2: {"label": "c", **HERE}}
+    write_run(layout, "20260501-120000-small-0001", NODES, [started()], running)
+    state = only(layout)
+    assert {node.label: node.gone for node in state.active} == {"b": True, "c": False}
+    assert (state.running, state.waiting) == (1, 4)
+
+
+def test_draining_is_told_until_the_end(layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", NODES, [started(), (5, "draining", {})])
+    assert only(layout).draining
+
+
+def test_a_node_that_succeeds_after_it_failed_has_not_failed(layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", NODES, [started(), ended("failed", 1, 5, message="x"), ended("done", 1, 9)])
+    state = only(layout)
+    assert (state.done, state.failed, state.finished) == (1, (), 1)
+
+
+def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", [planned(1, "a", "cached")])
+    write_run(layout, "20260501-130000-small-0002", NODES)
+    later, earlier = (state_of(layout, run) for run in planned_runs(layout))
+    assert (earlier.state, earlier.total) == ("ended", 0)
+    assert (later.state, later.total) == ("not started", 5)
+
+
+def test_the_runs_that_go_on_are_shown_or_else_the_last(layout: Layout) -> None:
+    over = [started(), (9, "run ended", {})]
+    write_run(layout, "20260501-120000-a-0001", NODES, over, spec="a")
+    write_run(layout, "20260501-130000-b-0002", NODES, over, spec="b")
+    assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0002"]
+    for number, spec in ((3, "a"), (4, "a"), (5, "b")):
+        write_run(layout, f"20260501-14000{number}-{spec}-000{number}", NODES, [started()], spec=spec)
+    write_run(layout, "20260501-150000-c-0006", NODES, over, spec="c")
+    assert [state.run_id[-4:] for state in shown_runs(layout, planned_runs(layout))] == ["0005", "0004"]
+
+
+def test_a_sweep_is_one_run(layout: Layout) -> None:
+    for number in (1, 2):
+        write_run(layout, f"20260501-120000-s-value-000{number}", [planned(number, f"n{number}")], spec="s-value")
+    write_run(layout, "20260501-120001-s-sweep-0003", [], [started(nodes=2), ended("done", 1, 4)])
+    folder = layout.run("20260501-120001-s-sweep-0003")
+    (folder / "plan.json").unlink()
+    values = [{"value": number, "run": f"20260501-120000-s-value-000{number}"} for number in (1, 2)]
+    write_record(folder / "sweep.json", {"spec": "s", "setting": "wasp.tau_c", "values": values})
+    state = only(layout)
+    assert (state.spec, state.total, state.done) == ("s --vary wasp.tau_c", 2, 1)
+
+
+def test_what_is_odd_in_a_folder_is_left_out(layout: Layout) -> None:
+    odd: list[Any] = [
+        7,
+        {"key": "../../x", "kind": "expert", "label": "x", "state": "missing"},
+        {"key": key(1)},
+        planned(2, "c", needs=[99]),
+    ]
+    odd.append(planned(3, "d", seconds=float("1e400")) | {"seconds": 10**400, "needs": 5})
+    write_run(layout, "20260501-120000-small-0001", odd, [started(nodes="many", jobs=-3), (1, "done", {"key": 5, "at": "never"})])
+    folder = layout.run("20260501-120000-small-0001") / "running"
+    (folder / "nonsense.json").write_text("{}")
+    (folder / f"{key(2)}.json").write_text('{"share": "all", "label": ["x"], "pid": "x", "memory_mb": true, "started": 5}')
+    state = only(layout)
+    assert sorted(planned_runs(layout)[0].nodes) == [key(2), key(3)]
+    assert [(node.label, node.share, node.memory_mb, node.started) for node in state.active] == [(key(2), 0.0, None, None)]
+
+
+def test_a_circle_ends(layout: Layout) -> None:
+    write_run(
+        layout,
+        "20260501-120000-small-0001",
+        [planned(1, "a", needs=[2], seconds=1.0), planned(2, "b", needs=[1], seconds=1.0)],
+        [started()],
+    )
+    assert only(layout).left_seconds is not None
+    (run,) = planned_runs(layout)
+    assert {node.label for node in upstream_first(run.nodes)} == {"a", "b"}
+
+
+def test_needed_nodes_come_first(layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-0001", list(reversed(NODES)))
+    order = [node.label for node in upstream_first(planned_runs(layout)[0].nodes)]
+    assert order.index("b") < order.index("c") < order.index("d")
+    assert order.index("e") < order.index("f")
+    assert len(order) == 6
+
+
+def test_runs_are_found_by_the_end_of_their_name(layout: Layout) -> None:
+    write_run(layout, "20260501-120000-small-00aa", NODES)
+    write_run(layout, "20260501-130000-small-00bb", NODES)
+    runs = planned_runs(layout)
+    assert named_run(runs, "00aa").run_id == "20260501-120000-small-00aa"
+    assert named_run(runs, "20260501-130000-small-00bb").run_id.endswith("bb")
+    for unknown in ("../x", "", "00ab"):
+        with pytest.raises(UnknownName):
+            named_run(runs, unknown)
+
+
+def test_processes(layout: Layout) -> None:
+    assert not is_gone(HERE)
+    assert not is_gone({**process(1)})  # somebody else's, perhaps
+    assert is_gone(process(dead_pid()))
+    for odd in ({}, {"pid": -1}, {"pid": "7"}, {"pid": 2**40}, {"pid": None}):
+        assert not is_gone({"host": platform.node(), **odd})

@@ -1,0 +1,161 @@
+"""What a run was to do, from its folder alone: for those who watch it, and for those who clean up.
+
+Read with care: the folder may be of another version, half written, or a stranger's. What has no valid form is left out.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName
+from wasp_cli.store.artifact import read_record
+from wasp_cli.store.layout import Layout, is_key, is_name
+
+
+@dataclass(frozen=True)
+class PlannedNode:
+    """A node as the plan of a run has it."""
+
+    key: str
+    kind: str
+    label: str
+    state: str
+    """When the run was planned: cached, missing, damaged or failed."""
+    needs: tuple[str, ...] = ()
+    """Keys of what it reads."""
+    seconds: float | None = None
+    """How long it may take, where that was known."""
+
+    @property
+    def runs(self) -> bool:
+        """Whether the run was to compute it."""
+        return self.state != "cached"
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """A run and what it was to do."""
+
+    run_id: str
+    spec: str
+    """Name of the spec; of a sweep with the setting that varies."""
+    nodes: Mapping[str, PlannedNode] = field(default_factory=dict)
+    """By key."""
+    parts: tuple[str, ...] = ()
+    """The runs of a sweep's values, whose cells it computes."""
+
+
+def run_ids(layout: Layout) -> list[str]:
+    """The runs of a results folder, newest first: their names begin with the time.
+
+    Raises:
+        StoreError: there is no results folder, or it cannot be read.
+    """
+    try:
+        with os.scandir(layout.within(layout.runs)) as entries:
+            found = [entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name)]
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise StoreError(f"no results in '{layout.root}': {reason}", "wasp run SPEC --results DIR writes there") from error
+    return sorted(found, reverse=True)
+
+
+def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
+    """A run as it was planned; None of a folder whose plan does not read."""
+    swept = _record(layout, run_id, "sweep.json")
+    if swept is not None:
+        values = swept.get("values")
+        parts = [value.get("run") for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+        runs = tuple(run for run in parts if isinstance(run, str) and is_name(run))
+        found = [_record(layout, run, "plan.json") or {} for run in runs]
+        nodes = {node.key: node for plan in found for node in _nodes(plan)}
+        return PlannedRun(run_id, f"{swept.get('spec')} --vary {swept.get('setting')}", nodes, runs)
+    plan = _record(layout, run_id, "plan.json")
+    if plan is None or not isinstance(plan.get("spec"), str):
+        return None
+    return PlannedRun(run_id, plan["spec"], {node.key: node for node in _nodes(plan)})
+
+
+def planned_runs(layout: Layout) -> list[PlannedRun]:
+    """All runs whose plan reads, newest first; those of a sweep's values are a part of the sweep.
+
+    Raises:
+        StoreError: there is no results folder, or it cannot be read.
+    """
+    runs = [run for run_id in run_ids(layout) if (run := planned_run(layout, run_id)) is not None]
+    of_sweeps = {part for run in runs for part in run.parts}
+    return [run for run in runs if run.run_id not in of_sweeps]
+
+
+def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
+    """The run of a name, or the newest whose name ends so.
+
+    Raises:
+        UnknownName: there is none.
+    """
+    for run in runs:
+        if run.run_id == text:
+            return run
+    for run in runs:
+        if text and run.run_id.endswith(text):
+            return run
+    raise UnknownName("run", text, [run.run_id for run in runs])
+
+
+def upstream_first(nodes: Mapping[str, PlannedNode]) -> Iterator[PlannedNode]:
+    """Nodes with those that they need before them; of a circle, which no plan of ours has, some order."""
+    seen: set[str] = set()
+    for key in nodes:
+        pending = [(key, False)]
+        while pending:
+            current, expanded = pending.pop()
+            if expanded:
+                yield nodes[current]
+            elif current not in seen and current in nodes:
+                seen.add(current)
+                pending.append((current, True))
+                pending.extend((needed, False) for needed in nodes[current].needs)
+
+
+def _record(layout: Layout, run_id: str, name: str) -> dict[str, Any] | None:
+    try:
+        return read_record(layout.within(layout.run(run_id)) / name)
+    except (ArtifactError, StoreError):
+        return None
+
+
+def _nodes(plan: Mapping[str, Any]) -> Iterator[PlannedNode]:
+    entries = plan.get("nodes")
+    for entry in entries if isinstance(entries, list) else ():
+        node = _node(entry) if isinstance(entry, dict) else None
+        if node is not None:
+            yield node
+
+
+def _node(entry: Mapping[str, Any]) -> PlannedNode | None:
+    texts = [entry.get(name) for name in ("key", "kind", "label", "state")]
+    if not all(isinstance(text, str) for text in texts):
+        return None
+    key, kind, label, state = map(str, texts)
+    needs = entry.get("needs")
+    keys: Iterable[Any] = needs.values() if isinstance(needs, dict) else ()
+    if not is_key(key) or not is_name(kind):
+        return None
+    return PlannedNode(
+        key, kind, label, state, tuple(key for key in keys if isinstance(key, str) and is_key(key)), number(entry, "seconds")
+    )
+
+
+def number(record: Mapping[str, Any], name: str) -> float | None:
+    """A finite number of a record; None where it has none."""
+    value = record.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:
+        return None

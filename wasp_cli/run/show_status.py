@@ -1,0 +1,125 @@
+"""The state of a run as people read it, and as machines do."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from wasp_cli.console import duration
+from wasp_cli.run.watch import Active, RunState
+
+BAR = 40
+"""Characters of the bar."""
+STALE_SECONDS = 30.0
+"""A node says about every second that it lives; silence for longer is worth a word."""
+FAILURES = 12
+"""Failed nodes that are listed; `--json` lists all."""
+
+
+def show_status(states: list[RunState], console: Console, now: datetime | None = None) -> None:
+    """Print each run as a block."""
+    now = now or datetime.now(UTC)
+    for index, state in enumerate(states):
+        if index:
+            console.print()
+        console.print(_block(state, now), soft_wrap=True)
+
+
+def as_json(states: list[RunState]) -> list[dict[str, Any]]:
+    """As plain values; times are ISO texts."""
+    counts = ("finished", "running", "waiting")
+    return [_plain({**asdict(state), **{name: getattr(state, name) for name in counts}}) for state in states]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="seconds")
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _block(state: RunState, now: datetime) -> Group:
+    lines = [Text.assemble((state.spec, "bold"), f"  {_life(state, now)}"), Text(f"run {state.run_id}", style="dim"), _progress(state)]
+    if pace := _pace(state):
+        lines.append(Text(pace))
+    parts: list[Text | Table] = [*lines]
+    if state.active and state.state in ("running", "died"):
+        parts.append(_running_table(state, now))
+    for failure in state.failed[:FAILURES]:
+        parts.append(Text.assemble(("FAILED ", "red"), f"{failure.label}: {failure.message}"))
+        if failure.log:
+            parts.append(Text(f"       log: {failure.log}", style="dim"))
+    if len(state.failed) > FAILURES:
+        parts.append(Text(f"       and {len(state.failed) - FAILURES} more; --json lists all"))
+    return Group(*parts)
+
+
+def _life(state: RunState, now: datetime) -> str:
+    if state.state == "not started":
+        return "planned, and nothing of it was computed"
+    if not state.total:
+        return "everything was computed before"
+    since = f"started {_when(state.started)}" if state.started else ""
+    if state.state == "running":
+        ending = "ending after what runs now" if state.draining else ""
+        return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
+    how = "died; its last event was" if state.state == "died" else state.state
+    took = _span(state.started, state.ended)
+    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "")
+
+
+def _span(start: datetime | None, end: datetime | None) -> str:
+    return duration(max((end - start).total_seconds(), 0.0)) if start and end else ""
+
+
+def _when(moment: datetime | None) -> str:
+    return f"{moment:%Y-%m-%d %H:%M} UTC" if moment else "at an unknown time"
+
+
+def _progress(state: RunState) -> Text:
+    done = state.done + state.shared
+    filled = round(BAR * min(done / state.total, 1.0)) if state.total else BAR
+    counts = [f"{done} of {state.total} done"]
+    if state.state == "running":
+        counts.append(f"{state.running} running")
+    counts += [f"{len(state.failed)} failed"] if state.failed else []
+    counts += [f"{state.blocked} blocked"] if state.blocked else []
+    counts += [f"{state.retried} tried again"] if state.retried else []
+    if state.waiting:
+        counts.append(f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}")
+    return Text.assemble("[", ("=" * filled, "green"), " " * (BAR - filled), f"] {', '.join(counts)}")
+
+
+def _pace(state: RunState) -> str:
+    """How fast it goes and how long it takes yet; of a run that is over, nothing."""
+    if state.state != "running":
+        return ""
+    rate = state.per_minute or 0.0
+    parts = [f"{rate:.0f} nodes a minute lately" if rate >= 10 else f"{rate:.2g} nodes a minute lately"] if rate else []
+    if state.left_seconds is not None:
+        known = f", without {state.unknown} nodes whose time is unknown" if state.unknown else ""
+        parts.append(f"about {duration(state.left_seconds)} left{known}")
+    return "; ".join(parts)
+
+
+def _running_table(state: RunState, now: datetime) -> Table:
+    rows = Table.grid(padding=(0, 2))
+    for node in state.active:
+        memory = f"{node.memory_mb:.0f} MB" if node.memory_mb is not None else ""
+        texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, _sign(node, state, now))
+        rows.add_row(*map(Text, texts), Text(node.text, style="dim"))
+    return rows
+
+
+def _sign(node: Active, state: RunState, now: datetime) -> str:
+    """What is odd about a node that should be running."""
+    if node.gone or state.state == "died":
+        return "gone"
+    silent = (now - node.seen).total_seconds() if node.seen else 0.0
+    return f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""

@@ -1,0 +1,284 @@
+"""How far a run is, from what it writes down: its plan, its journal, and the small files of the nodes that run now.
+
+Never from the process itself, so that it can be asked from another terminal, from another machine, and after its death.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any, Literal
+
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.run.planned import PlannedNode, PlannedRun, number, upstream_first
+from wasp_cli.store.artifact import read_record
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.plain import read_json_lines
+from wasp_cli.store.provenance import boot_id
+
+State = Literal["running", "ended", "interrupted", "died", "not started"]
+LATELY = 10
+"""Finished nodes behind the rate."""
+SILENT = timedelta(days=1)
+
+
+@dataclass(frozen=True)
+class Active:
+    """A node that runs now, as it last said."""
+
+    key: str
+    label: str
+    kind: str
+    share: float
+    text: str
+    started: datetime | None
+    seen: datetime | None
+    """Its last sign of life."""
+    memory_mb: float | None
+    gone: bool
+    """Its process does not exist any more, so that it will say nothing more."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A node that failed."""
+
+    key: str
+    label: str
+    message: str
+    log: str
+
+
+@dataclass(frozen=True)
+class RunState:
+    """How far a run is."""
+
+    run_id: str
+    spec: str
+    state: State
+    started: datetime | None
+    ended: datetime | None
+    """When it ended or was interrupted; of one that died, its last event."""
+    total: int
+    """Nodes that it was to compute."""
+    done: int
+    shared: int
+    """Nodes that another run computed meanwhile."""
+    failed: tuple[Failed, ...]
+    blocked: int
+    retried: int
+    draining: bool
+    """It was asked to end, and finishes what runs."""
+    active: tuple[Active, ...]
+    per_minute: float | None
+    """Nodes that finished lately; None before the first."""
+    left_seconds: float | None
+    """What remains, by the estimates of the plan; by the rate where it has none. None of a run that does not go on, or when unknown."""
+    unknown: int
+    """Nodes to come without an estimate: what remains takes longer by them."""
+
+    @property
+    def finished(self) -> int:
+        """Nodes that will not run any more."""
+        return self.done + self.shared + len(self.failed) + self.blocked
+
+    @property
+    def running(self) -> int:
+        """Nodes that run now: none where the run is over, though a killed one leaves their files behind."""
+        return sum(not node.gone for node in self.active) if self.state == "running" else 0
+
+    @property
+    def waiting(self) -> int:
+        """Nodes whose turn is yet to come."""
+        return max(self.total - self.finished - self.running, 0)
+
+
+def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> RunState:
+    """How far a run is.
+
+    Args:
+        layout: the results folder.
+        run: the run.
+        now: when it is asked.
+    """
+    now = now or datetime.now(UTC)
+    events = _events(layout, run.run_id)
+    by_event: dict[str, list[Mapping[str, Any]]] = {}
+    for event in events:
+        by_event.setdefault(str(event.get("event")), []).append(event)
+    start = next(iter(by_event.get("run started", ())), {})
+    state, ended = _life(run, events, start, now)
+    # A node that died with its worker and runs again ends twice; the last time counts.
+    ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ("done", "shared", "failed", "blocked")}
+    failed = {str(event.get("key")): event for event in by_event.get("failed", ())}
+    active = _active(layout, run.run_id, ends) if events else ()
+    started = moment(start.get("at"))
+    finished = [at for event in events if event.get("event") in ("done", "shared", "failed") and (at := moment(event.get("at")))]
+    rate = _rate(started, finished, now if state == "running" else ended)
+    counted = number(start, "nodes")
+    left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
+    total = sum(node.runs for node in run.nodes.values()) or int(counted or 0)
+    seconds, unknown = _left(left, active, int(number(start, "jobs") or 1), now) if state == "running" else (None, 0)
+    if state == "running" and seconds is None and rate and len(finished) > 1:
+        seconds, unknown = (total - len(ends)) / rate * 60, 0
+    return RunState(
+        run_id=run.run_id,
+        spec=run.spec,
+        state=state,
+        started=started,
+        ended=ended,
+        total=total,
+        done=sum(how == "done" for how in ends.values()),
+        shared=sum(how == "shared" for how in ends.values()),
+        failed=tuple(_failed(event) for key, event in failed.items() if ends[key] == "failed"),
+        blocked=sum(how == "blocked" for how in ends.values()),
+        retried=len(by_event.get("retry", ())),
+        draining=bool(by_event.get("draining")) and state == "running",
+        active=active,
+        per_minute=rate,
+        left_seconds=seconds,
+        unknown=unknown,
+    )
+
+
+def shown_runs(layout: Layout, runs: Sequence[PlannedRun], now: datetime | None = None) -> list[RunState]:
+    """The newest run of each spec that goes on; where none does, the last run of all.
+
+    Args:
+        layout: the results folder.
+        runs: its runs, newest first.
+        now: when it is asked.
+    """
+    going: dict[str, RunState] = {}
+    for run in runs:
+        if run.spec not in going and (state := state_of(layout, run, now)).state == "running":
+            going[run.spec] = state
+    return list(going.values()) or [state_of(layout, run, now) for run in runs[:1]]
+
+
+def is_gone(record: Mapping[str, Any]) -> bool:
+    """Whether the process of a record (`pid`, `host`, `boot`) does not exist any more; False where that cannot be seen from here."""
+    pid, boot = record.get("pid"), boot_id()
+    if record.get("host") != platform.node() or not isinstance(pid, int) or not 0 < pid < 2**31:
+        return False
+    if boot is not None and isinstance(record.get("boot"), str) and record["boot"] != boot:
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:  # somebody else's, but there
+        return False
+    return False
+
+
+def moment(text: object) -> datetime | None:
+    """A time of a record; None where it is none. Without a zone it is taken as UTC."""
+    try:
+        found = datetime.fromisoformat(text) if isinstance(text, str) else None
+        return None if found is None else (found.replace(tzinfo=UTC) if found.tzinfo is None else found).astimezone(UTC)
+    except (ValueError, OverflowError):
+        return None
+
+
+def _events(layout: Layout, run_id: str) -> list[dict[str, Any]]:
+    try:
+        return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
+    except (OSError, StoreError):
+        return []
+
+
+def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[str, Any], now: datetime) -> tuple[State, datetime | None]:
+    """Whether a run goes on, and when it ended."""
+    if not events:
+        return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
+    for event in reversed(events):
+        if event.get("event") in ("run ended", "run interrupted"):
+            return ("ended" if event["event"] == "run ended" else "interrupted"), moment(event.get("at"))
+    last = moment(events[-1].get("at"))
+    # Older versions wrote no process: after so long without an event it is taken for dead.
+    silent = "pid" not in start and (last is None or now - last > SILENT)
+    return ("died", last) if silent or is_gone(start) else ("running", None)
+
+
+def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Active, ...]:
+    """The nodes that say they run, longest first; one whose end is in the journal has left its file behind."""
+    found = []
+    try:
+        paths = sorted(layout.within(layout.run(run_id) / "running").glob("*.json"))
+    except (OSError, StoreError):
+        return ()
+    for path in paths:
+        try:
+            record = read_record(path)
+        except ArtifactError:  # replaced while it was read
+            continue
+        if record is not None and is_key(path.stem) and path.stem not in ends:
+            found.append(_active_node(path.stem, record))
+    return tuple(sorted(found, key=lambda node: (node.started or datetime.max.replace(tzinfo=UTC), node.label)))
+
+
+def _active_node(key: str, record: Mapping[str, Any]) -> Active:
+    return Active(
+        key=key,
+        label=_line(record.get("label"), key),
+        kind=_line(record.get("kind"), ""),
+        share=min(max(number(record, "share") or 0.0, 0.0), 1.0),
+        text=_line(record.get("text"), ""),
+        started=moment(record.get("started")),
+        seen=moment(record.get("at")),
+        memory_mb=number(record, "memory_mb"),
+        gone=is_gone(record),
+    )
+
+
+def _failed(event: Mapping[str, Any]) -> Failed:
+    key = str(event.get("key"))
+    return Failed(key, _line(event.get("label"), key), str(event.get("message") or "unknown cause"), _line(event.get("log"), ""))
+
+
+def _line(value: object, otherwise: str) -> str:
+    return " ".join(value.split()) if isinstance(value, str) else otherwise
+
+
+def _rate(started: datetime | None, finished: Sequence[datetime], until: datetime | None) -> float | None:
+    """Nodes per minute over the last ones, whatever time these took."""
+    moments = sorted(finished)
+    if not moments or until is None:
+        return None
+    since = moments[-LATELY - 1] if len(moments) > LATELY else started or moments[0]
+    minutes = (until - since).total_seconds() / 60
+    return min(len(moments), LATELY) / minutes if minutes > 0 else None
+
+
+def _left(nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now: datetime) -> tuple[float | None, int]:
+    """Seconds for the nodes that have not ended, and how many of them have no estimate. None where none has one.
+
+    No less than all work over all workers, and no less than the longest chain of nodes that wait for one another.
+    """
+    run = {node.key: node for node in active if not node.gone}
+    members = {node.key: node for node in nodes}
+    alone: dict[str, float] = {}
+    chain: dict[str, float] = {}
+    unknown = 0
+    for node in upstream_first(members):
+        if node.seconds is None:
+            unknown += 1
+        else:
+            alone[node.key] = _remaining(max(node.seconds, 0.0), run.get(node.key), now)
+        chain[node.key] = alone.get(node.key, 0.0) + max((chain.get(needed, 0.0) for needed in node.needs), default=0.0)
+    if not alone:
+        return (0.0 if not members else None), unknown
+    return max(sum(alone.values()) / max(jobs, 1), *chain.values()), unknown
+
+
+def _remaining(seconds: float, active: Active | None, now: datetime) -> float:
+    """What is left of a node's time: by its share where it has told one, else by the clock."""
+    if active is None:
+        return seconds
+    if active.share > 0:
+        return seconds * (1 - active.share)
+    return max(seconds - (now - active.started).total_seconds(), 0.0) if active.started else seconds
