@@ -13,6 +13,7 @@ from wasp_cli.app_bench import bench_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
 from wasp_cli.app_status import status_app
+from wasp_cli.app_store import store_app
 from wasp_cli.app_sweep import sweep_app
 from wasp_cli.options import (
     BackendOption,
@@ -217,6 +218,7 @@ app.add_typer(bench_app, name="bench")
 app.add_typer(explain_app)
 app.add_typer(operators_app)
 app.add_typer(status_app)
+app.add_typer(store_app)
 app.add_typer(sweep_app)
 
 

@@ -85,9 +85,9 @@ def trained_markdown(artifacts: Iterable[Trained]) -> str:
 
 def numbers_text(summary: Mapping[str, Any]) -> str:
     """The scalar numbers of a summary on one line, nested ones with dotted names."""
-    scalars = list(_scalars(summary))
-    text = ", ".join(f"{name} {_short(value)}" for name, value in scalars[:SHOWN])
-    return text + (f", and {len(scalars) - SHOWN} more" if len(scalars) > SHOWN else "")
+    found = list(scalars(summary))
+    text = ", ".join(f"{name} {short(value)}" for name, value in found[:SHOWN])
+    return text + (f", and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
 
 
 def duration(seconds: float | None) -> str:
@@ -102,13 +102,15 @@ def duration(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
-def _scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
+def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
+    """The numbers and words of a summary, nested ones with dotted names."""
     for name, value in summary.items():
         if isinstance(value, Mapping):
-            yield from _scalars(value, f"{prefix}{name}.")
+            yield from scalars(value, f"{prefix}{name}.")
         elif isinstance(value, bool | int | float | str):
             yield f"{prefix}{name}", value
 
 
-def _short(value: int | float | bool | str) -> str:
+def short(value: int | float | bool | str) -> str:
+    """A number as a table has it."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)

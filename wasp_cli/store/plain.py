@@ -7,12 +7,13 @@ deeper than whoever walks over it can follow.
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import re
 import stat
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 LARGEST = 256 * 2**20
 """Bytes of a record or a journal at most; the plan of ten thousand nodes has four million."""
@@ -23,7 +24,7 @@ _UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\
 """Control characters (a terminal obeys them), changes of the reading direction, and halves of characters (no stream takes them)."""
 
 
-def open_plain(path: Path) -> BinaryIO:
+def open_plain(path: Path) -> io.BufferedReader:
     """A plain file, open for reading.
 
     Raises:

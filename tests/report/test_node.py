@@ -1,0 +1,114 @@
+"""`wasp show`: what is known of a node."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.commands import run_here
+from tests.run.harness import SMALL, Fakes, fakes, prepared, run
+from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.report.node_text import size
+from wasp_cli.store.find import find_node
+from wasp_cli.store.layout import Layout
+
+__all__ = ["fakes"]
+
+
+@pytest.fixture
+def results(fakes: Fakes, tmp_path: Path) -> Path:
+    """A run of one seed, in which one training failed."""
+    fakes.set(behave={"s0 ida_q": "refuse"})
+    spec = tmp_path / "small.yaml"
+    spec.write_text(SMALL.replace("[0, 1]", "[0]"), encoding="utf-8")
+    run(spec, tmp_path / "results")
+    return tmp_path / "results"
+
+
+def shown(results: Path, text: str) -> dict[str, Any]:
+    done = run_here("show", text, "--results", results, "--json", columns=80)
+    assert done.exit_code == 0, done.output
+    facts: dict[str, Any] = json.loads(done.stdout)
+    return facts
+
+
+def test_an_evaluation_with_all_that_is_known(results: Path) -> None:
+    facts = shown(results, "goal1 s0 wasp noisy=0.2")
+    manifest = json.loads((Path(facts["folder"]) / "manifest.json").read_text())
+    assert (facts["key"], facts["kind"], facts["label"]) == (manifest["key"], "evaluate", "goal1 s0 wasp noisy=0.2")
+    assert (facts["attempt"], facts["seconds"], facts["summary"]) == (1, manifest["provenance"]["seconds"], manifest["summary"])
+    changed = {each["name"]: (each["value"], each["default"]) for each in facts["changed"]}
+    assert changed["episodes"] == (2, 30)
+    assert changed["wasp.candidates"] == (8, 300)
+    assert "wasp.horizon" not in changed  # as it is by default
+    assert facts["settings"]["action_repeat"] == 4
+    assert {each["name"]: each["label"] for each in facts["upstream"]}["world_model"] == "goal1 s0 world_model"
+    assert {each["state"] for each in facts["upstream"]} == {"present"}
+    assert [(each["name"], each["size"], each["state"]) for each in facts["files"]] == [("data.bin", 32, "whole"), ("half.bin", 4, "whole")]
+    assert facts["provenance"]["versions"]["numpy"]
+    assert facts["failure"] == {}
+
+
+def test_harm_is_seen_where_it_is(results: Path) -> None:
+    layout = Layout(results)
+    facts = shown(results, "goal1 s0 wasp noisy=0.2")
+    for upstream in facts["upstream"]:
+        place = layout.artifact(upstream["kind"], upstream["key"])
+        if upstream["name"] == "critics":
+            shutil.rmtree(place)
+        if upstream["name"] == "policies":
+            (place / "data.bin").unlink()
+    folder = Path(facts["folder"])
+    (folder / "data.bin").write_bytes(b"x" * 32)  # of the same size
+    (folder / "half.bin").unlink()
+    facts = shown(results, "goal1 s0 wasp noisy=0.2")
+    states = {each["name"]: each["state"] for each in facts["upstream"]}
+    assert states == {"calibration": "present", "critics": "gone", "policies": "damaged", "world_model": "present"}
+    assert [each["state"] for each in facts["files"]] == ["changed", "gone"]
+    text = run_here("show", facts["key"], "--results", results, columns=80).stdout
+    for word in ("CHANGED", "GONE", "DAMAGED"):
+        assert word in text
+
+
+def test_what_failed_says_why(results: Path) -> None:
+    facts = shown(results, "goal1 s0 ida_q")
+    assert (facts["kind"], facts["failure"]["message"], facts["files"]) == ("ida_q", "the loss is not finite", [])
+    text = run_here("show", facts["key"][:8], "--results", results, columns=80).stdout
+    assert "Failed last\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
+
+
+def test_the_text_says_the_same(results: Path) -> None:
+    text = run_here("show", "goal1 s0 world_model", "--results", results, columns=80).stdout
+    assert text.startswith("goal1 s0 world_model\n  kind      world_model\n")
+    assert "  deter             32  (default 256)\n" in text
+    assert "  data.bin  32 bytes\n" in text
+
+
+@pytest.mark.parametrize("kind", ["evaluate", "world_model", "calibration", "expert"])
+def test_a_node_of_any_kind_is_found_by_its_key(kind: str, results: Path, tmp_path: Path) -> None:
+    layout = Layout(results)
+    _, _, plan = prepared(tmp_path / "small.yaml", results)
+    node = next(step.node for step in plan.steps if step.node.kind == kind and step.state == "cached")
+    found = find_node(layout, node.key)
+    assert (found.kind, found.label, found.path) == (kind, node.label, layout.artifact(kind, node.key))
+
+
+def test_names_of_several_nodes_and_of_none(results: Path) -> None:
+    layout = Layout(results)
+    keys = [path.name for path in layout.store.glob("*/*")]
+    (layout.kind("expert") / (keys[0][:6] + "0" * 14)).mkdir()
+    shutil.copy(next(layout.store.glob(f"*/{keys[0]}/manifest.json")), layout.kind("expert") / (keys[0][:6] + "0" * 14))
+    with pytest.raises(UsageError, match=f"'{keys[0][:6]}' names 2 nodes, newest first:"):
+        find_node(layout, keys[0][:6])
+    with pytest.raises(UnknownName) as caught:
+        find_node(layout, "goal1 s0 world_modal")
+    assert "did you mean 'goal1 s0 world_model'" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize(("count", "text"), [(None, "?"), (7, "7 bytes"), (1500, "1.5 kB"), (2 * 10**9, "2.0 GB"), (10**16, "10000.0 TB")])
+def test_sizes(count: int | None, text: str) -> None:
+    assert size(count) == text

@@ -1,0 +1,159 @@
+"""What is known of one node from its manifest: what it is, where it came from, what it reads, and whether its files are whole."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from wasp_cli.config import Config
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.grid import stage_class
+from wasp_cli.registry import load_target
+from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.artifact import damage, is_file_name, read_manifest
+from wasp_cli.store.find import FoundNode
+from wasp_cli.store.layout import Layout, is_key, is_name
+from wasp_cli.store.plain import open_plain
+
+FileState = Literal["whole", "changed", "gone", "not of the artifact"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A value that is not the default."""
+
+    name: str
+    value: Any
+    default: Any = None
+    """None where this version has no default for it."""
+
+
+@dataclass(frozen=True)
+class Upstream:
+    """An artifact that the node read."""
+
+    name: str
+    """Under which it read it."""
+    kind: str
+    key: str
+    label: str
+    state: Literal["present", "damaged", "gone"]
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """A file of the artifact."""
+
+    name: str
+    size: int | None
+    state: FileState
+    """Whether it still has the SHA-256 that it was published with."""
+
+
+@dataclass(frozen=True)
+class NodeFacts:
+    """What is known of a node. Of one that has only failed: its label, its kind and its failure."""
+
+    key: str
+    kind: str
+    label: str
+    folder: str
+    started_at: str
+    seconds: float | None
+    attempt: int | None
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    changed: tuple[Setting, ...] = ()
+    """The configuration, as far as it is not the default."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings that stages share."""
+    upstream: tuple[Upstream, ...] = ()
+    files: tuple[StoredFile, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    failure: Mapping[str, Any] = field(default_factory=dict)
+    """Why it failed last; empty when it succeeded since."""
+
+
+def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
+    """Everything that the manifest of a node says, its files read and compared."""
+    provenance = _mapping(node.setting("provenance"))
+    seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
+    return NodeFacts(
+        key=node.key or "",
+        kind=node.kind,
+        label=node.label or "",
+        folder=str(node.path),
+        started_at=node.started_at,
+        seconds=float(seconds) if isinstance(seconds, int | float) else None,
+        attempt=attempt if isinstance(attempt, int) else None,
+        summary=_mapping(node.setting("summary")),
+        changed=tuple(_changed(node)),
+        settings=_mapping(node.setting("settings")),
+        upstream=tuple(_upstream(layout, node)),
+        files=tuple(_files(layout, node)),
+        provenance=provenance,
+        failure=node.failure,
+    )
+
+
+def _changed(node: FoundNode) -> Iterator[Setting]:
+    """What of the stage's section and of the method's differs from the defaults; all of it, where this version has no such stage."""
+    section = stage_class(node.kind).config if node.kind in STAGES else None
+    yield from _differences("", _mapping(node.setting("config")), _defaults(section))
+    method = node.setting("axes", "method")
+    if isinstance(method, str):
+        section = load_target(METHODS[method].config) if method in METHODS else None
+        yield from _differences(f"{method}.", _mapping(node.setting("axes", "method_config")), _defaults(section))
+
+
+def _defaults(section: type[Config] | None) -> dict[str, Any]:
+    return {} if section is None else section().model_dump(mode="json")
+
+
+def _differences(prefix: str, values: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[Setting]:
+    for name, value in values.items():
+        default = defaults.get(name)
+        if isinstance(value, dict) and isinstance(default, dict):
+            yield from _differences(f"{prefix}{name}.", value, default)
+        elif name not in defaults or value != default:
+            yield Setting(f"{prefix}{name}", value, default)
+
+
+def _upstream(layout: Layout, node: FoundNode) -> Iterator[Upstream]:
+    kinds = _mapping(node.setting("upstream_kinds"))
+    for name, key in _mapping(node.setting("upstream")).items():
+        kind = kinds.get(name, name)  # older manifests name artifacts by kind
+        if not (isinstance(key, str) and is_key(key) and isinstance(kind, str) and is_name(kind)):
+            continue
+        try:
+            label = str(read_manifest(layout, kind, key).get("label", ""))
+        except ArtifactError:
+            there = layout.artifact(kind, key).exists()
+            yield Upstream(name, kind, key, "", "damaged" if there else "gone")
+        else:
+            yield Upstream(name, kind, key, label, "present" if damage(layout, kind, key) is None else "damaged")
+
+
+def _files(layout: Layout, node: FoundNode) -> Iterator[StoredFile]:
+    for name, known in _mapping(node.setting("files")).items():
+        known = _mapping(known)
+        size = known.get("size")
+        yield StoredFile(name, size if isinstance(size, int) else None, _file_state(layout, node, name, known))
+
+
+def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, Any]) -> FileState:
+    if not is_file_name(name):
+        return "not of the artifact"
+    try:
+        with open_plain(layout.within(node.path / name)) as file:
+            return "whole" if hashlib.file_digest(file, "sha256").hexdigest() == known.get("sha256") else "changed"
+    except FileNotFoundError:
+        return "gone"
+    except (OSError, StoreError):  # a link, a pipe, a folder
+        return "changed"
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
