@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from wasp_cli.errors import UsageError
+from wasp_cli.spec.extend import chain_of
 from wasp_cli.spec.load import Loaded, load, loaded
 from wasp_cli.spec.problem import InvalidSpec, Problem
 from wasp_cli.spec.read import parse
@@ -23,7 +24,7 @@ seeds: [0]
 
 
 def read(text: str) -> Loaded:
-    return loaded(parse(text, "x.yaml"))
+    return loaded(chain_of(parse(text, "x.yaml")))
 
 
 def problems(text: str) -> tuple[Problem, ...]:
@@ -78,7 +79,7 @@ def test_counts_may_be_written_like_people_do() -> None:
         ("probe: 6\n", (8, 1), "unknown key 'probe'", "did you mean 'wasp.probe'?"),
         ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' stands at the top, outside every section"),
         ("wasp: {tau_r: calib}\n", (8, 15), "should be a number or 'calibrated', not 'calib'", "did you mean 'calibrated'?"),
-        ("wasp: {alpha: '0.1'}\n", (8, 15), "should be a number, not '0.1'", None),
+        ("wasp: {alpha: '0.1'}\n", (8, 15), "should be a number, not '0.1'", "without quotes: 0.1"),
         ("wasp: {rollouts: true}\n", (8, 18), "should be an integer, not true", None),
         ("wasp: {rollouts: 1.5}\n", (8, 18), "should be an integer, not 1.5", None),
         ("wasp: {rollouts: 0}\n", (8, 18), "should be greater than or equal to 1, not 0", None),
@@ -105,7 +106,7 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
         ("[goal1]", "[goal7]", (3, 9), "unknown task 'goal7'", "did you mean 'goal0', 'goal1' or 'goal2'?"),
         ("[goal1]", "[goal1, goal1]", (3, 8), "'goal1' is listed twice", None),
         ("[goal1]", "[]", (3, 8), "should not be empty", "the tasks"),
-        ("[goal1]", "goal1", (3, 8), "should be a list, not 'goal1'", None),
+        ("[goal1]", "goal1", (3, 8), "should be a list, not 'goal1'", "write [goal1]"),
         ("wasp]", "waspp]", (4, 18), "unknown method 'waspp'", "did you mean 'wasp'?"),
         ("noisy", "nosy", (6, 3), "unknown operator variant 'nosy'", "did you mean 'noisy'?"),
         ("mild: 0.2", "mild: 1.2", (6, 17), "should lie between 0 and 1 (probability of a uniform action), not 1.2", None),
@@ -130,7 +131,7 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
         ("[human, wasp]", "[human]\nrounds: 0", (5, 9), "should be greater than or equal to 1, not 0", None),
         ("[human, wasp]", "[human]\nrounds: two", (5, 9), "should be an integer, not 'two'", None),
         ("[human, wasp]", "[human]\nstages: [expert, expert]", (5, 9), "'expert' is listed twice", None),
-        ("[human, wasp]", "[human]\nstages: expert", (5, 9), "should be a list, not 'expert'", None),
+        ("[human, wasp]", "[human]\nstages: expert", (5, 9), "should be a list, not 'expert'", "write [expert]"),
         ("[human, wasp]", "[human]\nvariants: [no-case2]", (5, 12), "unknown variant of the listed methods 'no-case2'", "known: full"),
     ],
 )  # fmt: skip
@@ -175,9 +176,29 @@ def test_stages_mix_known_operators_at_known_values(section: str) -> None:
 def test_merge_keys_and_anchors_keep_positions() -> None:
     text = GOOD + "critics: &c\n  updates: 3\n  hidden: [8, x]\ndenoiser:\n  <<: *c\n  starts: 4\n"
     found = {(problem.message, at(problem)) for problem in problems(text)}
-    # What came through the merge points at where it is written; the key that it brought has no place but its section.
-    assert ("unknown key 'starts'", (13, 3)) in found
-    assert ("should be an integer, not 'x'", (10, 15)) in found
+    assert found == {
+        ("unknown key 'starts'", (13, 3)),
+        ("should be an integer, not 'x'", (10, 15)),
+        ("denoiser.hidden.1: should be an integer, not 'x'", (10, 15)),
+    }
+
+
+def test_a_key_of_a_merge_is_shown_where_it_is_written() -> None:
+    text = GOOD + "critics: &c\n  updates: 3\n  starts: 4\nida_q:\n  <<: [*c, {batch: x}]\n  updates: 0\n"
+    assert [(problem.message, at(problem)) for problem in problems(text)] == [
+        ("ida_q.starts: unknown key 'starts'", (10, 3)),
+        ("ida_q.batch: should be an integer, not 'x'", (12, 20)),
+        ("should be greater than or equal to 1, not 0", (13, 12)),
+    ]
+
+
+def test_an_alias_is_shown_at_its_anchor_and_names_who_uses_it() -> None:
+    text = GOOD + "critics: {updates: 5, slow: &s 7}\ndenoiser:\n  updates: *s\n  ema: *s\nfilter: {segment: *s, quantile: *s}\n"
+    assert [(problem.message.partition(",")[0], at(problem)) for problem in problems(text)] == [
+        ("should be less than or equal to 1", (8, 29)),
+        ("denoiser.ema: should be less than 1", (8, 29)),
+        ("filter.quantile: should be less than 1", (8, 29)),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -193,8 +214,12 @@ def test_merge_keys_and_anchors_keep_positions() -> None:
         ("a: *x\n", (1, 4), "not valid YAML: found undefined alias 'x'"),
         ("a: 1\n---\nb: 1\n", (2, 1), "not valid YAML: but found another document"),
         ("name: \x01\n", (1, 7), "not a text file: special characters are not allowed"),
-        ("a: " + "9" * 5000, (1, 1), "not valid YAML: Exceeds the limit"),
-        ("a: 2020-13-45\n", (1, 1), "not valid YAML: month must be in 1..12"),
+        ("a: " + "9" * 5000, (1, 4), "not valid YAML: '9999999999999999999999999999999999999...' is no integer"),
+        ("b: [x, 2020-13-45]\n", (1, 8), "not valid YAML: '2020-13-45' is no date"),
+        ("a: 1\nb: &b\n  c: {<<: *b}\n", (3, 7), "not valid YAML: a merge (<<) brings a mapping into itself"),
+        ("a: &a [0x_, *a]\n", (1, 8), "not valid YAML: '0x_' is no integer"),
+        ("a: !!omap 3\n", (1, 4), "not valid YAML: '3' is no value of its tag"),
+        ("name: x\rseeds: [\x01]", (2, 9), "not a text file: special characters are not allowed"),
         ("[" * 600, (1, 1), "nested too deeply"),
     ],
 )
@@ -219,7 +244,8 @@ def test_values_without_a_plain_form_are_refused(value: str, message: str) -> No
 
 
 def test_a_document_inside_itself_is_refused() -> None:
-    assert problems("&all\n" + GOOD + "extra: {more: *all}\n")[0].message == "contains itself through an alias"
+    found = [(problem.message, at(problem)) for problem in problems("&all\n" + GOOD + "extra: {more: *all}\n")]
+    assert ("contains itself through an alias", (9, 9)) in found
 
 
 def test_a_bomb_of_aliases_is_refused_quickly() -> None:

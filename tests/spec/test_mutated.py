@@ -7,6 +7,7 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wasp_cli.spec.extend import chain_of
 from wasp_cli.spec.load import loaded
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.problem import InvalidSpec
@@ -38,7 +39,7 @@ def shuffled_lines(draw: st.DrawFn) -> str:
 
 def read(text: str) -> Spec | InvalidSpec:
     try:
-        return loaded(parse(text, "x.yaml")).spec
+        return loaded(chain_of(parse(text, "x.yaml"))).spec
     except InvalidSpec as error:
         return error
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from wasp_cli.run.record import read_run
+from wasp_cli.spec.extend import chain_of
 from wasp_cli.spec.load import Loaded, load, loaded
 from wasp_cli.spec.overrides import override
 from wasp_cli.spec.problem import InvalidSpec, Problem
@@ -32,7 +33,7 @@ seeds: [0]
 
 def read(line: str, *settings: str) -> Loaded:
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
-    return loaded(parse(SPEC.format(line=line), "x.yaml"), overrides)
+    return loaded(chain_of(parse(SPEC.format(line=line), "x.yaml")), overrides)
 
 
 def only(line: str, *settings: str) -> Problem:

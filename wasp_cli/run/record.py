@@ -42,7 +42,7 @@ def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
     """Make the folder of a new run and write down what it is asked for."""
     spec = loaded.spec
     with _new_folder(layout, spec.name) as folder:
-        (folder / "spec.yaml").write_text(loaded.source.text, encoding="utf-8")
+        (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
         write_record(folder / "plan.json", {"spec": spec.name, **plan.as_json()})
     return folder.name

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from wasp_cli.errors import UsageError
+from wasp_cli.spec.plain import plain
 from wasp_cli.spec.problem import InvalidSpec
-from wasp_cli.spec.read import parse, plain
+from wasp_cli.spec.read import parse
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from wasp_cli.errors import SpecError
 from wasp_cli.spec.where import Position
@@ -31,10 +32,15 @@ class Problem:
         return self.source if self.position is None else f"{self.source}:{self.position.line}:{self.position.column}"
 
     def __str__(self) -> str:
-        parts = [f"{self.place}: {self.message}", *self._excerpt()]
+        parts = [f"{self.place}: {_printable(self.message)}", *self._excerpt()]
         if self.hint:
-            parts.append(f"    {self.hint}")
+            parts.append(f"    {_printable(self.hint)}")
         return "\n".join(parts)
+
+    def as_json(self) -> dict[str, Any]:
+        """For machines."""
+        line, column = (None, None) if self.position is None else (self.position.line, self.position.column)
+        return {"file": self.source, "line": line, "column": column, "message": self.message, "hint": self.hint, "excerpt": self.line}
 
     def _excerpt(self) -> list[str]:
         if self.position is None or self.line is None:
@@ -48,17 +54,23 @@ class Problem:
         return [number + shown, " " * (len(number) - 2) + "| " + before + "^"]
 
 
+def _printable(text: str) -> str:
+    """A text without what would steer a terminal: escapes in a YAML string can name any character."""
+    return "".join(character if character.isprintable() or character == "\n" else repr(character)[1:-1] for character in text)
+
+
 class InvalidSpec(SpecError):
-    """A spec with problems, all of them, in the order of the file."""
+    """A spec with problems, all of them: file by file as they are first named, each in its order, then those of options."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        self.problems = tuple(sorted(problems, key=_order))
+        files = list(dict.fromkeys(problem.source for problem in problems if problem.position is not None))
+        self.problems = tuple(sorted(problems, key=lambda problem: _order(problem, files)))
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
     def __reduce__(self) -> tuple[type[InvalidSpec], tuple[tuple[Problem, ...]]]:  # type: ignore[override]
         return type(self), (self.problems,)
 
 
-def _order(problem: Problem) -> tuple[bool, int, int]:
+def _order(problem: Problem, files: Sequence[str]) -> tuple[int, int, int]:
     position = problem.position
-    return (position is None, 0, 0) if position is None else (False, position.line, position.column)
+    return (len(files), 0, 0) if position is None else (files.index(problem.source), position.line, position.column)

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.spec.extend import Chain, chain_of
 from wasp_cli.spec.load import Loaded, loaded
 from wasp_cli.spec.model import Spec, method_sections
 from wasp_cli.spec.names import spec_name
 from wasp_cli.spec.overrides import Override, override, path_of, value_of
 from wasp_cli.spec.problem import InvalidSpec, Problem
-from wasp_cli.spec.read import Source, read
+from wasp_cli.spec.read import read
 
 OPTION = "--vary"
 EXAMPLE = "for example --vary diffusion.ratio=0.2,0.4,0.6"
@@ -74,8 +75,8 @@ def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Seq
     """
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
-    source = read(path)
-    found = _validated(source, overrides, options)
+    chain = chain_of(read(path))
+    found = _validated(chain, overrides, options)
     key = ".".join(options[0].path)
     name = found[0].spec.name
     points: list[Point] = []
@@ -150,13 +151,13 @@ def split(text: str) -> list[str]:
     return parts
 
 
-def _validated(source: Source, overrides: Sequence[Override], options: Sequence[Override]) -> list[Loaded]:
+def _validated(chain: Chain, overrides: Sequence[Override], options: Sequence[Override]) -> list[Loaded]:
     """The spec under every value, or all that is wrong with any of them; what is wrong with all is said once."""
     found: list[Loaded] = []
     problems: dict[Problem, None] = {}
     for option in options:
         try:
-            found.append(loaded(source, (*overrides, option)))
+            found.append(loaded(chain, (*overrides, option)))
         except InvalidSpec as error:
             problems |= dict.fromkeys(error.problems)
     if problems:

@@ -24,15 +24,26 @@ class Position:
 START = Position(1, 1)
 
 
-def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> tuple[Position, int]:
-    """The position of what pydantic calls `loc`, and how many parts of `loc` the document really has.
+@dataclass(frozen=True)
+class Place:
+    """Where a document has what pydantic calls a `loc`."""
+
+    position: Position
+    depth: int
+    """How many parts of the `loc` the document really has."""
+    borrowed: bool
+    """It is written in another section, and comes through a merge (`<<`) or an alias."""
+
+
+def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> Place:
+    """The place of what pydantic calls `loc`.
 
     pydantic's places also hold the tags of unions, which no file has, and fields that the file leaves out: a tag is skipped,
-    and a missing field is reported at the mapping it is missing from. A key that came through a merge (`<<`) has no position
-    of its own; its mapping stands for it.
+    and a missing field is reported at the mapping it is missing from.
     """
     wants_key = at_key or (bool(loc) and loc[-1] == KEY)
     position, node, depth = START, document, 0
+    parent, merged, alias = document, False, False
     for index, part in enumerate(loc):
         if part == KEY:
             break
@@ -43,13 +54,21 @@ def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> 
                 continue
             break
         last = index == len(loc) - 1 or loc[index + 1] == KEY
-        position = _position(node, part, key=(wants_key and last) or child is None) or position
+        parent = _home(node, part)
+        merged = merged or alias or parent is not node
+        key = (wants_key and last) or child is None
+        alias = not key and _is_alias(parent, part)
+        position = _position(parent, part, key=key) or position
         node, depth = child, index + 1
     if isinstance(node, CommentedMap | CommentedSeq) and depth < len(loc) and depth:
         # Something is missing inside: the key of the section says more than its first entry.
-        parent, name = _parent(document, loc[:depth])
-        position = _position(parent, name, key=True) or position
-    return position, depth
+        position, alias = _position(parent, loc[depth - 1], key=True) or position, False
+    return Place(position, depth, merged or alias)
+
+
+def key_position(node: CommentedMap, key: Any) -> Position | None:
+    """Where a key is written, whatever it is; None where ruamel does not say."""
+    return _position(_home(node, key), key, key=True)
 
 
 _ABSENT = object()
@@ -57,36 +76,44 @@ _ABSENT = object()
 
 def _child(node: Any, part: str | int) -> Any:
     if isinstance(node, CommentedMap):
-        return node[part] if part in node else _numeric_key(node, part)
+        key = _written(node, part)
+        return _ABSENT if key is _ABSENT else node[key]
     if isinstance(node, CommentedSeq) and isinstance(part, int) and 0 <= part < len(node):
         return node[part]
     return _ABSENT
 
 
-def _numeric_key(node: CommentedMap, part: str | int) -> Any:
-    """A key written as a number reaches pydantic as a string."""
-    key = _written(node, part)
-    return _ABSENT if key is _ABSENT else node[key]
+def _written(node: CommentedMap, part: Any) -> Any:
+    """A key as the file has it: one written as a number reaches pydantic as a string."""
+    if part in node:
+        return part
+    return next((key for key in node if str(key) == str(part)), _ABSENT)
 
 
-def _written(node: CommentedMap, part: str | int) -> Any:
-    return next((key for key in node if key == part or str(key) == str(part)), _ABSENT)
+def _home(node: Any, part: Any) -> Any:
+    """The collection that has an entry itself: a merge brings those of other mappings."""
+    if not isinstance(node, CommentedMap) or (key := _written(node, part)) in (node.lc.data or {}):
+        return node
+    for entry in node.merge:
+        merged = entry[1] if isinstance(entry, tuple) else entry  # older versions of ruamel.yaml say also where
+        if isinstance(merged, CommentedMap) and key in merged:
+            return _home(merged, key)
+    return node
 
 
-def _position(node: Any, part: str | int, *, key: bool) -> Position | None:
+def _is_alias(node: Any, part: str | int) -> bool:
+    """Whether a value is an alias: it has the position of its anchor, which stands above."""
+    value, key = _position(node, part, key=False), _position(node, part, key=True)
+    begin = key if isinstance(node, CommentedMap) else Position(node.lc.line + 1, node.lc.col + 1)
+    return value is not None and begin is not None and (value.line, value.column) < (begin.line, begin.column)
+
+
+def _position(node: Any, part: Any, *, key: bool) -> Position | None:
     try:
         if isinstance(node, CommentedMap):
             line, column = (node.lc.key if key else node.lc.value)(_written(node, part))
         else:
             line, column = node.lc.item(part)
-    except (KeyError, TypeError, AttributeError):  # a merged key, or a collection without positions
+    except (KeyError, TypeError, AttributeError):  # a collection without positions
         return None
     return Position(line + 1, column + 1)
-
-
-def _parent(document: Any, loc: Sequence[str | int]) -> tuple[Any, str | int]:
-    node = document
-    for part in loc[:-1]:
-        child = _child(node, part)
-        node = node if child is _ABSENT else child
-    return node, loc[-1]
