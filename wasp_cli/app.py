@@ -12,6 +12,7 @@ from wasp_cli import __version__
 from wasp_cli.app_bench import bench_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
+from wasp_cli.app_spec import spec_app
 from wasp_cli.app_status import status_app
 from wasp_cli.app_store import store_app
 from wasp_cli.app_sweep import sweep_app
@@ -126,32 +127,6 @@ def plan(
     _show_plan(loaded.spec, results, Part(select or (), failed), cores() if jobs is None else jobs, every=every, json=json)
 
 
-@app.command(epilog="[bold]wasp check specs/*.yaml[/]")
-@expected_errors
-def check(
-    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False)],
-    set_: SetOption = None,
-) -> None:
-    """Validate specs: every mistake at once, with file, line and column."""
-    from wasp_cli.console import out
-    from wasp_cli.errors import SpecError
-    from wasp_cli.plan.grid import cells_of
-    from wasp_cli.spec.load import load
-
-    problems: list[str] = []
-    for path in specs:
-        try:
-            spec = load(path, set_ or ()).spec
-        except SpecError as error:
-            problems.append(error.message)
-            continue
-        cells = len(list(cells_of(spec)))
-        what = f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
-        out().print(f"{path}: ok, {what}", markup=False, soft_wrap=True)
-    if problems:
-        raise SpecError("\n".join(problems))
-
-
 @app.command(epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1[/]")
 @expected_errors
 def report(
@@ -217,6 +192,7 @@ app.add_typer(tasks_app, name="tasks")
 app.add_typer(bench_app, name="bench")
 app.add_typer(explain_app)
 app.add_typer(operators_app)
+app.add_typer(spec_app)
 app.add_typer(status_app)
 app.add_typer(store_app)
 app.add_typer(sweep_app)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,11 +99,12 @@ def _text(path: Path) -> str:
 def beside(folder: Path, name: str = "") -> str | None:
     """A hint for those who look for a spec that is not there: what is nearly called so in the folder, or what there is."""
     try:
-        found = sorted(each.name for each in folder.glob("*.yaml"))
+        found = sorted(folder.glob("*.yaml"))
     except OSError:
         return None
-    names = ", ".join(str(folder / each) for each in found[:8])
-    return did_you_mean(name, found, otherwise=f"here are: {names}") if found else None
+    # Without the ending, which makes all of them alike.
+    hint = did_you_mean(Path(name).stem, [path.stem for path in found], otherwise="here are: " + ", ".join(map(str, found[:8])))
+    return re.sub(r"'([^']*)'", r"'\1.yaml'", hint) if hint.startswith("did you mean") else hint if found else None
 
 
 def _position_of(text: str, index: int) -> Position:

@@ -1,0 +1,55 @@
+"""`wasp check` and `wasp schema`: what is wrong with a spec, and what editors need to complete one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from wasp_cli.options import SetOption, expected_errors, print_json
+
+if TYPE_CHECKING:
+    from wasp_cli.spec.problem import Problem
+
+spec_app = typer.Typer()
+
+
+@spec_app.command(
+    epilog="[bold]wasp check specs/*.yaml[/]   ·   [bold]wasp check specs/table1.yaml --json | jq '.[].problems'[/]\n\n"
+    "Exit codes: 0 all are valid, 2 usage, 3 one is not."
+)
+@expected_errors
+def check(
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False)],
+    set_: SetOption = None,
+    json: Annotated[bool, typer.Option("--json", help="Every file with its problems, for machines.")] = False,
+) -> None:
+    """Validate specs: every mistake at once, with file, line and column."""
+    from wasp_cli.console import out
+    from wasp_cli.errors import SpecError
+    from wasp_cli.plan.grid import cells_of
+    from wasp_cli.spec.load import load
+    from wasp_cli.spec.problem import InvalidSpec
+
+    found: list[dict[str, Any]] = []
+    refused: dict[Problem, None] = {}  # two specs may extend the same wrong one
+    for path in specs:
+        try:
+            spec = load(path, set_ or ()).spec
+        except InvalidSpec as error:
+            refused |= dict.fromkeys(error.problems)
+            problems = [problem.as_json() for problem in error.problems]
+            found.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
+            continue
+        cells = len(list(cells_of(spec)))
+        found.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
+        if not json:
+            what = f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
+            out().print(f"{path}: ok, {what}", markup=False, soft_wrap=True)
+    if json:
+        print_json(found)
+    if refused and json:
+        raise typer.Exit(SpecError.exit_code)  # all is said
+    if refused:
+        raise SpecError("\n".join(map(str, refused)))
