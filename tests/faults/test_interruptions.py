@@ -24,17 +24,53 @@ def end(process: subprocess.Popen[str]) -> tuple[str, str]:
 
 @pytest.mark.parametrize(
     ("number", "whole_group", "jobs"),
-    [(signal.SIGINT, True, 2), (signal.SIGINT, False, 1), (signal.SIGTERM, False, 2), (signal.SIGINT, True, 0)],
-    ids=["ctrl-c", "sigint to the parent, one worker", "sigterm", "ctrl-c without workers"],
+    [
+        (signal.SIGINT, True, 2),
+        (signal.SIGINT, False, 1),
+        (signal.SIGTERM, False, 2),
+        (signal.SIGTERM, True, 2),
+        (signal.SIGINT, True, 0),
+    ],
+    ids=["ctrl-c", "sigint to the parent, one worker", "sigterm", "sigterm to the whole group", "ctrl-c without workers"],
 )
-def test_interrupted_runs_keep_what_is_finished(
+def test_the_first_signal_lets_finish_what_runs(
     number: signal.Signals, whole_group: bool, jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
 ) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.5)
+    process = start("run", small_spec, "--results", results, "-j", str(jobs))
+    wait_until(lambda: len(finished(results)) >= 2 and any(results.glob("runs/*/running/*.json")))
+    begun = {path.stem for path in results.glob("runs/*/running/*.json")}
+    (os.killpg if whole_group else os.kill)(process.pid, number)
+    _, errors = end(process)
+    assert process.returncode == 130
+    assert errors.count("\ninterrupted: ") == 1
+    assert errors.count("ending after what runs now") == 1
+    assert "Traceback" not in errors
+    wait_until(lambda: group_is_gone(process.pid))
+    assert begun <= finished(results)
+    ran = fakes.executions()
+    assert len(ran) == len(finished(results)), "something began and did not finish"
+    assert not list(results.glob("tmp/*"))
+    (journal,) = results.glob("runs/*/journal.jsonl")
+    assert [event["event"] for event in read_journal(journal)][-1] == "run interrupted"
+    fakes.set()
+    summary = run(small_spec, results)
+    assert summary.complete
+    assert len(fakes.executions()) == len(ran) + summary.done == len(finished(results))
+    assert data_of(results) == data_of_undisturbed(small_spec, tmp_path)
+
+
+@pytest.mark.parametrize("jobs", [2, 1, 0])
+def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     fakes.set(free=6)
     process = start("run", small_spec, "--results", results, "-j", str(jobs))
     wait_until(lambda: len(finished(results)) >= 5)
-    (os.killpg if whole_group else os.kill)(process.pid, number)
+    os.killpg(process.pid, signal.SIGINT)
+    wait_until(lambda: any(results.glob("runs/*/stop")))
+    assert process.poll() is None
+    os.killpg(process.pid, signal.SIGINT)
     _, errors = end(process)
     assert process.returncode == 130
     assert errors.count("\ninterrupted: ") == 1

@@ -17,6 +17,7 @@ from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, run, start, wait_until
 from tests.run.recorded import at, dead_pid, key, planned, process, write_run
 from wasp_cli.run.show_status import FAILURES
+from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 
 RUN = "20260501-120000-small-0001"
@@ -67,7 +68,7 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes: Fake
     fakes.set(free=6, behave={"s1 ida_q": "refuse"})
     process = start("run", small_spec, "--results", layout.root, "-j", "2")
     try:
-        wait_until(lambda: len(fakes.executions()) >= 8 and len(list(layout.root.glob("runs/*/running/*.json"))) == 2)
+        wait_until(lambda: len(fakes.executions()) >= 8 and [share(path) for path in running_files(layout)] == [0.5, 0.5])
         (state,) = json.loads(status(layout, "--json"))
         assert (state["spec"], state["state"], state["total"], state["running"]) == ("small", "running", 34, 2)
         assert state["finished"] + state["running"] + state["waiting"] == 34
@@ -80,8 +81,18 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes: Fake
         assert (shown.exit_code, shown.stdout) == (0, f"fake {executed(fakes, label)}\n")
     finally:
         os.killpg(process.pid, signal.SIGTERM)
+        wait_until(lambda: any(layout.root.glob("runs/*/stop")))
+        os.killpg(process.pid, signal.SIGTERM)
         process.communicate(timeout=30)
     assert json.loads(status(layout, "--json"))[0]["state"] == "interrupted"
+
+
+def running_files(layout: Layout) -> list[Path]:
+    return list(layout.root.glob("runs/*/running/*.json"))
+
+
+def share(path: Path) -> float:
+    return float((read_record(path) or {}).get("share", -1))
 
 
 def executed(fakes: Fakes, label: str) -> str:

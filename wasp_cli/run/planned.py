@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
+from wasp_cli.plan.plan import IDLE
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key, is_name
 
@@ -24,7 +25,7 @@ class PlannedNode:
     kind: str
     label: str
     state: str
-    """When the run was planned: cached, missing, damaged or failed."""
+    """When the run was planned: one of `plan.plan.State`."""
     needs: tuple[str, ...] = ()
     """Keys of what it reads."""
     seconds: float | None = None
@@ -33,7 +34,7 @@ class PlannedNode:
     @property
     def runs(self) -> bool:
         """Whether the run was to compute it."""
-        return self.state != "cached"
+        return self.state not in IDLE
 
 
 @dataclass(frozen=True)

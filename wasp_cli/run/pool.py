@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.run.order import Order, Outcome
+from wasp_cli.run.signals import SIGNALS
 from wasp_cli.run.worker import execute
 
 
@@ -157,8 +158,9 @@ def _new_worker() -> Any:
 
 
 def start_worker(parent: int) -> None:
-    """Prepare a worker process: Ctrl-C is the parent's business, and without a parent there is nobody to work for."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Prepare a worker process: being stopped is the parent's business, and without a parent there is nobody to work for."""
+    for number in SIGNALS:  # a terminal and a service manager send theirs to the whole group
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True, name="parent-watch").start()
 
 

@@ -105,7 +105,10 @@ class Live(Lines):
     def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> None:
         from rich.live import Live as RichLive
 
+        from wasp_cli.run.planned import planned_run
+
         super().__init__(layout, run_id, total, names)
+        self._run = planned_run(layout, run_id)
         self._drawn: RenderableType = ""
         self._next = 0.0
         self._live = RichLive(console=err(), get_renderable=self._draw, refresh_per_second=2, transient=True, redirect_stdout=False)
@@ -120,14 +123,12 @@ class Live(Lines):
         super().__exit__(kind, error, trace)
 
     def _draw(self) -> RenderableType:
-        from wasp_cli.run.planned import read_planned
         from wasp_cli.run.show_status import progress_of
         from wasp_cli.run.watch import state_of
 
         now = time.monotonic()
-        if now >= self._next:
-            run = read_planned(self._layout, self._run_id)
-            self._drawn = progress_of(state_of(self._layout, run), self._names)
+        if now >= self._next and self._run is not None:
+            self._drawn = progress_of(state_of(self._layout, self._run), self._names)
             end = time.monotonic()
             self._next = end + max(0.4, (end - now) / SHARE)
         return self._drawn

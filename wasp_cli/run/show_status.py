@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -28,6 +29,14 @@ def show_status(states: list[RunState], console: Console, now: datetime | None =
         if index:
             console.print()
         console.print(_block(state, now), soft_wrap=True)
+
+
+def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None = None) -> Group:
+    """What changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
+    named = [replace(node, label=names.get(node.key, node.label)) for node in state.active]
+    pace = _pace(state)
+    table = _running_table(replace(state, active=tuple(named)), now or datetime.now(UTC))
+    return Group(_progress(state), *([Text(pace)] if pace else []), table)
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""How a run is stopped: the first Ctrl-C lets it finish what runs, the second ends it at once. SIGTERM and SIGHUP count as Ctrl-C does."""
+"""How a run is stopped: the first Ctrl-C lets it finish what runs, the second ends it at once. SIGTERM counts as Ctrl-C does."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Stop:

@@ -1,0 +1,176 @@
+"""Workers on other machines, through joblib's own backends: dask and ray. Only orders travel, which are keys, paths and plain values.
+
+The results folder has to be seen by every machine under the same path, and every worker has to run the same source: a worker that does not
+refuses to publish. The machines' own schedulers decide where a node runs.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from wasp_cli.errors import ArtifactError, UsageError, WaspError
+from wasp_cli.run.order import Order, Outcome
+from wasp_cli.run.pool import Pool, WorkersDied
+from wasp_cli.run.worker import execute
+from wasp_cli.store.artifact import read_record, write_record
+from wasp_cli.store.layout import Layout
+
+CONNECT_SECONDS = 20
+POLL_SECONDS = 0.1
+
+
+def cluster_pool(backend: str, scheduler: str | None) -> Pool:
+    """The workers of a dask scheduler or of a ray cluster.
+
+    Raises:
+        UsageError: the package is not installed, or nothing answers at the address.
+    """
+    pool: Pool = DaskPool(scheduler) if backend == "dask" else RayPool(scheduler)
+    return pool
+
+
+def execute_here(order: Order) -> Outcome:
+    """Compute a node in a process that belongs to somebody else."""
+    return execute(order, own_process=False)
+
+
+class DaskPool:
+    """The workers of a dask scheduler, through joblib's dask backend."""
+
+    name = "dask"
+
+    def __init__(self, scheduler: str | None) -> None:
+        if scheduler is None:
+            raise UsageError("the backend dask needs the address of its scheduler", "--scheduler tcp://HOST:8786")
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise UsageError("the backend dask needs the package 'distributed'", "pip install 'wasp-cli[dask]'") from error
+        try:
+            self._client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise UsageError(
+                f"no dask scheduler answers at '{scheduler}': {str(error) or type(error).__name__}", "dask scheduler"
+            ) from error
+        threads = self._client.nthreads()
+        if not threads:
+            self._client.close()
+            raise UsageError(f"the dask scheduler at '{scheduler}' has no workers", "dask worker ADDRESS --nthreads 1 --nworkers N")
+        if max(threads.values()) > 1:
+            self._client.close()
+            raise UsageError(
+                "a dask worker has several threads; nodes set threads, logs and memory of their whole process", "start it with --nthreads 1"
+            )
+        self.jobs = sum(threads.values())
+
+    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        from distributed import KilledWorker
+        from joblib import Parallel, delayed, parallel_config
+
+        try:
+            with parallel_config(backend="dask", client=self._client, pure=False):
+                parallel = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
+                yield from parallel(delayed(execute_here)(order) for order in orders)
+        except KilledWorker as error:
+            raise WorkersDied(str(error)) from error
+        except OSError as error:
+            raise WaspError(f"the dask scheduler is lost: {error}", "start it again, then run again: finished nodes are kept") from error
+
+    def alone(self, order: Order) -> Outcome:
+        return next(self.run([order]))
+
+    def close(self, *, kill: bool = False) -> None:
+        self._client.close()
+
+
+class RayPool:
+    """The workers of a ray cluster, through joblib's ray backend.
+
+    That backend gives results when the last one is there; so workers leave each outcome in a file, as soon as there is one.
+    """
+
+    name = "ray"
+
+    def __init__(self, scheduler: str | None) -> None:
+        try:
+            import ray
+            from ray.util.joblib import register_ray
+        except ImportError as error:
+            raise UsageError("the backend ray needs the package 'ray'", "pip install 'wasp-cli[ray]'") from error
+        try:
+            ray.init(address=scheduler, log_to_driver=False, logging_level="error", configure_logging=False)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise UsageError(f"no ray cluster answers at '{scheduler}': {error}", "ray start --head") from error
+        register_ray()
+        self._ray = ray
+        self.jobs = max(int(ray.cluster_resources().get("CPU", 1)), 1)
+
+    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        orders = list(orders)
+        if not orders:
+            return
+        folder = _outcomes(orders[0])
+        folder.mkdir(exist_ok=True)
+        left = {order.key: order for order in orders}
+        errors: list[Exception] = []
+        sender = threading.Thread(target=_reported(self._send, errors), args=(orders,), daemon=True, name="ray-sender")
+        sender.start()
+        while left:
+            last = not sender.is_alive()  # asked first: what it left before its end is still read
+            for outcome in _taken(folder, left):
+                del left[outcome.key]
+                yield outcome
+            if last and left:
+                raise WorkersDied(str(errors[0]) if errors else "ray lost workers") from (errors[0] if errors else None)
+            time.sleep(POLL_SECONDS)
+        sender.join()
+
+    def _send(self, orders: list[Order]) -> None:
+        from joblib import Parallel, delayed, parallel_config
+
+        with parallel_config(backend="ray"):
+            Parallel(n_jobs=self.jobs, batch_size=1)(delayed(execute_and_tell)(order) for order in orders)
+
+    def alone(self, order: Order) -> Outcome:
+        return next(self.run([order]))
+
+    def close(self, *, kill: bool = False) -> None:
+        self._ray.shutdown()
+
+
+def execute_and_tell(order: Order) -> None:
+    """Compute a node, and leave its outcome where the run looks for it."""
+    outcome = execute_here(order)
+    write_record(_outcomes(order) / f"{order.key}.json", asdict(outcome))
+
+
+def _outcomes(order: Order) -> Path:
+    return Layout(Path(order.root)).run(order.run_id) / "outcomes"
+
+
+def _taken(folder: Path, left: dict[str, Order]) -> Iterator[Outcome]:
+    for path in sorted(folder.glob("*.json")):
+        if path.stem not in left:
+            continue
+        try:
+            record = read_record(path)
+        except ArtifactError:
+            record = None
+        if record is not None:
+            path.unlink()
+            yield Outcome(**record)
+
+
+def _reported(work: Callable[..., None], errors: list[Exception]) -> Callable[..., None]:
+    def run(*arguments: Any) -> None:
+        try:
+            work(*arguments)
+        except Exception as error:  # ray has many; whichever it is, what is left runs again or is named
+            errors.append(error)
+
+    return run
