@@ -98,20 +98,6 @@ def test_light_commands_import_nothing_heavy(arguments: list[str], tmp_path: Pat
     assert done.stdout.splitlines()[-1] == "IMPORTED []", done.stderr
 
 
-def test_help_and_plan_are_quick() -> None:
-    def best(*arguments: str) -> float:
-        times = []
-        for _ in range(3):
-            start = time.perf_counter()
-            assert wasp(*arguments).returncode == 0
-            times.append(time.perf_counter() - start)
-        return min(times)
-
-    # Twice the promise (0.3 s and 1 s), since tests share the machine; the limits themselves are benchmarks.
-    assert best("--help") < 0.6
-    assert best("plan", "specs/table1.yaml", "--results", "/nowhere") < 2.0
-
-
 def test_plan_lays_table_1_out_in_full() -> None:
     done = wasp("plan", "specs/table1.yaml", "--results", "/nowhere")
     assert done.returncode == 0
@@ -248,10 +234,11 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
 def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     from wasp_cli.app import _run_and_report
+    from wasp_cli.run.session import Way
 
     # The fake stages end well, and write no cell.
     with pytest.raises(CellsFailed, match="14 cells cannot be read") as caught:
-        _run_and_report(load(small_spec), tmp_path / "results", 0)
+        _run_and_report(load(small_spec), tmp_path / "results", Way(jobs=0))
     assert "goal1 human noisy=0.2 seed 0" in caught.value.message
 
 
