@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any, TextIO
@@ -55,6 +56,20 @@ def plain(text: str) -> None:
     err().print(text, markup=False, soft_wrap=True)
 
 
+def waiting_aloud(text: str) -> Callable[[], bool]:
+    """What a wait asks each time whether to go on: says why once, and goes on."""
+    told = False
+
+    def wait() -> bool:
+        nonlocal told
+        if not told:
+            told = True
+            plain(text)
+        return True
+
+    return wait
+
+
 def report_error(error: WaspError) -> None:
     """Print an expected error: what happened, then how to fix it."""
     if not isinstance(error, Interrupted):
@@ -75,3 +90,15 @@ def duration(seconds: float) -> str:
         return f"{minutes} min {rest:02d} s"
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02d} min"
+
+
+def size(count: int | None) -> str:
+    """Bytes as people say them."""
+    if count is None:
+        return "?"
+    number, unit = float(count), "bytes"
+    for larger in ("kB", "MB", "GB", "TB"):
+        if number < 1000:
+            break
+        number, unit = number / 1000, larger
+    return f"{number:.0f} {unit}" if unit == "bytes" else f"{number:.1f} {unit}"

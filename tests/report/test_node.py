@@ -11,8 +11,8 @@ import pytest
 
 from tests.commands import run_here
 from tests.run.harness import SMALL, Fakes, fakes, prepared, run
+from wasp_cli.console import size
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.report.node_text import size
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import Layout
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from wasp_cli.store.lock import held, is_held, remove_lock
+from wasp_cli.store.lock import held, held_if_free, is_held, remove_lock
 
 
 def nothing() -> bool:
@@ -78,3 +78,16 @@ def test_one_at_a_time_although_the_file_is_removed_all_the_time(tmp_path: Path)
     assert [process.exitcode for process in processes] == [0, 0]
     assert counter.read_text() == "600"
     assert removed > 1
+
+
+def test_some_share_a_lock_and_nobody_then_has_it_alone(tmp_path: Path) -> None:
+    path = tmp_path / "planning"
+    with (
+        held(path, nothing, shared=True),
+        held(path, lambda: pytest.fail("a shared lock is shared"), shared=True),
+        held_if_free(path) as mine,
+    ):
+        assert not mine
+    with held_if_free(path) as mine:
+        assert mine
+        assert is_held(path)

@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.text import Text
 
-from wasp_cli.console import duration
+from wasp_cli.console import duration, size
 from wasp_cli.report.node import NodeFacts, Setting
 from wasp_cli.report.trained_table import scalars, short
 
@@ -36,18 +36,6 @@ def node_lines(node: NodeFacts) -> Iterator[Text]:
     files = [(each.name, f"{size(each.size)}  {_unless('whole', each.state)}") for each in node.files]
     yield from _section("Files, their SHA-256 read again" if files else "Files", files)
     yield from _section("Provenance", list(_provenance(node.provenance)))
-
-
-def size(count: int | None) -> str:
-    """Bytes as people say them."""
-    if count is None:
-        return "?"
-    number, unit = float(count), "bytes"
-    for larger in ("kB", "MB", "GB", "TB"):
-        if number < 1000:
-            break
-        number, unit = number / 1000, larger
-    return f"{number:.0f} {unit}" if unit == "bytes" else f"{number:.1f} {unit}"
 
 
 def _change(setting: Setting) -> str:

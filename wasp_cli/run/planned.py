@@ -16,6 +16,9 @@ from wasp_cli.plan.plan import IDLE
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key, is_name
 
+SECOND = len("20260501-120000")
+"""Characters of a run's name that say when it began."""
+
 
 @dataclass(frozen=True)
 class PlannedNode:
@@ -48,21 +51,24 @@ class PlannedRun:
     """By key."""
     parts: tuple[str, ...] = ()
     """The runs of a sweep's values, whose cells it computes."""
+    odd: int = 0
+    """Entries of the plan that were left out."""
 
 
 def run_ids(layout: Layout) -> list[str]:
-    """The runs of a results folder, newest first: their names begin with the time.
+    """The runs of a results folder, newest first: by the second in their names, and within one by when their folders were filled.
 
     Raises:
         StoreError: there is no results folder, or it cannot be read.
     """
     try:
         with os.scandir(layout.within(layout.runs)) as entries:
-            found = [entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name)]
+            named = [entry for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
+            found = sorted((entry.name[:SECOND], entry.stat(follow_symlinks=False).st_mtime_ns, entry.name) for entry in named)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise StoreError(f"no results in '{layout.root}': {reason}", "wasp run SPEC --results DIR writes there") from error
-    return sorted(found, reverse=True)
+    return [name for _, _, name in reversed(found)]
 
 
 def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
@@ -70,15 +76,12 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
     swept = _record(layout, run_id, "sweep.json")
     if swept is not None:
         values = swept.get("values")
-        parts = [value.get("run") for value in values if isinstance(value, dict)] if isinstance(values, list) else []
-        runs = tuple(run for run in parts if isinstance(run, str) and is_name(run))
-        found = [_record(layout, run, "plan.json") or {} for run in runs]
-        nodes = {node.key: node for plan in found for node in _nodes(plan)}
-        return PlannedRun(run_id, f"{swept.get('spec')} --vary {swept.get('setting')}", nodes, runs)
+        named = [value.get("run") for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+        parts = tuple(run for run in named if isinstance(run, str) and is_name(run))
+        plans = [_record(layout, run, "plan.json") or {} for run in parts]
+        return _planned(run_id, f"{swept.get('spec')} --vary {swept.get('setting')}", plans, parts)
     plan = _record(layout, run_id, "plan.json")
-    if plan is None or not isinstance(plan.get("spec"), str):
-        return None
-    return PlannedRun(run_id, plan["spec"], {node.key: node for node in _nodes(plan)})
+    return _planned(run_id, plan["spec"], [plan]) if plan is not None and isinstance(plan.get("spec"), str) else None
 
 
 def planned_runs(layout: Layout) -> list[PlannedRun]:
@@ -129,12 +132,10 @@ def _record(layout: Layout, run_id: str, name: str) -> dict[str, Any] | None:
         return None
 
 
-def _nodes(plan: Mapping[str, Any]) -> Iterator[PlannedNode]:
-    entries = plan.get("nodes")
-    for entry in entries if isinstance(entries, list) else ():
-        node = _node(entry) if isinstance(entry, dict) else None
-        if node is not None:
-            yield node
+def _planned(run_id: str, spec: str, plans: Iterable[Mapping[str, Any]], parts: tuple[str, ...] = ()) -> PlannedRun:
+    entries = [entry for plan in plans if isinstance(plan.get("nodes"), list) for entry in plan["nodes"]]
+    nodes = [node for entry in entries if isinstance(entry, dict) and (node := _node(entry)) is not None]
+    return PlannedRun(run_id, spec, {node.key: node for node in nodes}, parts, len(entries) - len(nodes))
 
 
 def _node(entry: Mapping[str, Any]) -> PlannedNode | None:

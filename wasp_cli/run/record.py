@@ -108,9 +108,10 @@ def results_of(folder: Path) -> Layout:
     """The layout of an existing results folder.
 
     Raises:
-        StoreError: there is none, or it cannot be read.
+        StoreError: there is none, it cannot be read, or has links in it.
     """
     layout = Layout(folder)
+    layout.require_own_folders()
     try:
         os.scandir(layout.runs).close()
     except (FileNotFoundError, NotADirectoryError) as error:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from wasp_cli.console import duration, plain
+from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
@@ -22,6 +23,7 @@ from wasp_cli.run.signals import SIGNALS, listening
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held
 
 
 def cores() -> int:
@@ -110,8 +112,15 @@ def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE) -> Ses
     grid = lay_out(loaded.spec)
     wanted = select(grid, part.select)
     layout = prepared(results)
-    plan = plan_against(grid, layout, wanted=wanted, failed_only=part.failed)
-    return carry_out(plan, layout, new_run(layout, loaded, plan), way)
+    with planning(layout):
+        plan = plan_against(grid, layout, wanted=wanted, failed_only=part.failed)
+        run_id = new_run(layout, loaded, plan)
+    return carry_out(plan, layout, run_id, way)
+
+
+def planning(layout: Layout) -> AbstractContextManager[None]:
+    """Held from looking into the store until the plan is written down: meanwhile nothing is removed that no plan reaches."""
+    return held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True)
 
 
 def prepared(results: Path) -> Layout:

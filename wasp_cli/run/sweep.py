@@ -11,7 +11,7 @@ from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import Grid, lay_out, together
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_sweep
-from wasp_cli.run.session import Session, Way, carry_out, prepared, restricted
+from wasp_cli.run.session import Session, Way, carry_out, planning, prepared, restricted
 from wasp_cli.spec.names import OF_METHODS
 from wasp_cli.spec.sweep import Sweep
 
@@ -51,11 +51,13 @@ def run_sweep(sweep: Sweep, results: Path, way: Way) -> SweepSession:
     grids = tuple(lay_out(point.loaded.spec) for point in sweep.points)
     _require_effect(sweep, grids)
     layout = prepared(results)
-    plan = plan_against(together(grids), layout)
+    with planning(layout):
+        plan = plan_against(together(grids), layout)
+        run_id = new_sweep(layout, sweep, plan, grids)
     users = _users(grids)
     plain(_shares(sweep, grids, users))
     names = {node.key: _name(sweep, node.label, users[node.key]) for node in plan.grid.nodes}
-    return SweepSession(carry_out(plan, layout, new_sweep(layout, sweep, plan, grids), way, names), grids)
+    return SweepSession(carry_out(plan, layout, run_id, way, names), grids)
 
 
 def _require_effect(sweep: Sweep, grids: Sequence[Grid]) -> None:

@@ -231,13 +231,16 @@ def dumps(record: Mapping[str, Any]) -> str:
 
 def sweep(layout: Layout) -> int:
     """Remove what killed processes left in `tmp/`; what a living one still writes stays. Returns how many folders went."""
-    removed = 0
-    for folder in layout.tmp.glob("*-*"):
-        key = folder.name.partition("-")[0]
-        if is_key(key) and not is_held(layout.lock(key)):
-            discard(folder)
-            removed += 1
-    return removed
+    left = left_behind(layout)
+    for folder in left:
+        discard(folder)
+    return len(left)
+
+
+def left_behind(layout: Layout) -> list[Path]:
+    """The folders in `tmp/` that no living process writes."""
+    keys = [(folder, folder.name.partition("-")[0]) for folder in layout.tmp.glob("*-*")]
+    return [folder for folder, key in keys if is_key(key) and not is_held(layout.lock(key))]
 
 
 def discard(folder: Path) -> None:

@@ -4,7 +4,7 @@ results/
   store/<kind>/<key>/      artifacts: what the stage wrote, and manifest.json; complete or not there
   failures/<key>.json      why a node failed last; removed when it succeeds
   work/<key>/              checkpoints of nodes that can resume; removed when the node is done
-  locks/<key>              held by the process that computes a node
+  locks/<key>              held by the process that computes a node; locks/planning while runs are planned or removed
   tmp/                     artifacts being written; on the same file system, so that publishing is one rename
   runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
@@ -68,13 +68,26 @@ class Layout:
         """The record of a node's last failure."""
         return self.failures / f"{_key(key)}.json"
 
+    @property
+    def works(self) -> Path:
+        return self.root / "work"
+
     def work(self, key: str) -> Path:
         """Where a node keeps what survives an interruption."""
-        return self.root / "work" / _key(key)
+        return self.works / _key(key)
 
     def lock(self, key: str) -> Path:
         """The lock file of a node."""
-        return self.root / "locks" / _key(key)
+        return self.locks / _key(key)
+
+    @property
+    def locks(self) -> Path:
+        return self.root / "locks"
+
+    @property
+    def planning(self) -> Path:
+        """Held, shared, by a run from looking into the store until its plan is written; and alone by who removes what no plan reaches."""
+        return self.locks / "planning"
 
     def run(self, run_id: str) -> Path:
         """The folder of one run."""
@@ -106,7 +119,7 @@ class Layout:
 
     def needed(self) -> tuple[Path, ...]:
         """The folders that every run writes to."""
-        return self.store, self.tmp, self.runs, self.failures, self.root / "work", self.root / "locks"
+        return self.store, self.tmp, self.runs, self.failures, self.works, self.locks
 
     def require_own_folders(self) -> None:
         """See that none of the folders is a link: what is written to them, or removed, would be so elsewhere.

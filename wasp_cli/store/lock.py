@@ -27,8 +27,10 @@ class Busy(Exception):
 
 
 @contextmanager
-def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | None = None) -> Iterator[None]:
+def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | None = None, *, shared: bool = False) -> Iterator[None]:
     """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether to go on waiting.
+
+    Any number may hold it `shared`, and then nobody alone.
 
     The file stays. Only `remove_lock` removes one, and that while it holds it: so a lock counts when, once held, its file is still the
     one that the path names. Otherwise two processes could hold two files of one name.
@@ -42,17 +44,19 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
         Busy: someone else has it, and `waiting` said no.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+        descriptor = _made(path)
         try:
-            while not _taken(descriptor):
+            while not _taken(descriptor, how):
                 if not waiting():
                     raise Busy
                 time.sleep(POLL_SECONDS)
             if _is_at(descriptor, path):
-                with suppress(OSError):  # a full disk: who holds it stays unsaid
-                    os.ftruncate(descriptor, 0)
-                    os.write(descriptor, json.dumps(holder or {}).encode())
+                if holder is not None:
+                    with suppress(OSError):  # a full disk: who holds it stays unsaid
+                        os.ftruncate(descriptor, 0)
+                        os.write(descriptor, json.dumps(holder).encode())
                 yield
                 return
         finally:
@@ -66,6 +70,17 @@ def holder_of(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         return {}
     return record if isinstance(record, dict) else {}
+
+
+@contextmanager
+def held_if_free(path: Path) -> Iterator[bool]:
+    """Hold a lock unless someone else has it; whether it is held."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = _made(path)
+    try:
+        yield _taken(descriptor) and _is_at(descriptor, path)
+    finally:
+        os.close(descriptor)
 
 
 def is_held(path: Path) -> bool:
@@ -103,10 +118,15 @@ def _opened(path: Path) -> int | None:
         return None
 
 
-def _taken(descriptor: int) -> bool:
-    """Take the lock of an open file if nobody has it."""
+def _made(path: Path) -> int:
+    """The file of a lock, made where there is none."""
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+
+
+def _taken(descriptor: int, how: int = fcntl.LOCK_EX) -> bool:
+    """Take the lock of an open file if nobody is in the way."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, how | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError as error:

@@ -1,0 +1,290 @@
+"""`wasp gc`: what no spec reaches goes, and nothing that somebody reads."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.run.harness import Fakes, prepared, run, start, wait_until
+from tests.run.recorded import process
+from wasp_cli.errors import StoreError
+from wasp_cli.run.journal import read_journal
+from wasp_cli.run.planned import run_ids
+from wasp_cli.run.reach import remove_unreached, unreached
+from wasp_cli.store import gc
+from wasp_cli.store.artifact import staging_folder, sweep, write_record
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held, is_held
+
+
+@pytest.fixture
+def other_spec(small_spec: Path) -> Path:
+    """The same experiment with another seed, under the same name."""
+    path = small_spec.with_name("other.yaml")
+    path.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [1, 7]"), encoding="utf-8")
+    return path
+
+
+def artifacts(results: Path) -> set[str]:
+    return {path.parent.name for path in results.glob("store/*/*/manifest.json")}
+
+
+def keys_of(spec: Path, results: Path) -> set[str]:
+    _, _, plan = prepared(spec, results)
+    return {step.node.key for step in plan.steps}
+
+
+def collect(results: Path, *options: str | Path) -> str:
+    done = run_here("gc", results, *options, columns=80)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def table(text: str) -> dict[str, tuple[int, str]]:
+    """What can go: its count and its size, as they are printed."""
+    rows = re.findall(r"^ *(\S.*?) {2,}(\d+) {2,}(\d\S* \w+) *$", text, re.MULTILINE)
+    return {what: (int(count), size) for what, count, size in rows}
+
+
+def test_what_the_newest_run_of_a_spec_reaches_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    run(other_spec, results)
+    old, new = keys_of(small_spec, results), keys_of(other_spec, results)
+    assert artifacts(results) == old | new
+    assert "nothing was removed" in collect(results)
+    shown = table(collect(results, "--dry-run"))
+    assert artifacts(results) == old | new
+    unwanted = Counter(path.parent.name for path in results.glob("store/*/*") if path.name not in new)
+    assert {what: count for what, (count, _) in shown.items() if what in unwanted} == unwanted
+    assert "removed" in collect(results, "--yes").splitlines()[-1]
+    assert artifacts(results) == new
+    assert not list((results / "tmp").iterdir())
+    assert not list((results / "locks").glob("[0-9a-f]*"))
+    assert run(other_spec, results).done == 0
+    assert run(small_spec, results).done == len(old - new)
+
+
+def test_specs_of_other_names_and_specs_to_keep(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    run(other_spec, results)
+    everything = artifacts(results)
+    collect(results, "--yes", "--keep", small_spec)
+    assert artifacts(results) == everything
+    named = small_spec.with_name("named.yaml")
+    named.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
+    run(named, results)
+    run(other_spec, results)
+    collect(results, "--yes")
+    assert artifacts(results) == everything
+    assert run_here("gc", results, "--keep", tmp_path / "absent.yaml", columns=80).exit_code == 3
+
+
+def test_upstream_of_what_is_reached_stays_though_no_plan_names_it(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    """As after an update: the plan's keys changed, but a kept artifact was computed from one of before."""
+    results = tmp_path / "results"
+    run(small_spec, results)
+    layout = Layout(results)
+    (run_id,) = run_ids(layout)
+    plan = json.loads((layout.run(run_id) / "plan.json").read_text())
+    plan["nodes"] = [node for node in plan["nodes"] if node["kind"] == "evaluate"]
+    write_record(layout.run(run_id) / "plan.json", plan)
+    before = artifacts(results)
+    diagnostics = {path.name for path in results.glob("store/diagnostics/*")}
+    collect(results, "--yes")
+    assert diagnostics
+    assert before - artifacts(results) == diagnostics  # no evaluation reads them
+
+
+def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, tmp_path / "undisturbed")
+    fakes.set(seconds=0.1)
+    process = start("run", small_spec, "--results", results, "-j", "2")
+    wait_until(lambda: len(artifacts(results)) >= 5)
+    run(other_spec, results)  # newer, and of the same name
+    while process.poll() is None:
+        before = artifacts(results)
+        collect(results, "--yes", "--runs")
+        assert before <= artifacts(results)
+    assert process.returncode == 0, process.communicate()
+    wanted = {path.parent.name for path in (tmp_path / "undisturbed").glob("store/*/*/manifest.json")}
+    assert wanted <= artifacts(results)
+    process.communicate()
+
+
+def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    layout = Layout(results)
+    (run_id,) = run_ids(layout)
+    run(other_spec, results)
+    journal = layout.run(run_id) / "journal.jsonl"
+    events = [event for event in read_journal(journal) if event["event"] != "run ended"]
+    for facts, stays in ((process(os.getpid()), True), ({**process(os.getpid()), "boot": "another"}, False)):
+        events[0] |= facts
+        journal.write_text("".join(json.dumps(event) + "\n" for event in events))
+        collect(results, "--yes")
+        assert (keys_of(small_spec, results) <= artifacts(results)) == stays
+
+
+def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    """By a run that this machine cannot see: its locks tell."""
+    results = tmp_path / "results"
+    run(small_spec, results)
+    run(other_spec, results)
+    layout = Layout(results)
+    evaluation = next(path for path in sorted(results.glob("store/evaluate/*")) if path.name not in keys_of(other_spec, results))
+    reads = set(json.loads((evaluation / "manifest.json").read_text())["upstream"].values())
+    with held(layout.lock(evaluation.name), lambda: None):
+        collect(results, "--yes")
+        assert is_held(layout.lock(evaluation.name))
+    assert evaluation.name in artifacts(results)
+    assert reads <= artifacts(results)
+    collect(results, "--yes")
+    assert evaluation.name not in artifacts(results)
+
+
+def test_only_what_is_old(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    run(other_spec, results)
+    unwanted = sorted(artifacts(results) - keys_of(other_spec, results))
+    (old,) = results.glob(f"store/*/{unwanted[0]}")
+    before = time.time() - 10 * 86400
+    os.utime(old, (before, before))
+    collect(results, "--yes", "--older-than", "20")
+    assert unwanted[0] in artifacts(results)
+    collect(results, "--yes", "--older-than", "9")
+    assert set(unwanted) - artifacts(results) == {unwanted[0]}
+
+
+def test_runs_go_only_when_asked(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    named = small_spec.with_name("named.yaml")
+    named.write_text(small_spec.read_text().replace("name: small", "name: named"), encoding="utf-8")
+    run(named, results)
+    run(other_spec, results)
+    layout = Layout(results)
+    newest, *_ = before = run_ids(layout)
+    collect(results, "--yes")
+    assert run_ids(layout) == before
+    collect(results, "--yes", "--runs")
+    after = run_ids(layout)
+    assert len(after) == 2
+    assert newest in after
+    assert {name.split("-")[2] for name in after} == {"small", "named"}
+
+
+def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(behave={"s0 ida_q": "refuse"})
+    run(small_spec, results)
+    layout = Layout(results)
+    (failed,) = (path.stem for path in layout.failures.iterdir())
+    done, unreached_key, busy = sorted(artifacts(results))[0], "ab" * 10, "cd" * 10
+    for key in (done, failed, unreached_key, busy):
+        layout.work(key).mkdir(exist_ok=True)
+        (layout.work(key) / "checkpoint").write_bytes(b"x" * 1000)
+    write_record(layout.failure(unreached_key), {"message": "of an older version"})
+    left, written = staging_folder(layout, unreached_key), staging_folder(layout, busy)
+    with held(layout.lock(busy), lambda: None):
+        shown = table(collect(results, "--yes"))
+        assert sorted(path.name for path in layout.works.iterdir()) == sorted([failed, busy])
+    assert [path.stem for path in layout.failures.iterdir()] == [failed]
+    assert (left.exists(), written.exists()) == (False, True)
+    assert sorted(path.name for path in layout.locks.iterdir()) == sorted([busy, "planning"])
+    assert shown["work of nodes"] == (2, "2.0 kB")
+    assert [shown[what][0] for what in ("records of failures", "left in tmp")] == [1, 1]
+
+
+def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    layout = Layout(results)
+    (run_id,) = run_ids(layout)
+    run(other_spec, results)
+    before, plan = artifacts(results), layout.run(run_id) / "plan.json"
+    whole = json.loads(plan.read_text())
+    for text in ("{", json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]})):
+        plan.write_text(text)
+        done = run_here("gc", results, "--yes", columns=80)
+        assert done.exit_code == 1
+        assert "what it reaches is unknown" in done.stderr
+    plan.unlink()
+    assert "is being planned" in run_here("gc", results, "--yes", columns=80).stderr
+    assert artifacts(results) == before
+    os.utime(layout.run(run_id), (0, 0))  # killed while it began, long ago
+    collect(results, "--yes")
+    assert artifacts(results) == keys_of(other_spec, results)
+
+
+def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
+    fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path
+) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    run(other_spec, results)
+    layout = Layout(results)
+    shown = unreached(layout, set(), runs=False, before=None)
+    fakes.set(free=len(fakes.executions()))  # it waits at its first node
+    spec = small_spec.with_name("more.yaml")
+    spec.write_text(small_spec.read_text().replace("seeds: [0, 1]", "seeds: [0, 9]"), encoding="utf-8")
+    process = start("run", spec, "--results", results, "-j", "1")
+    try:
+        wait_until(lambda: len(run_ids(layout)) == 3 and any(results.glob("runs/*/running/*.json")))
+        remove_unreached(layout, set(), shown, runs=False, before=None)
+        assert keys_of(small_spec, results) & keys_of(spec, results) <= artifacts(results)
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.communicate(timeout=30)
+
+
+def test_a_removal_that_is_killed_leaves_nothing_half(
+    fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    run(other_spec, results)
+    layout = Layout(results)
+
+    def killed(folder: Path) -> None:
+        raise KeyboardInterrupt
+
+    whole = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}
+    with monkeypatch.context() as patch:
+        patch.setattr(gc, "discard", killed)
+        with pytest.raises(KeyboardInterrupt):
+            remove_unreached(layout, set(), unreached(layout, set(), runs=False, before=None), runs=False, before=None)
+    left = {path.name: len(list(path.iterdir())) for path in results.glob("store/*/*")}
+    assert len(left) == len(whole) - 1
+    assert left.items() <= whole.items()
+    assert sweep(layout) == 1
+    assert not list(layout.tmp.iterdir())
+
+
+def test_results_that_are_not_there(tmp_path: Path) -> None:
+    assert run_here("gc", tmp_path / "absent", columns=80).exit_code == 1
+    (tmp_path / "results" / "runs").mkdir(parents=True)
+    (tmp_path / "elsewhere" / "expert" / ("ab" * 10)).mkdir(parents=True)
+    (tmp_path / "results" / "store").symlink_to(tmp_path / "elsewhere")
+    done = run_here("gc", tmp_path / "results", "--yes", columns=80)
+    assert done.exit_code == 1
+    assert "is a link" in done.stderr
+    assert (tmp_path / "elsewhere" / "expert" / ("ab" * 10)).is_dir()
+    (tmp_path / "results" / "store").unlink()
+    assert "there is nothing to remove" in collect(tmp_path / "results")
+    with pytest.raises(StoreError):
+        unreached(Layout(tmp_path / "absent"), set(), runs=False, before=None)
+    shutil.rmtree(tmp_path / "results")

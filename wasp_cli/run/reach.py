@@ -1,0 +1,130 @@
+"""What of a results folder somebody still wants: everything that the newest run of each spec reaches, and every run that is not over."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from wasp_cli.console import waiting_aloud
+from wasp_cli.errors import StoreError
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.run.planned import PlannedRun, planned_run, run_ids
+from wasp_cli.run.watch import state_of
+from wasp_cli.spec.load import load
+from wasp_cli.store.gc import Rubbish, locked, remove, rubbish, run_rubbish, stored, with_inputs
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held
+
+BEGINS_SECONDS = 3600.0
+"""How long a run may take from making its folder to the first line of its journal."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The runs that count, and the keys that they reach."""
+
+    keys: frozenset[str]
+    kept_runs: frozenset[str]
+    other_runs: tuple[str, ...]
+
+
+def kept_keys(specs: Iterable[Path]) -> set[str]:
+    """The keys of everything that specs ask for now.
+
+    Raises:
+        SpecError: one is not valid.
+    """
+    return {node.key for path in specs for node in lay_out(load(path, ()).spec).nodes}
+
+
+def reach_of_runs(layout: Layout) -> Reach:
+    """What the newest run of each spec name reaches, and what the runs reach that are not over.
+
+    Raises:
+        StoreError: a run does not say what it reaches, so that nothing can be called unreached.
+    """
+    wanted: dict[str, PlannedRun] = {}
+    newest: set[str] = set()
+    ids = run_ids(layout)
+    for run_id in ids:
+        run = planned_run(layout, run_id)
+        if run is None:
+            _require_old(layout, run_id)
+            continue
+        if run.odd:
+            raise _unclear(layout, run_id)
+        if run.spec not in newest or _goes_on(layout, run):
+            wanted[run_id] = run
+        newest.add(run.spec)
+    # A sweep that counts keeps the runs of its values: its reports are made from them.
+    kept = {*wanted, *(part for run in wanted.values() for part in run.parts)}
+    keys = {key for run in wanted.values() for key in run.nodes}
+    return Reach(frozenset(keys), frozenset(kept), tuple(run_id for run_id in ids if run_id not in kept))
+
+
+def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
+    """What of a results folder can go now.
+
+    Args:
+        layout: the results folder.
+        keep: further keys to keep, with all that they were computed from.
+        runs: whether folders of runs may go.
+        before: nothing that was written after this time, in seconds since the epoch; None for no such limit.
+
+    Raises:
+        StoreError: a run does not say what it reaches.
+    """
+    reach = reach_of_runs(layout)
+    there = stored(layout)
+    needed = with_inputs(layout, {*reach.keys, *keep, *locked(layout)}, there)
+    return rubbish(layout, needed, there, before) + (run_rubbish(layout, reach.other_runs, before) if runs else [])
+
+
+def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None) -> tuple[int, int]:
+    """Remove what someone has agreed to, as far as it can still go: a run may have begun since.
+
+    Args:
+        layout: the results folder.
+        keep: as for `unreached`.
+        shown: what was agreed to.
+        runs: as for `unreached`.
+        before: as for `unreached`.
+
+    Returns:
+        How many things went, and their bytes.
+    """
+    agreed = {each.path for each in shown}
+    # While it is held, no run looks for what is there; what has looked before has written down what it reaches.
+    with held(layout.planning, waiting_aloud("waiting for a run that is being planned")):
+        still = [each for each in unreached(layout, keep, runs=runs, before=before) if each.path in agreed]
+        return remove(layout, still)
+
+
+def _goes_on(layout: Layout, run: PlannedRun) -> bool:
+    state = state_of(layout, run).state
+    return state == "running" or (state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS)
+
+
+def _require_old(layout: Layout, run_id: str) -> None:
+    """A run without a readable plan has been killed while it began, begins just now, or is damaged."""
+    folder = layout.run(run_id)
+    if os.path.lexists(folder / "plan.json") or os.path.lexists(folder / "sweep.json"):
+        raise _unclear(layout, run_id)
+    if _age(layout, run_id) < BEGINS_SECONDS:
+        raise StoreError(f"run '{run_id}' is being planned", "try again when it runs")
+
+
+def _unclear(layout: Layout, run_id: str) -> StoreError:
+    folder = layout.run(run_id)
+    return StoreError(f"the plan of '{folder}' does not read; what it reaches is unknown", "remove that folder if nobody needs the run")
+
+
+def _age(layout: Layout, run_id: str) -> float:
+    """Seconds since the folder of a run was changed."""
+    try:
+        return time.time() - layout.run(run_id).lstat().st_mtime
+    except OSError:
+        return 0.0

@@ -1,0 +1,157 @@
+"""What of a results folder can go, and its removal: artifacts that nobody needs, and what runs have left behind.
+
+What is needed is said by the caller, as keys: the store knows of no runs and no specs.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.store.artifact import discard, left_behind, read_manifest
+from wasp_cli.store.find import stored_kinds
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.lock import held_if_free, is_held, remove_lock
+
+WORK, FAILURES, RUNS, TMP, LOCKS = "work of nodes", "records of failures", "runs", "left in tmp", "locks"
+"""What can go besides artifacts, as people read it."""
+
+
+@dataclass(frozen=True)
+class Rubbish:
+    """Something that can go."""
+
+    what: str
+    """The kind of an artifact, or one of the above."""
+    path: Path
+    size: int
+    """Bytes that its removal frees."""
+    key: str | None = None
+    """Of the node whose lock must be free; None where there is no such node."""
+
+
+def stored(layout: Layout) -> dict[str, list[str]]:
+    """The kinds under which a key has a folder in the store, damaged artifacts too."""
+    found: dict[str, list[str]] = {}
+    for kind in stored_kinds(layout):
+        for key in _keys(layout.kind(kind), lambda entry: entry.is_dir(follow_symlinks=False)):
+            found.setdefault(key, []).append(kind)
+    return found
+
+
+def locked(layout: Layout) -> set[str]:
+    """The keys of nodes that are being computed."""
+    return {key for key in _keys(layout.locks) if is_held(layout.lock(key))}
+
+
+def with_inputs(layout: Layout, keys: Iterable[str], there: Mapping[str, list[str]]) -> set[str]:
+    """Keys and, as far as manifests say, everything that was read for them.
+
+    Args:
+        layout: the results folder.
+        keys: where to begin.
+        there: the kinds under which a key is in the store, from `stored`.
+    """
+    found: set[str] = set()
+    pending = list(keys)
+    while pending:
+        key = pending.pop()
+        if key in found:
+            continue
+        found.add(key)
+        for kind in there.get(key, ()):
+            try:
+                upstream = read_manifest(layout, kind, key).get("upstream")
+            except ArtifactError:  # it is damaged, and will be computed again from what the plan says
+                continue
+            pending += [needed for needed in upstream.values() if isinstance(needed, str)] if isinstance(upstream, dict) else []
+    return found
+
+
+def rubbish(layout: Layout, needed: set[str], there: Mapping[str, list[str]], before: float | None = None) -> list[Rubbish]:
+    """What can go, nothing of it written after `before`.
+
+    Args:
+        layout: the results folder.
+        needed: keys of which nothing goes but the work of finished ones.
+        there: the kinds under which a key is in the store, from `stored`.
+        before: a time in seconds since the epoch; None for now.
+    """
+    found = [_rubbish(kind, layout.artifact(kind, key), key) for key, kinds in there.items() if key not in needed for kind in kinds]
+    found += [_rubbish(WORK, layout.work(key), key) for key in _keys(layout.works) if key in there or key not in needed]
+    records = _keys(layout.failures, lambda entry: entry.is_file(follow_symlinks=False), ".json")
+    found += [_rubbish(FAILURES, layout.failure(key), key) for key in records if key not in needed]
+    found += [_rubbish(TMP, folder, folder.name.partition("-")[0]) for folder in left_behind(layout)]
+    found += [_rubbish(LOCKS, layout.lock(key), key) for key in _keys(layout.locks)]
+    free = [each for each in found if each.key is None or not is_held(layout.lock(each.key))]
+    return [each for each in free if before is None or _written(each.path) < before]
+
+
+def remove(layout: Layout, found: Iterable[Rubbish]) -> tuple[int, int]:
+    """Remove what can go, each thing in one step, unless a process has taken its lock meanwhile; how many went, and their bytes."""
+    count = freed = 0
+    for each in sorted(found, key=lambda each: each.what == LOCKS):  # locks last: to take one makes its file
+        if each.what == LOCKS:
+            gone = remove_lock(each.path)
+        elif each.key is None:
+            gone = _remove(layout, each.path)
+        else:
+            with held_if_free(layout.lock(each.key)) as mine:
+                gone = mine and _remove(layout, each.path)
+            remove_lock(layout.lock(each.key))
+        count, freed = count + gone, freed + each.size * gone
+    return count, freed
+
+
+def run_rubbish(layout: Layout, run_ids: Iterable[str], before: float | None = None) -> list[Rubbish]:
+    """Folders of runs, as what can go; none of it written after `before`."""
+    found = [_rubbish(RUNS, layout.run(run_id), None) for run_id in run_ids]
+    return [each for each in found if before is None or _written(each.path) < before]
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file or of everything in a folder; links are not followed."""
+    try:
+        if path.is_symlink() or not path.is_dir():
+            return path.lstat().st_size
+        with os.scandir(path) as entries:
+            return sum(size_of(Path(entry.path)) for entry in entries)
+    except OSError:  # gone meanwhile, or not ours to read
+        return 0
+
+
+def _keys(folder: Path, fits: Callable[[os.DirEntry[str]], bool] = lambda entry: True, ending: str = "") -> Iterator[str]:
+    """The names in a folder that are keys."""
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.name.endswith(ending) and is_key(entry.name.removesuffix(ending)) and fits(entry):
+                    yield entry.name.removesuffix(ending)
+    except FileNotFoundError:
+        return
+
+
+def _rubbish(what: str, path: Path, key: str | None) -> Rubbish:
+    return Rubbish(what, path, size_of(path), key)
+
+
+def _written(path: Path) -> float:
+    try:
+        return path.lstat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _remove(layout: Layout, path: Path) -> bool:
+    """Move something to `tmp/`, so that it is gone at once and as a whole, then delete it; a killed removal is swept by the next run."""
+    aside = layout.tmp / f"{uuid.uuid4().hex}-removed"
+    try:
+        os.replace(path, aside)
+    except FileNotFoundError:
+        return False
+    discard(aside)
+    return True
