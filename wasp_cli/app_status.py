@@ -34,7 +34,7 @@ def status(
     """
     from wasp_cli.console import out
     from wasp_cli.errors import StoreError
-    from wasp_cli.run.planned import named_run, planned_runs
+    from wasp_cli.plan.recorded import named_run, planned_runs
     from wasp_cli.run.record import results_of
     from wasp_cli.run.show_status import as_json, show_status
     from wasp_cli.run.watch import shown_runs, state_of
@@ -64,8 +64,8 @@ def logs(
     """Print the log of a node: of an evaluation or a training, finished, failed or running."""
     import sys
 
+    from wasp_cli.plan.recorded import named_run, planned_runs
     from wasp_cli.run.logs import find_log, write_log
-    from wasp_cli.run.planned import named_run, planned_runs
     from wasp_cli.run.record import results_of
 
     layout = results_of(results)

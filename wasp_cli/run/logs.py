@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TextIO
 
 from wasp_cli.errors import StoreError, UnknownName, UsageError
-from wasp_cli.run.planned import PlannedRun
+from wasp_cli.plan.recorded import PlannedRun
 from wasp_cli.store.find import SHOWN, begins, same_label
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable

@@ -11,7 +11,7 @@ from pathlib import Path
 from wasp_cli.console import waiting_aloud
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.run.planned import PlannedRun, planned_run, run_ids
+from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.run.watch import state_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.gc import Rubbish, locked, remove, rubbish, run_rubbish, stored, with_inputs

@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.run.planned import PlannedNode, PlannedRun, number, upstream_first
+from wasp_cli.plan.recorded import PlannedNode, PlannedRun, number, upstream_first
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
