@@ -46,6 +46,7 @@ def test_help_names_every_command_and_an_example() -> None:
         "run",
         "plan",
         "check",
+        "schema",
         "report",
         "ablate",
         "operators",
@@ -60,7 +61,7 @@ def test_help_names_every_command_and_an_example() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "plan", "check", "report", "ablate", "operators", "sweep", "explain", "bench", "tasks", "doctor"]
+    "command", ["run", "plan", "check", "schema", "report", "ablate", "operators", "sweep", "explain", "bench", "tasks", "doctor"]
 )
 def test_every_command_has_help(command: str) -> None:
     done = wasp(command, "--help")
@@ -78,6 +79,7 @@ def test_version() -> None:
         ["--help"],
         ["plan", "specs/table1.yaml", "--results", "/nowhere"],
         ["check", "specs/table1.yaml"],
+        ["schema"],
         ["run", "INVALID", "--results", "RESULTS"],
         ["report", "/nowhere"],
     ],
@@ -132,7 +134,7 @@ def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
     done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
     assert done.returncode == 3
     assert "specs/table1.yaml: ok, 657 cells" in done.stdout
-    assert f"{bad}:4:9: unknown task 'goal7'" in done.stderr
+    assert f"{bad}:5:9: unknown task 'goal7'" in done.stderr
     assert "absent.yaml:1:1: no such file" in done.stderr
     assert wasp("check", SMOKE).returncode == 0
 
@@ -141,7 +143,7 @@ def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
     ("old", "new", "expected"),
     [
         ("episodes: 2", "episode: 2", "unknown key 'episode'"),
-        ("episodes: 2", "episodes: two", ":12:11: should be an integer, not 'two'"),
+        ("episodes: 2", "episodes: two", ":13:11: should be an integer, not 'two'"),
         ("[goal1]", "[gaol1]", "did you mean 'goal1'?"),
         ("name: smoke", "name: [", "not valid YAML"),
     ],

@@ -53,3 +53,17 @@ def check(
         raise typer.Exit(SpecError.exit_code)  # all is said
     if refused:
         raise SpecError("\n".join(map(str, refused)))
+
+
+@spec_app.command(epilog="[bold]wasp schema > specs/wasp.schema.json[/]   ·   [bold]wasp schema --plugins > mine.schema.json[/]")
+@expected_errors
+def schema(
+    plugins: Annotated[bool, typer.Option("--plugins", help="Also the names that installed plugins add.")] = False,
+) -> None:
+    """Print the JSON Schema of a spec, with which editors complete specs and mark mistakes.
+
+    A spec refers to it in its first line: `# yaml-language-server: $schema=wasp.schema.json`.
+    """
+    from wasp_cli.spec.schema import spec_schema
+
+    print_json(spec_schema(plugins=plugins))

@@ -1,0 +1,152 @@
+"""The JSON Schema of a spec: current, true to the shipped specs, and against the mistakes that an editor should mark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.commands import run_here
+from wasp_cli.methods.registry import METHODS, MethodInfo
+from wasp_cli.spec.extend import chain_of
+from wasp_cli.spec.model import spec_type
+from wasp_cli.spec.plain import plain
+from wasp_cli.spec.read import parse, read
+from wasp_cli.spec.schema import FOREIGN, spec_schema
+from wasp_cli.tasks.registry import is_foreign
+
+SPECS = Path(__file__).parents[2] / "specs"
+FILE = SPECS / "wasp.schema.json"
+MODELINE = f"# yaml-language-server: $schema={FILE.name}"
+
+GOOD = """\
+name: good
+preset: smoke
+tasks: [goal1, my_pkg:MyEnv-v0]
+methods: [human, wasp]
+operators:
+  noisy: {mild: 0.2}
+seeds: [0]
+"""
+
+
+@pytest.fixture(scope="module")
+def validator() -> jsonschema.Draft202012Validator:
+    schema = spec_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+def document(text: str) -> dict[str, Any]:
+    values, problems = plain(parse(text, "x.yaml"))
+    assert not problems
+    return values
+
+
+def test_the_committed_file_is_current() -> None:
+    done = run_here("schema", columns=80)
+    assert done.exit_code == 0
+    assert FILE.read_text(encoding="utf-8") == done.stdout, "wasp schema > specs/wasp.schema.json"
+
+
+@pytest.mark.parametrize("path", sorted(SPECS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsonschema.Draft202012Validator) -> None:
+    validator.validate(plain(read(path))[0])
+    assert path.read_text(encoding="utf-8").startswith(MODELINE + "\n")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GOOD,
+        GOOD.replace("tasks: [goal1, my_pkg:MyEnv-v0]", "task: goal1"),
+        "extends: base.yaml\nname: over\n",
+        "extends: base.yaml\nname: over\ntask: CartPole-v1\nwasp: {candidates: 8}\n",
+        GOOD + "episodes: 1e1\nfilter: {tau_c: calibrated}\nwasp: {tau_r: 0.3}\ntraining_seed: null\n",
+        GOOD + "residual: {operators: {laggy: [0.5]}}\nevaluate: {success_goals: null}\n",
+        GOOD + "critics: &c {updates: 3}\npolicies: {<<: *c}\n",
+    ],
+)
+def test_what_specs_may_write_validates(text: str, validator: jsonschema.Draft202012Validator) -> None:
+    validator.validate(document(text))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("name: good\n", ""),
+        ("name: good", "name: ../good"),
+        ("seeds: [0]\n", ""),
+        ("seeds: [0]", "seeds: 0"),
+        ("seeds: [0]", "seeds: [-1]"),
+        ("seeds: [0]", "seeds: []"),
+        ("seeds: [0]", "seeds: [0, 0]"),
+        ("seeds: [0]", "seeds: [0]\nepisode: 3"),
+        ("seeds: [0]", "seeds: [0]\ntask: goal1"),
+        ("seeds: [0]", "seeds: [0]\nextends: base.json"),
+        ("seeds: [0]", "seeds: [0]\nwasp: {candidats: 8}"),
+        ("seeds: [0]", "seeds: [0]\nwasp: {candidates: '8'}"),
+        ("seeds: [0]", "seeds: [0]\nwasp: {candidates: 1}"),
+        ("seeds: [0]", "seeds: [0]\nwasp: {composition: held}"),
+        ("seeds: [0]", "seeds: [0]\nwasp: {variant: full}"),
+        ("seeds: [0]", "seeds: [0]\nevaluate: {episodes: 3}"),
+        ("seeds: [0]", "seeds: [0]\nresidual: {operators: {nosiy: [0.5]}}"),
+        ("seeds: [0]", "seeds: [0]\nstages: [worldmodel]"),
+        ("seeds: [0]", "seeds: [0]\nvariants: [no-case]"),
+        ("tasks: [goal1, my_pkg:MyEnv-v0]\n", ""),
+        ("goal1,", "gaol1,"),
+        ("human,", "humna,"),
+        ("noisy", "nosiy"),
+        ("mild: 0.2", "'very mild': 0.2"),
+        ("{mild: 0.2}", "0.2"),
+        ("preset: smoke", "preset: smok"),
+    ],
+)
+def test_typical_mistakes_do_not_validate(old: str, new: str, validator: jsonschema.Draft202012Validator) -> None:
+    assert old in GOOD
+    assert not validator.is_valid(document(GOOD.replace(old, new)))
+
+
+@given(
+    st.text("aZ_-./:v10 é\n", max_size=12)
+    | st.text(max_size=12)
+    | st.sampled_from(["wasp/", "wasp_cli.tasks.gym:wasp/", "m:wasp/"]).map("{}X-v0".format)
+)
+def test_a_gymnasium_id_is_what_the_registry_takes_for_one(name: str) -> None:
+    assert jsonschema.Draft202012Validator({"pattern": FOREIGN}).is_valid(name) == is_foreign(name)
+
+
+def test_fields_say_what_they_mean_and_no_default_that_presets_change() -> None:
+    schema = spec_schema()
+    wasp = schema["$defs"]["WASPConfig"]["properties"]
+    assert wasp["tau_r_quantile"] == {
+        "default": 0.95, "description": "which quantile", "exclusiveMaximum": 1.0, "exclusiveMinimum": 0.0, "type": "number"
+    }  # fmt: skip
+    assert wasp["candidates"] == {"description": "N, section 5.1", "minimum": 2, "type": "integer"}
+    assert set(schema["properties"]) == {*spec_type().model_fields, "extends", "task"}
+
+
+def test_names_of_plugins_are_only_there_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    committed = spec_schema()
+    plugin = MethodInfo("mine", "Mine", "mine:Mine", "wasp_cli.methods.configs:IDAConfig", variants=("full", "half"))
+    monkeypatch.setattr(METHODS, "_all", {**METHODS, "mine": plugin})
+    spec_type.cache_clear()
+    try:
+        assert spec_schema() == committed
+        own = spec_schema(plugins=True)["properties"]
+    finally:
+        spec_type.cache_clear()
+    assert "mine" in own
+    assert "mine" in own["methods"]["items"]["enum"]
+    assert "half" in own["variants"]["items"]["enum"]
+
+
+def test_a_chain_is_validated_file_by_file(tmp_path: Path, validator: jsonschema.Draft202012Validator) -> None:
+    (tmp_path / "base.yaml").write_text(GOOD, encoding="utf-8")
+    (tmp_path / "over.yaml").write_text("extends: base.yaml\nname: over\n", encoding="utf-8")
+    for source in chain_of(read(tmp_path / "over.yaml")).sources:
+        validator.validate(plain(source)[0])

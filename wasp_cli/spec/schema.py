@@ -1,0 +1,144 @@
+"""The JSON Schema of a spec, for editors: they complete keys and names, show what they mean, and mark what is wrong.
+
+Built-in names alone unless plugins are asked for, so that the file in `specs/` is the same on every machine. A schema cannot say all that
+the models check (limits of severities, what depends on several keys): `wasp check` has the last word.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pydantic.json_schema import GenerateJsonSchema
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.registry import Registry
+from wasp_cli.spec.extend import SUFFIX
+from wasp_cli.spec.model import MIXING, method_sections, spec_type
+from wasp_cli.spec.names import assistant_variants, training_stages
+from wasp_cli.spec.presets import PRESETS
+from wasp_cli.spec.settings import EXTENDS, SHORT
+from wasp_cli.spec.wording import not_set_in_sections
+from wasp_cli.tasks.registry import TASKS
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+MARKS = ("in_key", "in_paper")
+"""What the models say to reports, and no validator knows."""
+FOREIGN = r"^(?!(wasp_cli\.tasks\.gym:)?wasp/)(?=.*[:/]|.*-v[0-9]+$)([A-Za-z_][A-Za-z0-9_.]*:)?[A-Za-z0-9_./-]{1,100}$"
+"""`tasks.registry.is_foreign` as a pattern."""
+Schema = dict[str, Any]
+
+
+class _Untitled(GenerateJsonSchema):
+    """Without a title for each field, which would repeat its name."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
+def spec_schema(*, plugins: bool = False) -> Schema:
+    """The schema of a spec file.
+
+    Args:
+        plugins: also the tasks, methods and operators of installed plugins.
+    """
+    schema = spec_type().model_json_schema(schema_generator=_Untitled)
+    definitions, top = schema["$defs"], schema["properties"]
+    for model in definitions.values():
+        _cleaned(model["properties"])
+    _cleaned(top)
+    for name in set(method_sections()) - set(_names(METHODS, plugins)):
+        del top[name]
+    for section, (field, _) in not_set_in_sections().items():
+        if section in top:
+            _section(top[section], definitions)["properties"].pop(field, None)
+    for preset in PRESETS.values():
+        _without_defaults(top, preset, definitions)
+    _name_things(top, definitions, plugins)
+    extends = {"type": "string", "pattern": f"{re.escape(SUFFIX)}$", "description": "another spec that lies under this one"}
+    return {
+        "$schema": DIALECT,
+        "title": "wasp spec",
+        "description": "What to run: tasks, assistants, impaired operators, seeds, and every size and budget.",
+        "type": "object",
+        "properties": {EXTENDS: extends, "name": top.pop("name"), "preset": top.pop("preset"), SHORT: _task(plugins), **top},
+        "additionalProperties": False,
+        "required": ["name"],
+        # A base may say what is missing here.
+        "if": {"not": {"required": [EXTENDS]}},
+        "then": {"required": ["methods", "seeds"], "anyOf": [{"required": [SHORT]}, {"required": ["tasks"]}]},
+        "not": {"required": [SHORT, "tasks"]},
+        "$defs": _used(definitions, top),
+    }
+
+
+def _name_things(top: Schema, definitions: Schema, plugins: bool) -> None:
+    """The names that the registries know, where a spec writes them."""
+    methods, operators = _names(METHODS, plugins), _names(OPERATORS, plugins)
+    variants = assistant_variants() if plugins else list(dict.fromkeys(name for key in methods for name in METHODS[key].variants))
+    top["tasks"]["items"] = _task(plugins)
+    for name, known in (("methods", methods), ("stages", training_stages()), ("variants", variants)):
+        top[name]["items"] = {"enum": known}
+    for name in ("tasks", "methods", "stages", "variants", "seeds"):
+        top[name]["uniqueItems"] = True
+    top["operators"]["propertyNames"] = {"enum": operators}
+    top["operators"]["additionalProperties"]["additionalProperties"] = False  # names of severities have a pattern
+    for section in MIXING:
+        _section(top[section], definitions)["properties"]["operators"]["propertyNames"] = {"enum": operators}
+
+
+def _task(plugins: bool) -> Schema:
+    """A registered task, or any gymnasium id."""
+    known = {"enum": _names(TASKS, plugins)}
+    foreign = {"type": "string", "pattern": FOREIGN, "examples": ["my_pkg:MyEnv-v0"]}
+    return {"description": "a task (`wasp tasks`), or a gymnasium id", "anyOf": [known, foreign]}
+
+
+def _names(registry: Registry[Any], plugins: bool) -> list[str]:
+    return list(registry if plugins else registry._own)  # every key covers the registry's module: a property there would move them all
+
+
+def _section(reference: Schema, definitions: Schema) -> Schema:
+    """The definition that a section refers to."""
+    found: Schema = definitions[reference["$ref"].rpartition("/")[2]]
+    return found
+
+
+def _cleaned(properties: Schema) -> None:
+    for field in properties.values():
+        for mark in MARKS:
+            field.pop(mark, None)
+        if field.get("type") == "array" and "minLength" in field:  # pydantic's word for a length behind a validator
+            field["minItems"] = field.pop("minLength")
+
+
+def _without_defaults(properties: Schema, preset: Mapping[str, Any], definitions: Schema) -> None:
+    """What presets change has no one default; nor has a section, whose fields say theirs."""
+    for name, value in preset.items():
+        properties[name].pop("default", None)
+        if isinstance(value, Mapping) and "$ref" in properties[name]:
+            _without_defaults(_section(properties[name], definitions)["properties"], value, definitions)
+
+
+def _used(definitions: Schema, *within: Any) -> Schema:
+    """The definitions that something refers to, also through others."""
+    found: set[str] = set()
+    waiting = list(within)
+    while waiting:
+        names = set(_references(waiting.pop())) - found
+        found |= names
+        waiting += [definitions[name] for name in names]
+    return {name: definitions[name] for name in sorted(found)}
+
+
+def _references(node: Any) -> Iterable[str]:
+    if isinstance(node, Mapping):
+        if "$ref" in node:
+            yield node["$ref"].rpartition("/")[2]
+        for value in node.values():
+            yield from _references(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from _references(value)
