@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli import __version__
+from wasp_cli import __version__, complete
 from wasp_cli.app_bench import bench_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
@@ -161,13 +161,26 @@ def report(
 @app.command(epilog="[bold]wasp ablate --variant no-case2 --task goal1 --preset smoke[/]")
 @expected_errors
 def ablate(
-    variant: Annotated[str, typer.Option("--variant", metavar="NAME", help="The ablation, for example no-case2.", show_default=False)],
+    variant: Annotated[
+        str,
+        typer.Option(
+            "--variant", metavar="NAME", help="The ablation, for example no-case2.", show_default=False, autocompletion=complete.variants
+        ),
+    ],
     task: Annotated[
-        str | None, typer.Option("--task", "-t", metavar="TASK", help="On this task. (default: the spec's)", show_default=False)
+        str | None,
+        typer.Option(
+            "--task", "-t", metavar="TASK", help="On this task. (default: the spec's)", show_default=False, autocompletion=complete.tasks
+        ),
     ] = None,
-    spec: Annotated[Path, typer.Option("--spec", metavar="SPEC", help="For operators, seeds and budgets.")] = Path("specs/table2.yaml"),
+    spec: Annotated[
+        Path, typer.Option("--spec", metavar="SPEC", help="For operators, seeds and budgets.", autocompletion=complete.specs)
+    ] = Path("specs/table2.yaml"),
     preset: Annotated[
-        str | None, typer.Option("--preset", metavar="NAME", help="Other sizes and budgets than the spec's.", show_default=False)
+        str | None,
+        typer.Option(
+            "--preset", metavar="NAME", help="Other sizes and budgets than the spec's.", show_default=False, autocompletion=complete.presets
+        ),
     ] = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
@@ -233,7 +246,12 @@ def tasks(
 )
 @expected_errors
 def show_task(
-    task: Annotated[str, typer.Argument(metavar="ID", help="A task (goal1), or a gymnasium id (my_pkg:MyEnv-v0).", show_default=False)],
+    task: Annotated[
+        str,
+        typer.Argument(
+            metavar="ID", help="A task (goal1), or a gymnasium id (my_pkg:MyEnv-v0).", show_default=False, autocompletion=complete.tasks
+        ),
+    ],
     seed: Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, metavar="N", help="Names the layout.")] = 0,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="PNG", help="The picture. (default: <task>_seed<N>.png)", show_default=False)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from wasp_cli import complete
 from wasp_cli.options import ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, print_json
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its speed, and its ceiling with a perfect model.")
@@ -20,7 +21,10 @@ bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its spe
 @expected_errors
 def planner(
     spec: Annotated[
-        Path | None, typer.Argument(metavar="[SPEC]", help="Whose sizes. (default: those of the preset cpu)", show_default=False)
+        Path | None,
+        typer.Argument(
+            metavar="[SPEC]", help="Whose sizes. (default: those of the preset cpu)", show_default=False, autocompletion=complete.specs
+        ),
     ] = None,
     threads: Annotated[
         int | None, typer.Option("--threads", min=1, metavar="N", help="Threads. (default: all cores)", show_default=False)
@@ -69,7 +73,10 @@ def ceiling(
     task: TaskOption = None,
     episodes: Annotated[int, typer.Option("--episodes", min=1, metavar="N", help="Episodes of each.")] = 8,
     variant: Annotated[
-        list[str] | None, typer.Option("--variant", metavar="NAME", help="Of WASP. Repeatable. (default: full)", show_default=False)
+        list[str] | None,
+        typer.Option(
+            "--variant", metavar="NAME", help="Of WASP. Repeatable. (default: full)", show_default=False, autocompletion=complete.variants
+        ),
     ] = None,
     tau_r: Annotated[
         float, typer.Option("--tau-r", min=0.0, metavar="GAIN", help="Threshold of the task gate; nothing is calibrated.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from wasp_cli import complete
 from wasp_cli.options import SetOption, expected_errors, print_json
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ spec_app = typer.Typer()
 )
 @expected_errors
 def check(
-    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False)],
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False, autocompletion=complete.specs)],
     set_: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Every file with its problems, for machines.")] = False,
 ) -> None:

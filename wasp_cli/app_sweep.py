@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from wasp_cli import complete
 from wasp_cli.options import (
     BackendOption,
     JobsOption,
@@ -36,7 +37,13 @@ def sweep(
     spec: SpecArgument,
     vary: Annotated[
         list[str],
-        typer.Option("--vary", metavar="KEY=V1,V2,...", help="The setting and its values, each written as for --set.", show_default=False),
+        typer.Option(
+            "--vary",
+            metavar="KEY=V1,V2,...",
+            help="The setting and its values, each written as for --set.",
+            show_default=False,
+            autocompletion=complete.settings,
+        ),
     ],
     task: TaskOption = None,
     method: Annotated[
@@ -47,6 +54,7 @@ def sweep(
             metavar="NAME",
             help="Only this method of the spec. Repeatable. (default: the method of the setting and human, or all)",
             show_default=False,
+            autocompletion=complete.methods,
         ),
     ] = None,
     jobs: JobsOption = None,

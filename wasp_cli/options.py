@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 
 import typer
 
+from wasp_cli import complete
+
 if TYPE_CHECKING:
     from wasp_cli.report.frame import Missing
     from wasp_cli.run.session import Way
@@ -23,7 +25,12 @@ R = TypeVar("R")
 INTERRUPTED = 130
 PIPE_CLOSED = 141
 
-SpecArgument = Annotated[Path, typer.Argument(metavar="SPEC", help="A YAML file, for example specs/quickstart.yaml.", show_default=False)]
+SpecArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SPEC", help="A YAML file, for example specs/quickstart.yaml.", show_default=False, autocompletion=complete.specs
+    ),
+]
 
 
 def folder_of(value: str | Path) -> Path:
@@ -39,7 +46,10 @@ NodeArgument = Annotated[
     str,
     typer.Argument(metavar="CELL", help="The beginning of a key, or a label ('goal1 s0 wasp laggy=0.7').", show_default=False),
 ]
-TaskOption = Annotated[str | None, typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False)]
+TaskOption = Annotated[
+    str | None,
+    typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False, autocompletion=complete.tasks),
+]
 JobsOption = Annotated[
     int | None,
     typer.Option(
@@ -89,6 +99,7 @@ SetOption = Annotated[
         metavar="KEY=VALUE",
         help="Change a value of the spec, as if it stood in the file. Repeatable.",
         show_default=False,
+        autocompletion=complete.settings,
     ),
 ]
 SelectOption = Annotated[

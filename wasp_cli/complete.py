@@ -1,0 +1,75 @@
+"""What a shell offers behind TAB; Typer keeps what begins as typed.
+
+Everything is imported inside, since the functions are also there when a command runs. Names in registries cost no import of torch or
+MuJoCo, and the settings of a spec that of its models. A plugin that does not load offers nothing: a traceback helps nobody there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+SPECS = "specs/"
+
+
+def specs(incomplete: str) -> list[str]:
+    """The YAML files of the typed folder, and without one also those of `specs/`."""
+    typed = incomplete[: incomplete.rfind("/") + 1]
+    folders = [typed] if typed else ["", SPECS]
+    return [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
+
+
+def _yaml_files(folder: Path) -> list[str]:
+    try:
+        return sorted(path.name for path in folder.glob("*.yaml"))
+    except OSError:  # no such folder, or none that may be read
+        return []
+
+
+def tasks() -> list[str]:
+    """The registered tasks."""
+    from wasp_cli.tasks.registry import TASKS
+
+    return _names(TASKS)
+
+
+def methods() -> list[str]:
+    """The methods."""
+    from wasp_cli.methods.registry import METHODS
+
+    return _names(METHODS)
+
+
+def variants() -> list[str]:
+    """The ablations of all methods."""
+    from wasp_cli.methods.registry import METHODS
+
+    return list(dict.fromkeys(variant for name in _names(METHODS) for variant in METHODS[name].variants))
+
+
+def presets() -> list[str]:
+    """The presets, smallest first."""
+    from wasp_cli.spec.presets import PRESETS
+
+    return list(PRESETS)
+
+
+def settings() -> list[str]:
+    """What `--set` and `--vary` take, up to the value."""
+    from wasp_cli.errors import WaspError
+    from wasp_cli.spec.settings import settings
+
+    try:
+        return [f"{name}=" for name in settings()]
+    except WaspError:
+        return []
+
+
+def _names(registry: Iterable[str]) -> list[str]:
+    """The names in a registry; none where a plugin does not load."""
+    from wasp_cli.errors import WaspError
+
+    try:
+        return list(registry)
+    except WaspError:
+        return []
