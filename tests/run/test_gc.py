@@ -247,7 +247,7 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
         remove_unreached(layout, set(), shown, runs=False, before=None)
         assert keys_of(small_spec, results) & keys_of(spec, results) <= artifacts(results)
     finally:
-        os.killpg(process.pid, signal.SIGTERM)
+        os.killpg(process.pid, signal.SIGKILL)
         process.communicate(timeout=30)
 
 

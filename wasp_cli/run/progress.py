@@ -105,7 +105,7 @@ class Live(Lines):
     def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> None:
         from rich.live import Live as RichLive
 
-        from wasp_cli.run.planned import planned_run
+        from wasp_cli.plan.recorded import planned_run
 
         super().__init__(layout, run_id, total, names)
         self._run = planned_run(layout, run_id)
