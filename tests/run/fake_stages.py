@@ -1,7 +1,7 @@
 """Stages of every kind that compute nothing: each hashes what it reads, writes down that it ran, and misbehaves on request.
 
 WASP_FAKE is JSON: {"log": file, "seconds": s, "free": n (what runs after the first n waits to be interrupted),
-"behave": {part of a node's name: "raise", "refuse", "kill", "kill once" or "exit"}}.
+"behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit", "sleep", "hang" (in native code) or "eat"}}.
 """
 
 from __future__ import annotations
@@ -54,6 +54,18 @@ class Fake:
 
 
 def misbehave(behaviour: str, once: Path) -> None:
+    if behaviour == "sleep":
+        time.sleep(60)
+    if behaviour == "hang":
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 100_000_000)  # one call, about a minute: no signal handler of Python's runs meanwhile
+    if behaviour == "eat":
+        eaten = []
+        for _ in range(600):
+            eaten.append(b"x" * 2_000_000)
+            time.sleep(0.005)
+    if behaviour == "raise once" and not once.exists():
+        once.touch()
+        raise OSError("no luck this time")
     if behaviour == "raise":
         raise ZeroDivisionError("one\nby zero")
     if behaviour == "refuse":

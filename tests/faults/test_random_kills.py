@@ -1,0 +1,152 @@
+"""kill -9 at random instants, of a worker, of the parent, or of everything: nothing finished is lost, nothing half is seen."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import ROOT, Fakes, data_of, group_is_gone, run, start, wait_until
+from wasp_cli.store.artifact import file_digest
+from wasp_cli.store.tables import same_rows
+
+VICTIMS = ("a worker", "the parent", "everything")
+
+
+def artifacts(results: Path) -> dict[str, Path]:
+    return {path.name: path for path in results.glob("store/*/*") if (path / "manifest.json").exists()}
+
+
+def require_whole(results: Path) -> None:
+    """Every artifact that is visible has each file that its manifest lists, byte for byte."""
+    for place in results.glob("store/*/*"):
+        files = json.loads((place / "manifest.json").read_text(encoding="utf-8"))["files"]
+        there = {path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file()} - {"manifest.json"}
+        assert there == files.keys()
+        for name, known in files.items():
+            assert file_digest(place / name) == known["sha256"]
+
+
+def workers_of(parent: int) -> list[int]:
+    """Child processes that compute nodes: loky's, without its resource tracker."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, IndexError):
+            fields = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+            command = (folder / "cmdline").read_bytes()
+            if int(fields[1]) == parent and b"resource_tracker" not in command and b"loky" in command:
+                found.append(int(folder.name))
+    return found
+
+
+def kill(victim: str, process: subprocess.Popen[str], chance: random.Random) -> bool:
+    """Kill; whether the run itself is dead then."""
+    with suppress(ProcessLookupError):
+        if victim == "a worker":
+            if workers := workers_of(process.pid):
+                os.kill(chance.choice(workers), signal.SIGKILL)
+            return False
+        (os.killpg if victim == "everything" else os.kill)(process.pid, signal.SIGKILL)
+    return True
+
+
+def storm(command: list[str | Path], results: Path, kills: int, longest: float, chance: random.Random) -> tuple[dict[str, int], int]:
+    """Start a run again and again and kill it, until it was killed so often; how often each victim died, and how many runs there were."""
+    counts, runs = dict.fromkeys(VICTIMS, 0), 0
+    kept: dict[str, int] = {}
+    while sum(counts.values()) < kills:
+        process = start_real(command) if "--real" in command else start(*command)
+        runs += 1
+        dead = False
+        while not dead and process.poll() is None and sum(counts.values()) < kills:
+            time.sleep(chance.uniform(0.02, longest))
+            if process.poll() is None:
+                victim = VICTIMS[sum(counts.values()) % len(VICTIMS)]
+                dead = kill(victim, process, chance)
+                counts[victim] += 1
+        process.kill()
+        process.communicate(timeout=60)
+        wait_until(lambda: group_is_gone(process.pid))  # noqa: B023  (called at once)
+        require_whole(results)
+        now = {key: path.stat().st_mtime_ns for key, path in artifacts(results).items()}
+        assert kept.items() <= now.items(), "a finished artifact went, or was computed again"
+        kept = now
+    return counts, runs
+
+
+def start_real(command: list[str | Path]) -> subprocess.Popen[str]:
+    """`wasp` as people run it, in a session of its own."""
+    arguments = [str(part) for part in command if part != "--real"]
+    command_line = [sys.executable, "-m", "wasp_cli", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    # Its workers write to the same pipe, and one that is killed may leave it open: nobody waits for its end.
+    return subprocess.Popen(
+        command_line, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True, start_new_session=True
+    )
+
+
+def fake_storm(kills: int, seed: int, fakes: Fakes, spec: Path, tmp_path: Path) -> None:
+    results, chance = tmp_path / "results", random.Random(seed)
+    fakes.set(seconds=0.15)
+    counts, runs = storm(["run", spec, "--results", results, "-j", "2"], results, kills, 1.2, chance)
+    assert sum(counts.values()) == kills
+    assert runs > 1
+    before = artifacts(results).keys()
+    fakes.set()
+    summary = run(spec, results)
+    assert summary.complete
+    assert summary.done == len(artifacts(results)) - len(before)
+    assert not list(results.glob("tmp/*")) or summary.done == 0
+    run(spec, tmp_path / "calm")
+    assert data_of(results) == data_of(tmp_path / "calm")
+
+
+def test_kills_at_random_instants(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fake_storm(9, 1, fakes, small_spec, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_fifty_kills_over_fake_stages(seed: int, fakes: Fakes, tmp_path: Path) -> None:
+    from tests.run.harness import SMALL
+
+    spec = tmp_path / "small.yaml"
+    spec.write_text(SMALL.replace("tasks: [goal1]", "tasks: [goal1, race1, formula1]"), encoding="utf-8")
+    fake_storm(50, 100 + seed, fakes, spec, tmp_path)
+
+
+TIMED = {"bench.json"}
+"""Files of artifacts that say how long something took."""
+
+
+def payload(results: Path) -> dict[str, str]:
+    """Digest of every file of a store whose bytes are a function of its key."""
+    return {
+        path.relative_to(results / "store").as_posix(): file_digest(path)
+        for path in sorted((results / "store").rglob("*"))
+        if path.is_file() and path.name not in {"manifest.json", "cell.parquet", *TIMED}
+    }
+
+
+@pytest.mark.slow
+def test_fifty_kills_over_the_smoke_grid(tmp_path: Path) -> None:
+    """The real stages: the resumed store has the bytes of an undisturbed run, timing and provenance aside."""
+    spec, calm, stormy = ROOT / "specs" / "smoke.yaml", tmp_path / "calm", tmp_path / "stormy"
+    arguments: list[str | Path] = ["run", spec, "-j", "2", "--real", "--results"]
+    assert start_real([*arguments, calm]).wait(timeout=900) == 0
+    counts, runs = storm([*arguments, stormy], stormy, 50, 8.0, random.Random(7))
+    print(f"\nkilled {counts} in {runs} runs; {len(artifacts(stormy))} of {len(artifacts(calm))} artifacts were there then")
+    assert start_real([*arguments, stormy]).wait(timeout=900) == 0
+    assert payload(stormy) == payload(calm)
+    cells = sorted((calm / "store" / "evaluate").glob("*/cell.parquet"))
+    assert cells
+    assert all(same_rows(cell, stormy / cell.relative_to(calm)) for cell in cells)
+    assert not list(stormy.glob("tmp/*"))

@@ -1,0 +1,153 @@
+"""Nodes that take too long, sleep for ever, hang in native code, or eat memory until they are killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
+from wasp_cli.errors import TimeLimitExceeded
+from wasp_cli.run.limit import limited, was_ended
+from wasp_cli.run.pool import InlinePool, LokyPool, Pool
+from wasp_cli.run.pulse import memory_mb
+from wasp_cli.run.record import new_run
+from wasp_cli.run.runner import KILLED, Runner, Summary
+from wasp_cli.store.artifact import read_record
+
+NODE = "goal1 s0 evaluate human {} noisy"
+LABEL = "goal1 s0 human noisy=0.2"
+
+
+def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retries: int = 0) -> Summary:
+    loaded, layout, plan = prepared(spec, results)
+    try:
+        return Runner(layout, new_run(layout, loaded, plan), pool, limit=limit, retries=retries).run(plan)
+    finally:
+        pool.close(kill=True)
+
+
+@pytest.mark.parametrize("pool", [InlinePool, lambda: LokyPool(1), lambda: LokyPool(2)], ids=["inline", "one worker", "two workers"])
+def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(
+    pool: type[InlinePool], fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    fakes.set(behave={NODE: "sleep"})
+    summary = limited_run(small_spec, tmp_path / "results", pool(), limit=1.0)
+    (failure,) = summary.failed
+    assert failure.node.label == LABEL
+    assert failure.outcome.message == "it took longer than the limit of 1.0 s"
+    assert failure.outcome.seconds < 10
+    assert not summary.blocked
+    fakes.set()
+    assert run(small_spec, tmp_path / "results").complete
+    run(small_spec, tmp_path / "calm")
+    assert data_of(tmp_path / "results") == data_of(tmp_path / "calm")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(
+    jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    fakes.set(behave={NODE: "hang"})
+    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=1.0)
+    (failure,) = summary.failed
+    assert failure.node.label == LABEL
+    assert failure.outcome.message == "it did not react to its time limit, so its process was ended"
+    assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
+    assert not list((tmp_path / "results").glob("runs/*/running/*"))
+    fakes.set()
+    assert run(small_spec, tmp_path / "results").complete
+
+
+def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(behave={NODE: "eat"})
+    process = start("run", small_spec, "--results", results, "-j", "2")
+    killed = 0
+
+    def killer() -> None:
+        """The kernel, when memory runs out."""
+        nonlocal killed
+        while process.poll() is None:
+            for path in results.glob("runs/*/running/*.json"):
+                record = read_record(path) or {}
+                if record.get("label") == LABEL and float(record.get("memory_mb", 0)) > 300:
+                    os.kill(int(record["pid"]), signal.SIGKILL)
+                    killed += 1
+                    time.sleep(0.5)
+            time.sleep(0.02)
+
+    thread = threading.Thread(target=killer)
+    thread.start()
+    _, errors = process.communicate(timeout=60)
+    thread.join()
+    assert process.returncode == 1
+    assert killed == 2
+    assert f"{LABEL}: {KILLED}; it last held " in errors
+    held = float(errors.partition(f"{KILLED}; it last held ")[2].split()[0])
+    assert 300 < held < 3000
+    fakes.set()
+    again = run(small_spec, results)
+    assert (again.done, again.complete) == (1, True)
+
+
+def test_what_fails_by_chance_is_tried_again_and_what_is_refused_is_not(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={NODE: "raise once", "goal1 s0 ida_q": "refuse"})
+    summary = limited_run(small_spec, tmp_path / "results", InlinePool(), limit=None, retries=2)
+    assert [failure.node.label for failure in summary.failed] == ["goal1 s0 ida_q"]
+    assert sum(NODE in line for line in fakes.executions()) == 2
+    assert sum("s0 ida_q" in line for line in fakes.executions()) == 1
+
+
+def test_attempts_end(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={NODE: "raise"})
+    summary = limited_run(small_spec, tmp_path / "results", LokyPool(2), limit=None, retries=2)
+    assert [failure.node.label for failure in summary.failed] == [LABEL]
+    assert sum(NODE in line for line in fakes.executions()) == 3
+
+
+def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path: Path) -> None:
+    """As in a dask worker, where no signal arrives."""
+    caught: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            with limited(0.2, tmp_path / "marker", own_process=False):
+                while True:
+                    time.sleep(0.01)
+        except TimeLimitExceeded as error:
+            caught.append(error)
+        for _ in range(50):  # a late alarm would end this
+            time.sleep(0.002)
+        caught.append(StopIteration())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join(20)
+    assert [type(error) for error in caught] == [TimeLimitExceeded, StopIteration]
+    assert not was_ended(tmp_path / "marker")
+
+
+def test_what_is_in_time_leaves_no_alarm_behind(tmp_path: Path) -> None:
+    with limited(0.05, tmp_path / "marker", own_process=False):
+        pass
+    time.sleep(0.1)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    assert memory_mb() > 1
+
+
+def test_the_time_is_typed_as_people_write_it(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={NODE: "sleep"})
+    process = start("run", small_spec, "--results", tmp_path / "results", "-j", "2", "--timeout", "1s")
+    wait_until(lambda: process.poll() is not None)
+    _, errors = process.communicate()
+    assert process.returncode == 1
+    assert f"{LABEL}: it took longer than the limit of 1.0 s\n      give more with --timeout" in errors
+    refused = start("run", small_spec, "--timeout", "soon")
+    _, errors = refused.communicate(timeout=30)
+    assert refused.returncode == 2
+    assert "'soon' is no time" in errors
