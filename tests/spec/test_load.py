@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -218,7 +219,7 @@ def test_an_alias_is_shown_at_its_anchor_and_names_who_uses_it() -> None:
         ("b: [x, 2020-13-45]\n", (1, 8), "not valid YAML: '2020-13-45' is no date"),
         ("a: 1\nb: &b\n  c: {<<: *b}\n", (3, 7), "not valid YAML: a merge (<<) brings a mapping into itself"),
         ("a: &a [0x_, *a]\n", (1, 8), "not valid YAML: '0x_' is no integer"),
-        ("a: !!omap 3\n", (1, 4), "not valid YAML: '3' is no value of its tag"),
+        ("a: !!omap 3\n", (1, 4), "not valid YAML: '3' is no ordered mapping"),
         ("name: x\rseeds: [\x01]", (2, 9), "not a text file: special characters are not allowed"),
         ("[" * 600, (1, 1), "nested too deeply"),
     ],
@@ -236,7 +237,16 @@ def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text: str, place: tu
         ("!thing x", "a value with a tag is no value of a spec"),
         ("!!binary aGk=", "binary data is no value of a spec"),
         ("!!set {a}", "a set is no value of a spec"),
-        ("{[a]: b}", "a key should be a plain word"),
+        ("{[a]: b}", "a key should be a plain word, not a list"),
+        ("{? {a: 1} : b}", "a key should be a plain word, not a mapping"),
+        ("{~: b}", "a key should be a plain word, not None"),
+        ("{.nan: b}", "a key should be a plain word, not so large a number"),
+        ("{? 0x" + "f" * 5000 + " : b}", "a key should be a plain word, not so large a number"),
+        ("{1: a, '1': b}", "duplicate key '1'"),
+        ("0x" + "f" * 5000, "is too large a number"),
+        ('"\\ud800"', "holds half a character"),
+        ('{"\\udfff": a}', "a key should be a plain word, not half a character"),
+        ("[" * 40 + "]" * 40, "nested too deeply"),
     ],
 )
 def test_values_without_a_plain_form_are_refused(value: str, message: str) -> None:
@@ -299,6 +309,24 @@ def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
             load(path)
         assert caught.value.problems[0].position is not None
     assert at(caught.value.problems[0]) == (2, 5)
+
+
+@pytest.mark.filterwarnings("error")  # of generators that ruamel leaves half done: Python would print them behind the message
+def test_a_value_that_cannot_be_built_is_found_among_unknown_tags() -> None:
+    problem = only("a: !!x 3\nb: !y {c: !z [1]}\n<<: {d: 1}\nc: 2020-13-45\n")
+    gc.collect()
+    assert (at(problem), problem.message) == ((4, 4), "not valid YAML: '2020-13-45' is no date")
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_anchor_may_be_used_twice() -> None:
+    text = GOOD + "critics: &a {updates: 3}\nida_q: &a {updates: 4}\ndenoiser: {<<: *a}\n"
+    assert read(text).spec.stage("denoiser").model_dump()["updates"] == 4
+
+
+def test_lines_end_where_editors_end_them() -> None:
+    _, problem = problems(GOOD.replace("good", "'a\u2028b\x85c'").replace("[goal1]", "[goal7]"))
+    assert (at(problem), problem.line) == ((3, 9), "tasks: [goal7]")
 
 
 def test_windows_files_are_read_too(tmp_path: Path) -> None:

@@ -2,57 +2,102 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from pathlib import Path
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+import pytest
+from hypothesis import HealthCheck, given, settings
 
-from wasp_cli.spec.extend import chain_of
-from wasp_cli.spec.load import loaded
-from wasp_cli.spec.model import Spec
-from wasp_cli.spec.problem import InvalidSpec
-from wasp_cli.spec.read import parse
+from tests.commands import run_here
+from tests.spec.mutations import anything, lay_out_bases
+from wasp_cli.plan.grid import cells_of
+from wasp_cli.spec.load import load
+from wasp_cli.spec.problem import InvalidSpec, Problem
+from wasp_cli.spec.read import lines_of
 
-SPECS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[2] / "specs").glob("*.yaml"))]
-SNIPPETS = [
-    "{", "}", "[", "]", ":", ": ", "- ", "#", "&a ", "*a", "<<: *a", "!!x ", "'", '"', "|", ">", "\n", "\n  ", "\t", "~", "null", "true",
-    "1e999", ".nan", "-1", "0.5", "0x1f", "2020-01-01", "goal1", "wasp", "noisy", "? ", "%", "@", "\x00", "é", "\N{BOM}", "---\n", "...",
-]  # fmt: skip
+IN_EACH_COMMAND = 25
+"""One of so many mutated specs is given to the command itself, the others to what it calls."""
 
 
-@st.composite
-def mutated(draw: st.DrawFn) -> str:
-    text = draw(st.sampled_from(SPECS))
-    for _ in range(draw(st.integers(1, 4))):
-        start = draw(st.integers(0, len(text)))
-        end = min(len(text), start + draw(st.integers(0, 12)))
-        text = text[:start] + draw(st.sampled_from(SNIPPETS) | st.text(max_size=4)) + text[end:]
-    return text
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mutated")
+    lay_out_bases(path)
+    return path
 
 
-@st.composite
-def shuffled_lines(draw: st.DrawFn) -> str:
-    lines = draw(st.sampled_from(SPECS)).splitlines()
-    chosen = draw(st.lists(st.sampled_from(lines), max_size=len(lines)))
-    return "\n".join(("  " * draw(st.integers(0, 2))) + line for line in chosen)
-
-
-def read(text: str) -> Spec | InvalidSpec:
+def problems(path: Path) -> tuple[Problem, ...]:
+    """What is wrong with a spec, asked as `wasp check` does."""
     try:
-        return loaded(chain_of(parse(text, "x.yaml"))).spec
+        list(cells_of(load(path).spec))
     except InvalidSpec as error:
-        return error
+        found = error.problems
+    else:
+        return ()
+    assert found
+    return found
 
 
+def require_place(file: str, line: int | None, column: int | None) -> None:
+    assert line is not None
+    assert column is not None
+    path = Path(file)
+    lines = lines_of(path.read_bytes().decode("utf-8-sig", errors="replace") if path.is_file() else "")
+    assert 1 <= line <= len(lines)
+    assert 1 <= column <= len(lines[line - 1]) + 1
+
+
+def require_refusal_or_spec(path: Path) -> None:
+    for problem in problems(path):
+        assert problem.position is not None
+        require_place(problem.source, problem.position.line, problem.position.column)
+        assert str(problem).startswith(f"{path.parent}/")
+
+
+def require_command(path: Path) -> None:
+    """`wasp check` itself, for people and for machines."""
+    shown, told = run_here("check", path, columns=100), run_here("check", path, "--json", columns=100)
+    assert shown.exit_code == told.exit_code
+    assert shown.exit_code in (0, 3), shown.output
+    assert (shown.stderr == "") == (shown.exit_code == 0)
+    assert told.stderr == ""
+    (entry,) = json.loads(told.stdout)
+    assert entry["ok"] == (shown.exit_code == 0) == (not entry["problems"])
+    for problem in entry["problems"]:
+        require_place(problem["file"], problem["line"], problem["column"])
+        assert f"{problem['file']}:{problem['line']}:{problem['column']}: " in shown.stderr
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "spec.yaml"
+    path.write_bytes(text.encode())
+    return path
+
+
+@pytest.mark.filterwarnings("error")  # Python would print them behind the message
 @settings(max_examples=200, deadline=None)
-@given(st.one_of(mutated(), shuffled_lines(), st.text(max_size=60)))
-def test_mutated_specs_are_specs_or_refusals_with_places(text: str) -> None:
-    result = read(text)
-    if isinstance(result, InvalidSpec):
-        assert result.problems
-        lines = text.splitlines() or [""]
-        for problem in result.problems:
-            assert problem.position is not None
-            assert 1 <= problem.position.line <= len(lines) + 1
-            assert problem.position.column >= 1
-            assert str(problem).startswith("x.yaml:")
+@given(text=anything())
+def test_mutated_specs_are_specs_or_refusals_with_places(folder: Path, text: str) -> None:
+    require_refusal_or_spec(written(folder, text))
+
+
+@pytest.mark.filterwarnings("error")
+@settings(max_examples=10, deadline=None)
+@given(text=anything())
+def test_the_command_ends_with_0_or_3(folder: Path, text: str) -> None:
+    require_command(written(folder, text))
+
+
+COUNT = itertools.count()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+@settings(max_examples=10_000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(text=anything())
+def test_ten_thousand_mutated_specs(folder: Path, text: str) -> None:
+    path = written(folder, text)
+    require_refusal_or_spec(path)
+    if next(COUNT) % IN_EACH_COMMAND == 0:
+        require_command(path)

@@ -93,7 +93,7 @@ def _extended(source: Source) -> Path:
     """The file that a source extends; a relative path begins at the folder of the source."""
     value = source.document[EXTENDS]
     if not isinstance(value, str):
-        shown = "nothing" if value is None else str(value) if isinstance(value, int | float) else kind_of(value)
+        shown = "nothing" if value is None else "a number" if isinstance(value, int | float) else kind_of(value)
         raise _refused(source, f"should be the name of one file, not {shown}")
     if not value.endswith(SUFFIX) or not value.isprintable():
         raise _refused(source, f"should be the name of a {SUFFIX} file, not {value!r}")

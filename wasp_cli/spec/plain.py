@@ -12,13 +12,12 @@ from ruamel.yaml.comments import CommentedMap, CommentedOrderedMap, CommentedSeq
 
 from wasp_cli.spec.problem import InvalidSpec, Problem
 from wasp_cli.spec.read import Source, kind_of
-from wasp_cli.spec.where import START, Loc, key_position
+from wasp_cli.spec.where import LARGEST, START, Loc, key_position
 
 MAX_VALUES = 100_000
 """Aliases of aliases can stand for more values than any memory holds."""
 MAX_DEPTH = 32
 """Of lists and mappings in each other; JSON readers give up at some depth without a place."""
-_LARGEST = 2**63
 
 
 def plain(source: Source) -> tuple[dict[str, Any], list[Problem]]:
@@ -74,7 +73,7 @@ class _Reader:
         if type(node).__name__ == "ScalarBoolean":  # an anchored true is an int to ruamel
             return bool(node)
         if isinstance(node, int):
-            return int(node) if abs(node) < _LARGEST else self.refuse(loc, "is too large a number")
+            return int(node) if abs(node) < LARGEST else self.refuse(loc, "is too large a number")
         if isinstance(node, float):
             number = float(node)
             if not math.isfinite(number):
@@ -97,7 +96,7 @@ def _no_key(key: Any) -> str | None:
         return f"a key should be a plain word, not {shown}"
     if isinstance(key, str):
         return None if _whole(key) else "a key should be a plain word, not half a character"
-    return None if abs(key) < _LARGEST else "a key should be a plain word, not so large a number"  # nan is too
+    return None if abs(key) < LARGEST else "a key should be a plain word, not so large a number"  # nan is too
 
 
 def _whole(text: str) -> bool:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import datetime
 import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning, YAMLError
 from ruamel.yaml.reader import ReaderError
 
 from wasp_cli.errors import did_you_mean
@@ -36,9 +37,9 @@ class Source:
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
         """A problem at a position of the text."""
-        lines = self.text.splitlines()
+        lines = lines_of(self.text)
         line = lines[position.line - 1] if 0 < position.line <= len(lines) else None
-        return Problem(self.name, position, message, hint, line)
+        return Problem(self.name, position, message, hint, line or None)
 
 
 def read(path: Path) -> Source:
@@ -53,9 +54,19 @@ def read(path: Path) -> Source:
 def parse(text: str, name: str) -> Source:
     """Parse a YAML mapping; `name` stands for the file in messages."""
     source = Source(name, text, None)
-    reader = YAML(typ="rt")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ReusedAnchorWarning)  # YAML allows it: an alias means the last one above it
+        document = _document(source)
+    if not isinstance(document, CommentedMap):
+        what = "the file is empty" if document is None else f"a spec is a mapping of keys to values, not {kind_of(document)}"
+        raise InvalidSpec([source.problem_at(START, what, "specs/quickstart.yaml is an example")])
+    return Source(name, text, document)
+
+
+def _document(source: Source) -> Any:
+    text = source.text
     try:
-        document = reader.load(text)
+        return YAML(typ="rt").load(text)
     except MarkedYAMLError as error:
         raise InvalidSpec([_yaml_problem(source, error)]) from error
     except ReaderError as error:
@@ -67,10 +78,6 @@ def parse(text: str, name: str) -> Source:
         # ruamel builds dates and numbers while it loads, and lets their errors through without a position.
         position, reason = unplaced(text) or (START, str(error))
         raise InvalidSpec([source.problem_at(position, f"not valid YAML: {reason}")]) from error
-    if not isinstance(document, CommentedMap):
-        what = "the file is empty" if document is None else f"a spec is a mapping of keys to values, not {kind_of(document)}"
-        raise InvalidSpec([source.problem_at(START, what, "specs/quickstart.yaml is an example")])
-    return Source(name, text, document)
 
 
 def _text(path: Path) -> str:
@@ -108,8 +115,13 @@ def beside(folder: Path, name: str = "") -> str | None:
 
 
 def _position_of(text: str, index: int) -> Position:
-    lines = (text[:index] + "|").splitlines()
-    return Position(len(lines), len(lines[-1]))
+    lines = lines_of(text[:index])
+    return Position(len(lines), len(lines[-1]) + 1)
+
+
+def lines_of(text: str) -> list[str]:
+    """The lines of a text as YAML 1.2 and editors count them; Python's `splitlines` also ends them at rarer characters."""
+    return re.split(r"\r\n|\r|\n", text)
 
 
 def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:

@@ -13,7 +13,8 @@ from wasp_cli.spec.where import Position
 
 _TAG = "tag:yaml.org,2002:"
 _MERGE = f"{_TAG}merge"
-_KINDS = {"int": "no integer", "float": "no number", "timestamp": "no date", "bool": "no boolean"}
+_KINDS = {"int": "no integer", "float": "no number", "timestamp": "no date", "bool": "no boolean", "omap": "no ordered mapping"}
+"""By tag: what is said of a scalar that cannot be built. Those of other tags always can, or have an error with a position."""
 _LONGEST = 40
 Fault = tuple[Position, str]
 
@@ -38,8 +39,8 @@ class _Search:
         self.seen.add(id(node))
         above = (*above, id(node))
         below: list[Any] = []
-        if isinstance(node, ScalarNode) and node.tag != _MERGE:
-            return self.built(node)
+        if isinstance(node, ScalarNode):
+            return self.built(node, str(node.tag).removeprefix(_TAG))
         if isinstance(node, SequenceNode):
             below = node.value
         elif isinstance(node, MappingNode):
@@ -50,13 +51,14 @@ class _Search:
                 below += [key, value]
         return next((fault for each in below if (fault := self.within(each, above)) is not None), None)
 
-    def built(self, node: ScalarNode) -> Fault | None:
+    def built(self, node: ScalarNode, tag: str) -> Fault | None:
+        if tag not in _KINDS:
+            return None
         try:
             self.reader.constructor.construct_object(node)
         except Exception:  # whatever Python says of a text that is no number
             value = node.value if len(node.value) <= _LONGEST else node.value[: _LONGEST - 3] + "..."
-            kind = _KINDS.get(str(node.tag).removeprefix(_TAG), "no value of its tag")
-            return _at(node), f"'{value}' is {kind}"
+            return _at(node), f"'{value}' is {_KINDS[tag]}"
         return None
 
 

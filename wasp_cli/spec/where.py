@@ -22,6 +22,8 @@ class Position:
 
 
 START = Position(1, 1)
+LARGEST = 2**63
+"""Numbers of a spec lie below it."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,9 @@ def _written(node: CommentedMap, part: Any) -> Any:
     """A key as the file has it: one written as a number reaches pydantic as a string."""
     if part in node:
         return part
-    return next((key for key in node if str(key) == str(part)), _ABSENT)
+    # Python refuses to write very large numbers; they are no keys of a spec.
+    numbers = (key for key in node if isinstance(key, int | float) and abs(key) < LARGEST)
+    return next((key for key in numbers if str(key) == str(part)), _ABSENT)
 
 
 def _home(node: Any, part: Any) -> Any:
