@@ -12,6 +12,7 @@ from tests.report.invented import SKILL, invent, write
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import cells_of, lay_out
 from wasp_cli.plan.part import Part
+from wasp_cli.plan.plan import plan_against
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.frame import Frame
@@ -241,6 +242,7 @@ def test_a_blocked_cell_names_what_blocks_it(spec: Spec, tmp_path: Path) -> None
     layout, grid = Layout(tmp_path), lay_out(spec)
     expert = next(node for node in grid.nodes if node.kind == "expert" and node.seed == 0)
     write_record(layout.failure(expert.key), {"message": "the loss is not finite", "log": "x.log"})
+    write_record(layout.run("20260501-120000-tiny-0000") / "plan.json", {"spec": "tiny", **plan_against(grid, layout).as_json()})
     report = report_run(tmp_path, spec, [(cell, node.key) for cell, node in grid.cells])
     reasons = {cell.label: cell.reason for cell in report.missing}
     blocked = "blocked by goal1 s0 expert, which failed: the loss is not finite (log: x.log)"

@@ -95,6 +95,16 @@ def planned_runs(layout: Layout) -> list[PlannedRun]:
     return [run for run in runs if run.run_id not in of_sweeps]
 
 
+def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
+    """What the last run of a spec was to do; empty where none is recorded."""
+    try:
+        ids = run_ids(layout)
+    except StoreError:
+        return {}
+    plans = (planned_run(layout, run_id) for run_id in ids)
+    return next((plan.nodes for plan in plans if plan is not None and plan.spec == spec), {})
+
+
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
     """The run of a name, or the newest whose name ends so.
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,6 +35,8 @@ class Wanted:
     """Why its last computation failed, where that is known."""
     blocked: str | None = None
     """Which failed node stands in its way, where that is known."""
+    refused: str | None = None
+    """Why its file is not read though it may be there."""
 
 
 @dataclass(frozen=True)
@@ -115,12 +118,16 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
     found: list[tuple[Wanted, pa.Table]] = []
     missing: list[Missing] = []
     for cell in wanted:
+        if cell.refused is not None:
+            missing.append(Missing(cell.identity, cell.label, cell.refused))
+            continue
         if not cell.path.exists():
             missing.append(Missing(cell.identity, cell.label, _absence(cell), cell.path.parent.name))
             continue
         try:
-            table = read_episodes([cell.path])
-            _require_identity(table, cell)
+            with odd_tables_refused(cell.path):
+                table = read_episodes([cell.path])
+                _require_identity(table, cell)
         except StoreError as error:
             # A report names a damaged cell and goes on; it never averages without it in silence.
             reason = error.message + (f" ({error.hint})" if error.hint else "")
@@ -128,6 +135,18 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
         else:
             found.append((cell, table))
     return Frame(tuple(pool_cells(found)), tuple(missing), tuple(cell.identity for cell in wanted))
+
+
+@contextmanager
+def odd_tables_refused(path: Path) -> Iterator[None]:
+    """What `store.tables` never writes, but a Parquet file may hold, is damage as well."""
+    try:
+        if not path.is_file():  # a pipe would hold the reader for ever
+            raise StoreError(f"{path} is no plain file")
+        yield
+    except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise StoreError(f"{path} is not as wasp writes it: {what}", "delete its folder and run the spec again") from error
 
 
 def _absence(cell: Wanted) -> str:

@@ -9,10 +9,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.errors import ArtifactError, WaspError
+from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.cell import Cell
-from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.part import Part
+from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import Assumption, assumptions_in_force, assumptions_markdown
 from wasp_cli.report.figure import FIGURES, cost_return_figure
@@ -69,7 +69,7 @@ class Report:
 
     def write(self, folder: Path) -> list[Path]:
         """Write every table in every format, the figures and `report.md`; returns the files, `report.md` first."""
-        folder.mkdir(parents=True, exist_ok=True)
+        make_own(folder)
         figures = cost_return_figure(self.frame, folder)
         pages = write_pages(folder, self.markdown([path.name for path in figures]), self.tables)
         # What an earlier report had and this one has not would pass for a part of it.
@@ -98,6 +98,20 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
         console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
     if len(missing) > NAMED:
         console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
+
+
+def make_own(folder: Path) -> None:
+    """Make the folder of a report, and see that nothing which is written there is written elsewhere.
+
+    Raises:
+        StoreError: the folder is a link.
+    """
+    if folder.is_symlink():
+        raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in folder.iterdir():
+        if path.is_symlink():
+            path.unlink()
 
 
 def write_pages(folder: Path, page: str, tables: Sequence[Table]) -> list[Path]:
@@ -162,19 +176,19 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 
 
 def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
-    """What stands in the way of evaluations, by their keys: the failed nodes that they need, as far as this version lays out the same."""
+    """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
+
+    Not as the spec would be laid out now: that imports the environments that it names, and these results may be a stranger's.
+    """
     failed = {path.stem for path in layout.failures.glob("*.json")}
     if not failed:
         return {}
-    try:
-        nodes = lay_out(spec).nodes
-    except WaspError:  # of another version, or without its plugin
-        return {}
+    nodes = last_plan(layout, spec.name)
     causes: dict[str, str] = {}
-    for node in nodes:  # needed ones first
-        upstream = [needed for needed in node.needs.values() if needed.key in failed or needed.key in causes]
+    for node in upstream_first(nodes):
+        upstream = [needed for needed in node.needs if needed in nodes and (needed in failed or needed in causes)]
         if upstream:
-            first = upstream[0]
+            first = nodes[upstream[0]]
             causes[node.key] = causes.get(first.key) or f"{first.label}, which failed: {_failure(layout, first.key, damaged)}"
     return causes
 
@@ -185,14 +199,12 @@ def identity_of(cell: Cell) -> CellIdentity:
 
 
 def _wanted(layout: Layout, cell: Cell, key: str, failure: str | None, blocked: str | None) -> Wanted:
-    return Wanted(
-        identity=identity_of(cell),
-        label=str(cell),
-        path=layout.artifact("evaluate", key) / CELL_FILE,
-        severity=cell.severity,
-        failure=failure,
-        blocked=blocked,
-    )
+    path, refused = layout.artifact("evaluate", key) / CELL_FILE, None
+    try:
+        layout.within(path)
+    except StoreError as error:
+        refused = error.message
+    return Wanted(identity_of(cell), str(cell), path, cell.severity, failure, blocked, refused)
 
 
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:

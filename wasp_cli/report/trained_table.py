@@ -57,8 +57,9 @@ def trained_artifacts(layout: Layout, roots: Iterable[tuple[str, str]]) -> tuple
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
             stage += f", round {manifest['axes']['round']}" if "round" in manifest["axes"] else ""
             task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
-            trained = Trained(stage, task, seed, key, manifest["provenance"].get("seconds"), summary)
-        except (KeyError, TypeError, ValueError, AttributeError, WaspError) as error:
+            seconds = manifest["provenance"].get("seconds")
+            trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary)
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
             return
         del found[key]  # so that it stands behind what it needs

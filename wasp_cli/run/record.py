@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.cell import Cell
@@ -24,6 +24,10 @@ from wasp_cli.spec.names import RECORDED
 from wasp_cli.spec.sweep import Sweep
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import read_plain
+
+CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
+"""A cell and a part of a plan; its values have the types of its fields, whoever wrote it."""
 
 
 @dataclass(frozen=True)
@@ -82,17 +86,19 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
     Raises:
         ArtifactError: its record is damaged, or of another version.
     """
-    folder = layout.run(run_id)
+    folder = layout.within(layout.run(run_id))
     try:
-        spec = spec_type().model_validate_json((folder / "spec.json").read_bytes(), strict=True, context={RECORDED: True})
-    except (OSError, ValidationError) as error:
+        text = read_plain(folder / "spec.json")
+        spec = spec_type().model_validate_json(text, strict=True, context={RECORDED: True})
+    except (OSError, ValueError) as error:  # a ValidationError is a ValueError
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
     record: dict[str, Any] = read_record(folder / "plan.json") or {}
     try:
-        cells = [(Cell(**_without_key(cell)), str(cell["key"])) for cell in record["cells"]]
-        parts = [(Part(**_without_key(part)), str(part["key"])) for part in record.get("parts", ())]  # older runs name none
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ArtifactError(f"cannot read the plan of run '{run_id}': {error!r}", "run the spec again") from error
+        cells = [(CELL.validate_python(_without_key(cell)), str(cell["key"])) for cell in record["cells"]]
+        parts = [(PART.validate_python(_without_key(part)), str(part["key"])) for part in record.get("parts", ())]  # older runs name none
+    except (KeyError, TypeError, AttributeError, ValidationError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
+        raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
     return Recorded(run_id, spec, cells, parts)
 
 

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
+from wasp_cli.report.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
+from wasp_cli.store.plain import printable
 from wasp_cli.store.tables import Thresholds, read_episodes, read_steps, read_times, read_version
 from wasp_cli.tasks.registry import TASKS
 
@@ -130,6 +132,11 @@ def read_episode(cell: FoundCell, episode: int) -> Episode:
         UsageError: the cell has no such episode.
         StoreError: the table cannot be read.
     """
+    with odd_tables_refused(cell.path):
+        return _read(cell, episode)
+
+
+def _read(cell: FoundCell, episode: int) -> Episode:
     rows = read_episodes([cell.path])
     numbers = rows["episode"].to_pylist()
     if not numbers:
@@ -139,7 +146,7 @@ def read_episode(cell: FoundCell, episode: int) -> Episode:
     place = numbers.index(episode)
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
-    row = rows.slice(place, 1).to_pylist()[0]
+    row = {name: printable(value) if isinstance(value, str) else value for name, value in rows.slice(place, 1).to_pylist()[0].items()}
     return Episode(
         cell=cell,
         row=row,
