@@ -16,7 +16,8 @@ from wasp_cli.run.limit import limited, was_ended
 from wasp_cli.run.pool import InlinePool, LokyPool, Pool
 from wasp_cli.run.pulse import memory_mb
 from wasp_cli.run.record import new_run
-from wasp_cli.run.runner import KILLED, Runner, Summary
+from wasp_cli.run.runner import Runner, Summary
+from wasp_cli.run.worker import KILLED
 from wasp_cli.store.artifact import read_record
 
 NODE = "goal1 s0 evaluate human {} noisy"

@@ -8,7 +8,7 @@ import pytest
 
 from tests.run.harness import Fakes, data_of, run
 from wasp_cli.run.pool import LokyPool
-from wasp_cli.run.runner import KILLED
+from wasp_cli.run.worker import KILLED
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

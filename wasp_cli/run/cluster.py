@@ -6,6 +6,8 @@ refuses to publish. The machines' own schedulers decide where a node runs.
 
 from __future__ import annotations
 
+import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -51,12 +53,11 @@ class DaskPool:
             from distributed import Client
         except ImportError as error:
             raise UsageError("the backend dask needs the package 'distributed'", "pip install 'wasp-cli[dask]'") from error
+        _require_answer(scheduler)
         try:
             self._client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise UsageError(
-                f"no dask scheduler answers at '{scheduler}': {str(error) or type(error).__name__}", "dask scheduler"
-            ) from error
+            raise _no_scheduler(scheduler, error) from error
         threads = self._client.nthreads()
         if not threads:
             self._client.close()
@@ -86,6 +87,22 @@ class DaskPool:
 
     def close(self, *, kill: bool = False) -> None:
         self._client.close()
+
+
+def _require_answer(scheduler: str) -> None:
+    """See that something listens at an address: dask's own attempt takes long, and leaves a traceback behind."""
+    found = re.fullmatch(r"\w+://\[?([^/\]]+)\]?:(\d+)/?", scheduler)
+    if found is None:
+        raise UsageError(f"'{scheduler}' is no address of a dask scheduler", "--scheduler tcp://HOST:8786")
+    try:
+        socket.create_connection((found[1], int(found[2])), timeout=CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        raise _no_scheduler(scheduler, error) from error
+
+
+def _no_scheduler(scheduler: str, error: Exception) -> UsageError:
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return UsageError(f"no dask scheduler answers at '{scheduler}': {reason.lower()}", "start one: dask scheduler")
 
 
 class RayPool:

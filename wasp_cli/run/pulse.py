@@ -12,8 +12,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
+from wasp_cli.errors import ArtifactError
 from wasp_cli.run.order import Order
-from wasp_cli.store.artifact import write_record
+from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.provenance import boot_id
 
 SECONDS = 1.0
@@ -24,6 +25,8 @@ class Pulse:
 
     def __init__(self, path: Path, order: Order) -> None:
         self._path = path
+        self.deaths = _deaths(path)
+        """Processes that died in this run while they computed the node. A scheduler of somebody else's gives it to the next one."""
         self.fixed: dict[str, object] = {
             "label": order.label,
             "kind": order.kind,
@@ -31,6 +34,7 @@ class Pulse:
             "host": platform.node(),
             "boot": boot_id(),
             "started": _now(),
+            "deaths": self.deaths,
         }
         """What does not change while it runs."""
         self._share, self._text = 0.0, ""
@@ -61,6 +65,16 @@ class Pulse:
     def _beat(self) -> None:
         while not self._ended.wait(SECONDS):
             self.write()
+
+
+def _deaths(path: Path) -> int:
+    """What is left of an earlier attempt, which did not live to remove it, tells of one death and of those before."""
+    try:
+        record = read_record(path)
+    except ArtifactError:
+        return 1
+    known = 0 if record is None else record.get("deaths", 0)
+    return 0 if record is None else 1 + (known if isinstance(known, int) else 0)
 
 
 def memory_mb() -> float:

@@ -20,7 +20,7 @@ from wasp_cli.run.order import Order, Outcome
 from wasp_cli.run.pool import Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
 from wasp_cli.run.signals import Stop
-from wasp_cli.run.worker import attempts, record_failure
+from wasp_cli.run.worker import KILLED, attempts, record_failure
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import is_published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
@@ -31,7 +31,6 @@ _LONG = (
     "expert", "world_model", "rollouts", "residual", "dataset", "denoiser",
     "policies", "critics", "diagnostics", "ida_q", "heldout", "calibration", "evaluate",
 )  # fmt: skip
-KILLED = "its process was killed, twice (out of memory, or by a signal)"
 
 
 @dataclass(frozen=True)

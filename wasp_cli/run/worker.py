@@ -37,6 +37,10 @@ from wasp_cli.store.artifact import (
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 
+DEATHS = 2
+"""Killed processes after which a node has failed."""
+KILLED = "its process was killed, twice (out of memory, or by a signal)"
+
 
 def execute(order: Order, *, own_process: bool = True) -> Outcome:
     """Compute one node, or find that another run has.
@@ -64,6 +68,10 @@ def execute(order: Order, *, own_process: bool = True) -> Outcome:
 
 def _locked(order: Order, layout: Layout, log: Path, started: float, own_process: bool) -> Outcome:
     with Pulse(layout.running(order.run_id, order.key), order) as pulse:
+        if pulse.deaths >= DEATHS:
+            outcome = _failed(order, started, log, KILLED, None)
+            record_failure(layout, order, outcome)
+            return outcome
 
         def waiting() -> bool:
             pulse.tell(0.0, "another run computes it; waiting")

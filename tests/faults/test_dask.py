@@ -1,0 +1,109 @@
+"""The grid through a real dask scheduler with two worker processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.faults.dask_cluster import dask_cluster
+from tests.faults.test_random_kills import payload
+from tests.run.harness import ROOT, Fakes, data_of, run, start, wait_until
+from wasp_cli.store.tables import same_rows
+
+
+def test_a_grid_through_dask_has_the_same_bytes(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.05, behave={"s0 ida_q": "refuse"})
+    with dask_cluster(tmp_path / "dask") as cluster:
+        first = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        _, errors = first.communicate(timeout=120)
+        assert first.returncode == 1
+        assert "goal1 s0 ida_q: the loss is not finite" in errors
+        assert "Traceback" not in errors
+    fakes.set()
+    with dask_cluster(tmp_path / "again") as cluster:  # its workers were told of no refusal
+        second = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        _, errors = second.communicate(timeout=120)
+        assert second.returncode == 0, errors
+    run(small_spec, tmp_path / "here")
+    assert data_of(results) == data_of(tmp_path / "here")
+    ran = fakes.executions()
+    assert sum("s0 ida_q" in line for line in ran) == 3
+
+
+def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.5)
+    with dask_cluster(tmp_path / "dask") as cluster:
+        process = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 2)
+        os.kill(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "ending after what runs now" in errors
+    ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/manifest.json")))
+    assert ran == there < 17
+
+
+def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill"})
+    with dask_cluster(tmp_path / "dask") as cluster:
+        process = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        _, errors = process.communicate(timeout=180)
+    assert process.returncode == 1
+    assert "1 failed:\n  goal1 s0 human noisy=0.2: its process was killed" in errors
+    assert len(list(results.glob("store/*/*/manifest.json"))) == 16
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--backend", "dask"), "the backend dask needs the address of its scheduler"),
+        (("--backend", "dask", "--scheduler", "nonsense"), "'nonsense' is no address of a dask scheduler"),
+        (("--backend", "dask", "--scheduler", "tcp://127.0.0.1:1"), "no dask scheduler answers at 'tcp://127.0.0.1:1': connection refused"),
+        (("--backend", "dusk"), "unknown backend 'dusk'"),
+        (("--scheduler", "tcp://127.0.0.1:1"), "--scheduler is for the backends dask and ray"),
+    ],
+)
+def test_a_backend_that_is_not_there_is_a_usage_error(
+    arguments: tuple[str, ...], message: str, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    process = start("run", small_spec, "--results", tmp_path / "results", *arguments)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert message in errors
+    assert "Traceback" not in errors
+
+
+def test_workers_with_several_threads_are_refused(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    with dask_cluster(tmp_path / "dask", workers=1, threads=2) as cluster:
+        process = start("run", small_spec, "--results", tmp_path / "results", "--backend", "dask", "--scheduler", cluster.address)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "start it with --nthreads 1" in errors
+
+
+@pytest.mark.slow
+def test_the_smoke_grid_through_dask(tmp_path: Path) -> None:
+    """The real stages on two dask workers, and on two of ours: the same bytes."""
+    spec, environment = ROOT / "specs" / "smoke.yaml", {**os.environ, "PYTHONPATH": str(ROOT)}
+
+    def wasp(*arguments: str | Path) -> None:
+        command = [sys.executable, "-m", "wasp_cli", "run", spec, *arguments]
+        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=900, check=False)
+        assert done.returncode == 0, done.stderr
+
+    there, here = tmp_path / "there", tmp_path / "here"
+    with dask_cluster(tmp_path / "dask") as cluster:
+        wasp("--results", there, "--backend", "dask", "--scheduler", cluster.address)
+    wasp("--results", here, "-j", "2")
+    assert payload(there) == payload(here)
+    cells = sorted((here / "store" / "evaluate").glob("*/cell.parquet"))
+    assert cells
+    assert all(same_rows(cell, there / cell.relative_to(here)) for cell in cells)
