@@ -123,16 +123,12 @@ def test_fifty_kills_over_fake_stages(seed: int, fakes: Fakes, tmp_path: Path) -
     fake_storm(50, 100 + seed, fakes, spec, tmp_path)
 
 
-TIMED = {"bench.json"}
-"""Files of artifacts that say how long something took."""
-
-
 def payload(results: Path) -> dict[str, str]:
     """Digest of every file of a store whose bytes are a function of its key."""
     return {
         path.relative_to(results / "store").as_posix(): file_digest(path)
         for path in sorted((results / "store").rglob("*"))
-        if path.is_file() and path.name not in {"manifest.json", "cell.parquet", *TIMED}
+        if path.is_file() and path.name not in {"manifest.json", "cell.parquet"}
     }
 
 

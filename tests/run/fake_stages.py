@@ -1,6 +1,7 @@
 """Stages of every kind that compute nothing: each hashes what it reads, writes down that it ran, and misbehaves on request.
 
 WASP_FAKE is JSON: {"log": file, "seconds": s, "free": n (what runs after the first n waits to be interrupted),
+"bytes": size of a further file, "weights": whether to leave a safetensors file,
 "behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit", "sleep", "hang" (in native code) or "eat"}}.
 """
 
@@ -16,6 +17,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from safetensors.numpy import save_file
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.stages.base import Job
@@ -50,6 +54,10 @@ class Fake:
         for kind in sorted(job.inputs):
             digest.update((job.inputs[kind] / "data.bin").read_bytes())
         (job.out_dir / "data.bin").write_bytes(digest.digest())
+        if "bytes" in options:
+            (job.out_dir / "more.bin").write_bytes(digest.digest() * (options["bytes"] // 32))
+        if options.get("weights"):
+            save_file({"w": np.frombuffer(digest.digest(), np.uint8)}, job.out_dir / "weights.safetensors")
         return {"number": int.from_bytes(digest.digest()[:2], "big"), "nothing": float("nan")}
 
 

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import json
+import random
+import threading
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -8,11 +11,13 @@ import pytest
 from tests.run.harness import Fakes, data_of, prepared, run
 from wasp_cli.report.runs import last_runs
 from wasp_cli.run.journal import read_journal
-from wasp_cli.run.pool import LokyPool
-from wasp_cli.run.record import read_run
-from wasp_cli.run.runner import failures_text
+from wasp_cli.run.order import Order, Outcome
+from wasp_cli.run.pool import InlinePool, LokyPool
+from wasp_cli.run.record import new_run, read_run
+from wasp_cli.run.runner import Runner, failures_text
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held
 
 
 def test_a_run_computes_every_node_once_and_a_second_run_none(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -128,3 +133,48 @@ def test_workers_give_the_same_bytes_as_this_process(jobs: int, fakes: Fakes, sm
     logs = list((tmp_path / "workers/runs").glob("*/logs/*.log"))
     assert len(logs) == summary.done
     assert all("fake goal1" in log.read_text(encoding="utf-8") for log in logs)
+
+
+class Shuffled(InlinePool):
+    """Carries out the orders of a wave in an order of its own."""
+
+    def __init__(self, seed: int) -> None:
+        self._chance = random.Random(seed)
+
+    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+        orders = list(orders)
+        self._chance.shuffle(orders)
+        yield from super().run(orders)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_order_of_the_work_changes_no_byte(seed: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    run(small_spec, tmp_path / "calm")
+    calm = fakes.executions()
+    run(small_spec, tmp_path / "shuffled", Shuffled(seed))
+    assert fakes.executions()[len(calm) :] != calm
+    assert data_of(tmp_path / "shuffled") == data_of(tmp_path / "calm")
+
+
+def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    """The other one goes on for a while: meanwhile everything else of the wave is done."""
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+    first = plan.to_run()[0]
+    started, finish = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with held(layout.lock(first.key), lambda: True, {"pid": 1}):
+            started.set()
+            finish.wait(30)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    started.wait()
+    threading.Timer(1.0, finish.set).start()
+    summary = Runner(layout, new_run(layout, loaded, plan), InlinePool()).run(plan)
+    thread.join()
+    assert summary.complete
+    wave = [node.label for node in plan.to_run() if not node.needs]
+    ran = [line.split()[:3] for line in fakes.executions()][: len(wave)]
+    assert ran[-1] == first.label.split(), "it was waited for before the others were done"
+    assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done

@@ -26,8 +26,9 @@ class Journal:
             os.write(self._file, (json.dumps({"at": now, "event": event, **facts}) + "\n").encode())
 
     def close(self) -> None:
-        """Close the file."""
-        os.close(self._file)
+        """Close the file; what is written afterwards goes nowhere."""
+        file, self._file = self._file, -1
+        os.close(file)
 
 
 def read_journal(path: Path) -> list[dict[str, Any]]:

@@ -94,12 +94,13 @@ class Runner:
                 self._wave(wave, plan)
                 if self.stop.asked:
                     raise KeyboardInterrupt
+            self._journal.write("run ended", done=self.summary.done, failed=len(self.summary.failed), blocked=len(self.summary.blocked))
         except BaseException as error:
             self._journal.write("run interrupted", cause=type(error).__name__, done=self.summary.done)
             raise
         finally:
             self.summary.seconds = time.monotonic() - started
-        self._journal.write("run ended", done=self.summary.done, failed=len(self.summary.failed), blocked=len(self.summary.blocked))
+            self._journal.close()
         return self.summary
 
     def _wave(self, wave: list[Node], plan: Plan) -> None:

@@ -1,0 +1,186 @@
+"""Disks that are full or read-only, files that are cut or flipped, clocks that jump: a clear state, which the next run repairs."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from tests.report.invented import invent, write
+from tests.run.harness import ROOT, SMALL, Fakes, data_of, prepared, run
+from wasp_cli.errors import CellsFailed
+from wasp_cli.options import require_cells
+from wasp_cli.report.frame import read_frame
+from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.run.pool import InlinePool
+from wasp_cli.run.record import new_run
+from wasp_cli.run.runner import Runner
+from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.tables import CELL_FILE, CellIdentity
+
+
+def fake_wasp(*arguments: str | Path | int) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of one megabyte; where none may be mounted, there is nothing to test with."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = shutil.which("mount") and subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)], capture_output=True, check=False
+    )
+    if not mounted or mounted.returncode:
+        pytest.skip("may not mount a file system")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("jobs", [2, 0])
+def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
+    jobs: int, fakes: Fakes, small_spec: Path, small_disk: Path, tmp_path: Path
+) -> None:
+    results = small_disk / "results"
+    fakes.set(bytes=150_000)
+    done = fake_wasp("run", small_spec, "--results", results, "-j", jobs)
+    assert done.returncode == 1
+    assert "No space left on device" in done.stderr
+    assert "Traceback" not in done.stderr
+    whole = list(results.glob("store/*/*/manifest.json"))
+    assert whole, "the disk had room for some"
+    for manifest in whole:
+        files = json.loads(manifest.read_text(encoding="utf-8"))["files"]
+        assert all((manifest.parent / name).stat().st_size == known["size"] for name, known in files.items())
+    subprocess.run(["mount", "-o", "remount,size=20m", str(small_disk)], check=True)
+    again = fake_wasp("run", small_spec, "--results", results, "-j", jobs)
+    assert again.returncode == 0, again.stderr
+    assert f"{len(whole)} computed before" in again.stderr
+    run(small_spec, tmp_path / "calm")
+    assert data_of(results) == data_of(tmp_path / "calm")
+
+
+def test_a_read_only_store_is_refused_to_runs_and_open_to_readers(fakes: Fakes, small_spec: Path, small_disk: Path) -> None:
+    results = small_disk / "results"
+    run(small_spec, results)
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    refused = fake_wasp("run", small_spec, "--results", results)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith(f"error: cannot write results to '{results}': read-only file system")
+    for command in (("plan", small_spec, "--results", results), ("status", results), ("show", "goal1 s0 expert", "--results", results)):
+        done = fake_wasp(*command)
+        assert done.returncode == 0, done.stderr
+    subprocess.run(["mount", "-o", "remount,rw", str(small_disk)], check=True)
+    assert run(small_spec, results).complete
+
+
+def flip(path: Path, at: int = -5) -> None:
+    """Change one byte, and neither size nor time."""
+    state, data = path.stat(), bytearray(path.read_bytes())
+    data[at] ^= 0x10
+    path.write_bytes(data)
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    """safetensors has no checksum: flipped weights load without a word."""
+    results = tmp_path / "results"
+    fakes.set(weights=True)
+    run(small_spec, results)
+    _, layout, plan = prepared(small_spec, results)
+    world_model = next(step.node for step in plan.steps if step.node.kind == "world_model")
+    reader = next(step.node for step in plan.steps if step.node.label == "goal1 s0 human noisy=0.2")
+    weights = layout.artifact("world_model", world_model.key) / "weights.safetensors"
+    before = load_file(weights)["w"].copy()
+    flip(weights)
+    assert not np.array_equal(load_file(weights)["w"], before)
+    shutil.rmtree(layout.artifact("evaluate", reader.key))
+    # A process of its own: this one has seen the whole file.
+    done = fake_wasp("run", small_spec, "--results", results, "-j", "1")
+    assert done.returncode == 1
+    assert "goal1 s0 human noisy=0.2: what it reads is damaged: '" in done.stderr
+    assert "weights.safetensors' does not have the bytes that were published" in done.stderr
+    _, _, plan = prepared(small_spec, results)
+    assert {(step.node.label, step.state) for step in plan.steps if step.runs} == {
+        (world_model.label, "damaged"), (reader.label, "failed"),
+    }  # fmt: skip
+    assert fake_wasp("run", small_spec, "--results", results, "-j", "1").returncode == 0
+    assert np.array_equal(load_file(weights)["w"], before)
+    run(small_spec, tmp_path / "calm")
+    assert data_of(results) == data_of(tmp_path / "calm")
+
+
+def test_a_cut_file_is_seen_by_the_plan(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(weights=True)
+    run(small_spec, results)
+    _, layout, plan = prepared(small_spec, results)
+    node = plan.steps[2].node
+    path = layout.artifact(node.kind, node.key) / "weights.safetensors"
+    path.write_bytes(path.read_bytes()[:-7])
+    done = fake_wasp("plan", small_spec, "--results", results)
+    assert f"{node.label}: damaged, to be computed again: '{path}' has" in done.stdout
+    again = run(small_spec, results)
+    assert (again.done, again.complete) == (1, True)
+
+
+def test_a_wall_clock_that_jumps_back_changes_nothing(
+    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files from the future, a journal that runs backwards, an artifact that took no time: what counts are keys and bytes."""
+    results = tmp_path / "results"
+    fakes.set(behave={"s0 ida_q": "refuse"})
+    run(small_spec, results)
+    for path in results.rglob("*"):
+        os.utime(path, (4e9, 4e9))
+    _, layout, plan = prepared(small_spec, results)
+    assert plan.count("missing") == 3
+    assert plan.count("failed") == 1
+    fakes.set()
+    loaded, layout, plan = prepared(small_spec, results)
+    run_id = new_run(layout, loaded, plan)
+    real = Runner._ended
+
+    def jump(self: Runner, node: object, outcome: object) -> None:
+        layout.journal(run_id).write_text('{"at": "1970-01-01T00:00:00+00:00", "event": "done", "key": "x", "label": "y"}\n')
+        real(self, node, outcome)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Runner, "_ended", jump)
+    assert Runner(layout, run_id, InlinePool()).run(plan).complete
+    status = fake_wasp("status", results, "--json")
+    assert status.returncode == 0, status.stderr
+    _, _, again = prepared(small_spec, results)
+    assert not again.to_run()
+
+
+def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flipped bit in a cell keeps its size, so only who reads the rows can see it."""
+
+    spec = tmp_path / "small.yaml"
+    spec.write_text(SMALL, encoding="utf-8")
+    loaded, layout, plan = prepared(spec, tmp_path / "results")
+    cell, node = plan.grid.cells[0]
+    folder = staging_folder(layout, node.key)
+    identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
+    write(folder, identity, [invent(3, 2, 0.0, 0.1)]).path.rename(folder / CELL_FILE)
+    publish(layout, node.kind, node.key, folder, {"key": node.key, "kind": node.kind})
+    path = layout.artifact(node.kind, node.key) / CELL_FILE
+    flip(path, 40)
+    wanted, _ = wanted_cells(layout, loaded.spec, [(cell, node.key)])
+    frame = read_frame(wanted)
+    assert [gap.damaged for gap in frame.missing] == [True]
+    with pytest.raises(CellsFailed, match="1 cell cannot be read"):
+        require_cells(frame.missing, layout)
+    _, _, plan = prepared(spec, tmp_path / "results")
+    (step,) = [step for step in plan.steps if step.node == node]
+    assert step.state == "damaged"
+    assert "is damaged or was cut off" in step.reason
