@@ -1,7 +1,7 @@
 """Stages of every kind that compute nothing: each hashes what it reads, writes down that it ran, and misbehaves on request.
 
-WASP_FAKE is JSON: {"log": file, "seconds": s, "free": n (what runs after the first n waits to be interrupted),
-"bytes": size of a further file, "weights": whether to leave a safetensors file,
+WASP_FAKE is JSON: {"log": file, "seconds": s, "work": iterations of a hash,
+"free": n (what runs after the first n waits to be interrupted), "bytes": size of a further file, "weights": whether to leave a safetensors file,
 "behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit", "sleep", "hang" (in native code) or "eat"}}.
 """
 
@@ -45,6 +45,8 @@ class Fake:
         job.progress(0.5, "halfway")
         (job.out_dir / "half.bin").write_bytes(b"half")
         time.sleep(options.get("seconds", 0.0))
+        if "work" in options:
+            hashlib.pbkdf2_hmac("sha256", b"", b"", options["work"])
         if len(Path(options["log"]).read_text(encoding="utf-8").splitlines()) > options.get("free", sys.maxsize):
             time.sleep(60)  # until someone interrupts; not for ever, should nobody do so
         for text, behaviour in options.get("behave", {}).items():

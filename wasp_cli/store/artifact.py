@@ -85,7 +85,7 @@ def damage(layout: Layout, kind: str, key: str) -> str | None:
         files = listed_files(read_manifest(layout, kind, key), layout.manifest(kind, key))
     except ArtifactError as error:
         return error.message
-    return missing_file(layout, layout.artifact(kind, key), files)
+    return missing_file(layout, str(layout.artifact(kind, key)), files)
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
@@ -104,20 +104,20 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
     return files
 
 
-def missing_file(layout: Layout, place: Path, files: Mapping[str, int]) -> str | None:
+def missing_file(layout: Layout, place: str, files: Mapping[str, int]) -> str | None:
     """The first file of an artifact that is gone, a link, or of another size, in words; None when all are there.
 
     The names are those of `listed_files`, and the way to the artifact is known to have no links.
     """
     for name, size in files.items():
         try:
-            state = os.stat(layout.within(place / name) if "/" in name else f"{place}/{name}", follow_symlinks=False)
+            state = os.stat(layout.within(Path(place, name)) if "/" in name else f"{place}/{name}", follow_symlinks=False)
         except StoreError as error:
             return error.message
         except (OSError, ValueError):
-            return f"'{place / name}' is gone"
+            return f"'{place}/{name}' is gone"
         if not stat.S_ISREG(state.st_mode) or state.st_size != size:
-            return f"'{place / name}' has {state.st_size} bytes, not {size}"
+            return f"'{place}/{name}' has {state.st_size} bytes, not {size}"
     return None
 
 

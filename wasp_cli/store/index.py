@@ -66,18 +66,19 @@ def take_stock(layout: Layout, kinds: Iterable[str], facts: Facts, version: int)
     fresh = 0
     for kind in dict.fromkeys(kinds):
         before, now = known.get(kind, {}), whole.setdefault(kind, {})
+        folder = str(layout.kind(kind))
         for key in _keys(layout, kind):
-            place = layout.artifact(kind, key)
+            place = f"{folder}/{key}"  # a Path for each of 100,000 takes a second
             try:
-                state = os.stat(place / MANIFEST)
+                state = os.stat(f"{place}/{MANIFEST}")
             except OSError:
-                damaged[key] = why_condemned(layout, kind, key) or f"'{place / MANIFEST}' is gone"
+                damaged[key] = why_condemned(layout, kind, key) or f"'{place}/{MANIFEST}' is gone"
                 continue
             entry = before.get(key)
             if entry is None or entry.stamp != (state.st_mtime_ns, state.st_size):
                 fresh += 1
                 try:
-                    entry = _entry(place / MANIFEST, read_manifest(layout, kind, key), (state.st_mtime_ns, state.st_size), facts)
+                    entry = _entry(Path(place, MANIFEST), read_manifest(layout, kind, key), (state.st_mtime_ns, state.st_size), facts)
                 except ArtifactError as error:
                     damaged[key] = error.message
                     continue

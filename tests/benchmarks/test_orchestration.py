@@ -1,0 +1,179 @@
+"""What orchestration costs beside the work that it orchestrates. Limits are compared as ratios to what was measured in the same run."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.plan.test_reasons import store
+from tests.run.harness import ROOT, Fakes, fakes, prepared
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.run.pool import LokyPool, Pool
+from wasp_cli.run.record import new_run
+from wasp_cli.run.runner import Runner
+from wasp_cli.spec.model import Spec, validate
+from wasp_cli.store.layout import Layout
+
+__all__ = ["fakes"]
+
+LARGE = 556
+"""Seeds of a grid of 100,080 cells."""
+
+
+def document_of(seeds: int) -> dict[str, Any]:
+    """Training once, and three cells for each seed."""
+    operators = {"noisy": {"mild": 0.2, "moderate": 0.4, "severe": 0.6}}
+    return {
+        "name": "many", "preset": "smoke", "rounds": 1, "tasks": ["goal1"], "methods": ["human"], "operators": operators,
+        "seeds": list(range(seeds)), "training_seed": 0, "stages": [],
+    }  # fmt: skip
+
+
+def large() -> Spec:
+    operators = {
+        "noisy": {"a": 0.2, "b": 0.4, "c": 0.6}, "laggy": {"a": 0.5, "b": 0.7, "c": 0.85},
+        "limited-skill": {"a": 0.5, "b": 0.25, "c": 0.1}, "reaction-time": {"a": 0.16, "b": 0.24, "c": 0.4},
+    }  # fmt: skip
+    tasks, methods = ["race1", "formula1", "goal1"], ["human", "ida", "diffusion", "saferl", "wasp"]
+    seeds = list(range(LARGE))
+    return validate({"name": "large", "tasks": tasks, "methods": methods, "operators": operators, "seeds": seeds, "training_seed": 0})
+
+
+def cells_alone(seeds: int, tmp_path: Path, fakes: Fakes, name: str) -> tuple[Layout, Plan, str]:
+    """A store in which only cells are left to compute, all of them independent."""
+    spec = tmp_path / f"{name}.yaml"
+    document = spec_of(seeds).model_dump(
+        mode="json", include={"name", "preset", "rounds", "tasks", "methods", "operators", "seeds", "stages"}
+    )
+    spec.write_text(json.dumps({**document, "training_seed": 0}), encoding="utf-8")
+    fakes.set()
+    loaded, layout, plan = prepared(spec, tmp_path / name)
+    for node in plan.to_run():
+        if node.kind != "evaluate":
+            store(layout, node)
+    loaded, layout, plan = prepared(spec, tmp_path / name)
+    assert {node.kind for node in plan.to_run()} == {"evaluate"}
+    return layout, plan, new_run(layout, loaded, plan)
+
+
+def carried_out(layout: Layout, plan: Plan, run_id: str, pool: Pool) -> float:
+    begun = time.perf_counter()
+    assert Runner(layout, run_id, pool).run(plan).complete
+    return time.perf_counter() - begun
+
+
+def warmed(jobs: int, tmp_path: Path, fakes: Fakes) -> LokyPool:
+    """Workers that have imported what they need: they are started once in a run, whatever its size."""
+    pool = LokyPool(jobs)
+    carried_out(*cells_alone(4, tmp_path, fakes, f"warm{jobs}"), pool)
+    return pool
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_cell_costs_less_than_ten_milliseconds(benchmark: Any, jobs: int, fakes: Fakes, tmp_path: Path) -> None:
+    """Cells that do nothing: what is left is lock, log, pulse, staging, manifest, fsync, rename, journal."""
+    pool = warmed(jobs, tmp_path, fakes)
+    layout, plan, run_id = cells_alone(200, tmp_path, fakes, "many")
+    cells = len(plan.to_run())
+    benchmark.pedantic(carried_out, (layout, plan, run_id, pool), rounds=1)
+    pool.close(kill=True)
+    benchmark.extra_info["ms_a_cell"] = 1000 * benchmark.stats.stats.min / cells
+    assert benchmark.extra_info["ms_a_cell"] < 10
+
+
+def test_orchestration_is_under_one_percent_of_a_grid(benchmark: Any, fakes: Fakes, tmp_path: Path) -> None:
+    """Cells of a second each, two at a time, beside the time that they themselves take."""
+    pool = warmed(2, tmp_path, fakes)
+    layout, plan, run_id = cells_alone(20, tmp_path, fakes, "grid")
+    fakes.set(seconds=1.0)
+    benchmark.pedantic(carried_out, (layout, plan, run_id, pool), rounds=1)
+    pool.close(kill=True)
+    own = len(plan.to_run()) * 1.0 / 2
+    benchmark.extra_info["share_beside_the_work"] = benchmark.stats.stats.min / own - 1
+    assert benchmark.extra_info["share_beside_the_work"] < 0.01
+
+
+def test_two_workers_do_nearly_twice_as_much_as_one(benchmark: Any, fakes: Fakes, tmp_path: Path) -> None:
+    """Cells that keep a core busy for a third of a second; beside them, two bare processes that do the same work."""
+    times = {}
+    for jobs in (1, 2):
+        pool = warmed(jobs, tmp_path, fakes)
+        layout, plan, run_id = cells_alone(20, tmp_path, fakes, f"busy{jobs}")
+        fakes.set(work=WORK)
+        if jobs == 1:
+            times[jobs] = carried_out(layout, plan, run_id, pool)
+        else:
+            benchmark.pedantic(carried_out, (layout, plan, run_id, pool), rounds=1)
+            times[jobs] = benchmark.stats.stats.min
+        pool.close(kill=True)
+    benchmark.extra_info["throughput"] = times[1] / times[2]
+    benchmark.extra_info["throughput_of_bare_processes"] = bare(1) / bare(2)
+    assert benchmark.extra_info["throughput"] > 1.9 * min(1.0, benchmark.extra_info["throughput_of_bare_processes"] / 2 + 0.02)
+
+
+WORK = 400_000
+"""Iterations of a hash: about a third of a second."""
+
+
+def bare(processes: int, pieces: int = 40) -> float:
+    """Seconds that bare processes need for so many pieces of the same work."""
+    command = f"import hashlib\nfor _ in range({pieces // processes}): hashlib.pbkdf2_hmac('sha256', b'', b'', {WORK})"
+    begun = time.perf_counter()
+    for process in [subprocess.Popen([sys.executable, "-c", command]) for _ in range(processes)]:
+        process.wait()
+    return time.perf_counter() - begun
+
+
+def test_a_hundred_thousand_cells_are_planned_in_five_seconds(benchmark: Any, tmp_path: Path) -> None:
+    spec = large()
+
+    def plan() -> Plan:
+        return plan_against(lay_out(spec), Layout(tmp_path / "absent"))
+
+    found = benchmark.pedantic(plan, rounds=2, warmup_rounds=0)
+    assert len(found.grid.cells) >= 100_000
+    assert benchmark.stats.stats.min < 5
+
+
+def test_a_hundred_thousand_computed_cells_are_planned_in_five_seconds(benchmark: Any, tmp_path: Path) -> None:
+    """With the index of the store, which the first plan after a run completes."""
+    grid, layout = lay_out(large()), Layout(tmp_path / "results")
+    layout.prepare()
+    (first,) = [node for node in grid.nodes if node.kind == "expert"][:1]
+    store(layout, first)
+    manifest = json.loads(layout.manifest(first.kind, first.key).read_text(encoding="utf-8"))
+    for node in grid.nodes:  # by hand: publishing syncs each of them
+        place = layout.artifact(node.kind, node.key)
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "data.bin").write_bytes(b"12345")
+        own = {"kind": node.kind, "key": node.key, "task": node.task, "seed": node.seed, "axes": node.axes, "config": node.config}
+        (place / "manifest.json").write_text(json.dumps({**manifest, **own}), encoding="utf-8")
+    begun = time.perf_counter()
+    plan_against(grid, layout)
+    benchmark.extra_info["seconds_without_the_index"] = time.perf_counter() - begun
+    spec = large()
+    found = benchmark.pedantic(lambda: plan_against(lay_out(spec), layout), rounds=2)
+    assert found.to_run() == []
+    assert benchmark.stats.stats.min < 5
+
+
+@pytest.mark.parametrize(("arguments", "limit"), [(("--help",), 0.3), (("plan", "specs/table1.yaml", "--results", "/nowhere"), 1.0)])
+def test_the_command_line_answers_at_once(benchmark: Any, arguments: tuple[str, ...], limit: float) -> None:
+    """Beside Python that imports the two libraries which every command needs."""
+
+    def seconds(*command: str) -> float:
+        begun = time.perf_counter()
+        subprocess.run([sys.executable, *command], cwd=ROOT, check=True, capture_output=True)
+        return time.perf_counter() - begun
+
+    benchmark.pedantic(seconds, ("-m", "wasp_cli", *arguments), rounds=5, warmup_rounds=1)
+    imports = min(seconds("-c", "import typer, pydantic") for _ in range(5))
+    benchmark.extra_info["times_its_libraries"] = benchmark.stats.stats.min / imports
+    assert benchmark.stats.stats.min < limit
