@@ -49,10 +49,7 @@ def large() -> Spec:
 def cells_alone(seeds: int, tmp_path: Path, fakes: Fakes, name: str) -> tuple[Layout, Plan, str]:
     """A store in which only cells are left to compute, all of them independent."""
     spec = tmp_path / f"{name}.yaml"
-    document = spec_of(seeds).model_dump(
-        mode="json", include={"name", "preset", "rounds", "tasks", "methods", "operators", "seeds", "stages"}
-    )
-    spec.write_text(json.dumps({**document, "training_seed": 0}), encoding="utf-8")
+    spec.write_text(json.dumps(document_of(seeds)), encoding="utf-8")
     fakes.set()
     loaded, layout, plan = prepared(spec, tmp_path / name)
     for node in plan.to_run():

@@ -1,7 +1,8 @@
 """Stages of every kind that compute nothing: each hashes what it reads, writes down that it ran, and misbehaves on request.
 
 WASP_FAKE is JSON: {"log": file, "seconds": s, "work": iterations of a hash,
-"free": n (what runs after the first n waits to be interrupted), "bytes": size of a further file, "weights": whether to leave a safetensors file,
+"bytes": size of a further file, "weights": whether to leave a safetensors file,
+"free": n (what runs after the first n waits to be interrupted),
 "behave": {part of a node's name: "raise", "raise once", "refuse", "kill", "kill once", "exit", "sleep", "hang" (in native code) or "eat"}}.
 """
 
