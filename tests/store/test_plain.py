@@ -10,7 +10,17 @@ import pytest
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store import plain
-from wasp_cli.store.artifact import damage, discard, is_file_name, publish, published, read_manifest, read_record, staging_folder
+from wasp_cli.store.artifact import (
+    damage,
+    discard,
+    is_file_name,
+    publish,
+    published,
+    read_manifest,
+    read_record,
+    staging_folder,
+    write_record,
+)
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import DEEPEST, parse, read_json_lines, read_plain
 
@@ -132,3 +142,10 @@ def test_what_a_link_leads_to_is_not_discarded(tmp_path: Path) -> None:
         discard(path)
     assert not (tmp_path / "link").exists()
     assert (tmp_path / "precious").is_dir()
+
+
+def test_a_file_elsewhere_is_no_part_of_an_artifact(layout: Layout, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").write_text("1")
+    for name in ("../../../../elsewhere", str(tmp_path / "elsewhere")):
+        write_record(layout.manifest("expert", KEY), {"files": {name: {"size": 1}}})
+        assert "no file of the artifact" in (damage(layout, "expert", KEY) or "")
