@@ -17,7 +17,7 @@ from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, run, start, wait_until
 from tests.run.recorded import at, dead_pid, key, planned, process, write_run
 from wasp_cli.run.show_status import FAILURES
-from wasp_cli.store.artifact import read_record
+from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
 RUN = "20260501-120000-small-0001"
@@ -165,3 +165,16 @@ def test_a_log_commands_no_terminal(layout: Layout) -> None:
             shown += chunk
     os.close(reader)
     assert shown.decode().replace("\r\n", "\n") == "\ufffd]0;title\ufffd\x1b[31mred\x1b[0m \ufffd\n20 %\nend"
+
+
+@pytest.mark.parametrize("command", ["status {0}", "logs a --results {0}", "show a --results {0}", "gc {0} --dry-run"])
+def test_who_looks_imports_nothing_heavy(command: str, layout: Layout) -> None:
+    write_run(layout, RUN, [planned(1, "a")], [(0.0, "run started", {})])
+    layout.log(RUN, "a", key(1)).write_text("log\n")
+    manifest = {"label": "a", "config": {"updates": 7}, "axes": {"method": "wasp", "method_config": {"horizon": 7}}, "files": {}}
+    write_record(layout.manifest("world_model", key(1)), manifest)
+    code = "import sys\nfrom wasp_cli.app import main\ntry: main()\nexcept SystemExit as end: code = end.code\n"
+    code += "print(code, [name for name in ('torch', 'mujoco', 'joblib', 'matplotlib', 'gymnasium') if name in sys.modules])"
+    arguments = command.format(layout.root).split()
+    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "0 []", done.stderr

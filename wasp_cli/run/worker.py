@@ -36,6 +36,7 @@ from wasp_cli.store.artifact import (
 )
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
+from wasp_cli.store.provenance import cuda_devices
 
 DEATHS = 2
 """Killed processes after which a node has failed."""
@@ -185,6 +186,7 @@ def _manifest(order: Order, summary: Mapping[str, Any], seconds: float, started_
         "summary": summary,
         "provenance": {
             **order.provenance,
+            **({"cuda": devices} if (devices := cuda_devices()) else {}),
             "run": order.run_id,
             "attempt": order.attempt,
             "threads": order.threads,

@@ -107,7 +107,7 @@ def _entry(path: Path, manifest: Mapping[str, Any], stamp: tuple[int, int], fact
     files = listed_files(manifest, path)
     try:
         return Entry(stamp, files, facts(manifest))
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return Entry(stamp, files, {})
 
 
