@@ -59,8 +59,9 @@ def layers(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none", requires=["project"])
 def tests(session: nox.Session) -> None:
-    """The fast tests; arguments go to pytest."""
-    run(session, "python", "-m", "pytest", "-m", "not slow", "--durations=10", *session.posargs)
+    """The fast tests, as many side by side as there are cores; arguments go to pytest."""
+    # By file, since what a file's tests share is made once in each process.
+    run(session, "python", "-m", "pytest", "-m", "not slow", "-n", "auto", "--dist", "loadfile", "--durations=10", *session.posargs)
 
 
 @nox.session(venv_backend="none", requires=["project"])
@@ -89,6 +90,13 @@ def smoke(session: nox.Session) -> None:
 def slow(session: nox.Session) -> None:
     """Tests that take minutes."""
     run(session, "python", "-m", "pytest", "-m", "slow", *session.posargs)
+
+
+@nox.session(venv_backend="none", requires=["project"], default=False)
+def ray(session: nox.Session) -> None:
+    """The grid through a ray cluster, which is large to install."""
+    run(session, "python", "-m", "pip", "install", "--quiet", "ray>=2.40")
+    run(session, "python", "-m", "pytest", "-m", "slow", "tests/faults/test_ray.py", *session.posargs)
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)

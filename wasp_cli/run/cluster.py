@@ -23,6 +23,8 @@ from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
 CONNECT_SECONDS = 20
+EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379"}
+STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
 POLL_SECONDS = 0.1
 
 
@@ -48,16 +50,16 @@ class DaskPool:
 
     def __init__(self, scheduler: str | None) -> None:
         if scheduler is None:
-            raise UsageError("the backend dask needs the address of its scheduler", "--scheduler tcp://HOST:8786")
+            raise UsageError("the backend dask needs the address of its scheduler", EXAMPLES["dask"])
         try:
             from distributed import Client
         except ImportError as error:
             raise UsageError("the backend dask needs the package 'distributed'", "pip install 'wasp-cli[dask]'") from error
-        _require_answer(scheduler)
+        _require_answer(self.name, scheduler)
         try:
             self._client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise _no_scheduler(scheduler, error) from error
+            raise _no_answer(self.name, scheduler, error) from error
         threads = self._client.nthreads()
         if not threads:
             self._client.close()
@@ -89,20 +91,20 @@ class DaskPool:
         self._client.close()
 
 
-def _require_answer(scheduler: str) -> None:
-    """See that something listens at an address: dask's own attempt takes long, and leaves a traceback behind."""
-    found = re.fullmatch(r"\w+://\[?([^/\]]+)\]?:(\d+)/?", scheduler)
+def _require_answer(backend: str, address: str) -> None:
+    """See that something listens at an address: the libraries' own attempts take minutes, and print what helps nobody."""
+    found = re.fullmatch(r"(?:\w+://)?\[?([^/\]]+)\]?:(\d+)/?", address)
     if found is None:
-        raise UsageError(f"'{scheduler}' is no address of a dask scheduler", "--scheduler tcp://HOST:8786")
+        raise UsageError(f"'{address}' is no address of a {backend} scheduler", EXAMPLES[backend])
     try:
         socket.create_connection((found[1], int(found[2])), timeout=CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:
-        raise _no_scheduler(scheduler, error) from error
+        raise _no_answer(backend, address, error) from error
 
 
-def _no_scheduler(scheduler: str, error: Exception) -> UsageError:
-    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return UsageError(f"no dask scheduler answers at '{scheduler}': {reason.lower()}", "start one: dask scheduler")
+def _no_answer(backend: str, address: str, error: Exception) -> UsageError:
+    reason = " ".join((getattr(error, "strerror", None) or str(error) or type(error).__name__).split())
+    return UsageError(f"no {backend} scheduler answers at '{address}': {reason[:200].lower()}", STARTS[backend])
 
 
 class RayPool:
@@ -119,10 +121,12 @@ class RayPool:
             from ray.util.joblib import register_ray
         except ImportError as error:
             raise UsageError("the backend ray needs the package 'ray'", "pip install 'wasp-cli[ray]'") from error
+        if scheduler is not None:
+            _require_answer(self.name, scheduler)
         try:
             ray.init(address=scheduler, log_to_driver=False, logging_level="error", configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:
-            raise UsageError(f"no ray cluster answers at '{scheduler}': {error}", "ray start --head") from error
+            raise _no_answer(self.name, str(scheduler), error) from error
         register_ray()
         self._ray = ray
         self.jobs = max(int(ray.cluster_resources().get("CPU", 1)), 1)
