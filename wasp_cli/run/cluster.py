@@ -124,7 +124,7 @@ class RayPool:
         if scheduler is not None:
             _require_answer(self.name, scheduler)
         try:
-            ray.init(address=scheduler, log_to_driver=False, logging_level="error", configure_logging=False)
+            ray.init(address=scheduler, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise _no_answer(self.name, str(scheduler), error) from error
         register_ray()
