@@ -22,6 +22,7 @@ from wasp_cli.options import (
     JobsOption,
     ResultsOption,
     RetriesOption,
+    ReuseOption,
     SchedulerOption,
     SelectOption,
     SetOption,
@@ -83,6 +84,7 @@ def run(
     task: TaskOption = None,
     select: SelectOption = None,
     failed: FailedOption = False,
+    reuse: ReuseOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")] = False,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
@@ -101,9 +103,9 @@ def run(
     loaded, part = restricted(load(spec, set_ or ()), task), Part(select or (), failed)
     way = way_of(jobs, timeout, retries, backend, scheduler)
     if dry_run:
-        _show_plan(loaded.spec, results, part, way.jobs)
+        _show_plan(loaded.spec, results, part, way.jobs, reuse)
     else:
-        _run_and_report(loaded, results, way, part)
+        _run_and_report(loaded, results, way, part, reuse)
 
 
 @app.command(epilog="[bold]wasp plan specs/table1.yaml[/]   ·   [bold]wasp plan specs/table1.yaml --json | jq '.nodes[0]'[/]")
@@ -115,6 +117,7 @@ def plan(
     task: TaskOption = None,
     select: SelectOption = None,
     failed: FailedOption = False,
+    reuse: ReuseOption = None,
     every: Annotated[bool, typer.Option("--all", help="List every node with its state and reason.")] = False,
     set_: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Every cell and node with its key, state and reason.")] = False,
@@ -124,7 +127,7 @@ def plan(
     from wasp_cli.spec.load import load
 
     loaded = restricted(load(spec, set_ or ()), task)
-    _show_plan(loaded.spec, results, Part(select or (), failed), cores() if jobs is None else jobs, every=every, json=json)
+    _show_plan(loaded.spec, results, Part(select or (), failed), cores() if jobs is None else jobs, reuse, every=every, json=json)
 
 
 @app.command(epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1[/]")
@@ -184,6 +187,7 @@ def ablate(
     ] = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
+    reuse: ReuseOption = None,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
     backend: BackendOption = "loky",
@@ -193,7 +197,8 @@ def ablate(
     """Run a method without one of its parts, and the whole method beside it."""
     from wasp_cli.spec.ablation import ablation
 
-    _run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, way_of(jobs, timeout, retries, backend, scheduler))
+    way = way_of(jobs, timeout, retries, backend, scheduler)
+    _run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, way, reuse=reuse)
 
 
 tasks_app = typer.Typer(
@@ -279,27 +284,28 @@ def doctor(results: ResultsOption = Path("results")) -> None:
     require(findings)
 
 
-def _show_plan(spec: Spec, results: Path, part: Part, jobs: int, *, every: bool = False, json: bool = False) -> None:
+def _show_plan(spec: Spec, results: Path, part: Part, jobs: int, reuse: str | None, *, every: bool = False, json: bool = False) -> None:
     from wasp_cli.console import out
-    from wasp_cli.plan.grid import lay_out
     from wasp_cli.plan.plan import plan_against
+    from wasp_cli.plan.reuse import lay_out_over
     from wasp_cli.plan.select import select
     from wasp_cli.plan.show import show
     from wasp_cli.store.layout import Layout
 
-    grid = lay_out(spec)
-    laid_out = plan_against(grid, Layout(results.absolute()), wanted=select(grid, part.select), failed_only=part.failed)
+    layout = Layout(results.absolute())
+    grid = lay_out_over(spec, layout, reuse)
+    laid_out = plan_against(grid, layout, wanted=select(grid, part.select), failed_only=part.failed)
     if json:
         print_json({"spec": spec.name, **laid_out.as_json()})
     else:
         show(laid_out, out(), max(jobs, 1), every=every)
 
 
-def _run_and_report(loaded: Loaded, results: Path, way: Way, part: Part | None = None) -> None:
+def _run_and_report(loaded: Loaded, results: Path, way: Way, part: Part | None = None, reuse: str | None = None) -> None:
     from wasp_cli.plan.plan import cells_with_keys, parts_with_keys
     from wasp_cli.run.session import WHOLE, run_spec
 
-    session = run_spec(loaded, results, way, part or WHOLE)
+    session = run_spec(loaded, results, way, part or WHOLE, reuse)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, wanted = session.plan.grid, session.plan.wanted
     report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid))

@@ -71,7 +71,7 @@ def gc(
     from wasp_cli.run.show_gc import removed_line, show_rubbish
 
     layout = results_of(folder)
-    kept, before = kept_keys(keep or ()), None if older_than is None else time.time() - older_than * 86400
+    kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
     found = unreached(layout, kept, runs=runs, before=before)
     show_rubbish(found, out())
     if not found or dry_run:

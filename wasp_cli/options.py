@@ -111,6 +111,15 @@ SelectOption = Annotated[
         show_default=False,
     ),
 ]
+ReuseOption = Annotated[
+    str | None,
+    typer.Option(
+        "--reuse",
+        metavar="none|published|DIR",
+        help="Published results to use instead of computing: those in results/published, or in another folder. (default: the spec's)",
+        show_default=False,
+    ),
+]
 FailedOption = Annotated[bool, typer.Option("--failed", help="Only what failed before, and what waits for it.")]
 
 

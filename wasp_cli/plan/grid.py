@@ -5,17 +5,17 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from wasp_cli.config import Config
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import closure_hash
-from wasp_cli.plan.keys import Text, canonical, joined, key_of
+from wasp_cli.plan.keys import Text, canonical, joined, key_of, recipe_of
 from wasp_cli.plan.node import Node, sort_of, with_upstream
 from wasp_cli.plan.part import Part
 from wasp_cli.registry import load_target, module_of
@@ -23,6 +23,7 @@ from wasp_cli.spec.model import Spec
 from wasp_cli.spec.names import OF_METHODS
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.published import Reused
 from wasp_cli.tasks.registry import TASKS
 
 CALIBRATED_VARIANT = "full"
@@ -44,6 +45,12 @@ class Grid:
     """What the spec trains by name."""
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
+    recipes: Mapping[str, str] = field(default_factory=dict)
+    """By key, what a node is without the code that computes it: `keys.recipe_of`. Empty unless it was asked for."""
+    reused: Mapping[str, Reused] = field(default_factory=dict)
+    """By key, the published results that stand in the place of nodes."""
+    notes: tuple[str, ...] = ()
+    """Published results that cannot be used, each with the reason."""
 
     @property
     def targets(self) -> frozenset[str]:
@@ -56,10 +63,16 @@ class Grid:
         return [(Part(node.task, node.kind, node.seed, round_of(node)), node) for node in self.nodes if node.kind not in OF_METHODS]
 
 
-def lay_out(spec: Spec) -> Grid:
-    """Every cell of a spec, every stage that it names, and every node behind them, each node once."""
+def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
+    """Every cell of a spec, every stage that it names, and every node behind them, each node once.
+
+    Args:
+        spec: what is asked for.
+        reuse: by recipe, the key of a published result that stands in the place of a node. What is computed from it has a key that says
+            so. None spends no time on recipes.
+    """
     with _uncollected():
-        return _lay_out(spec, _Builder(spec))
+        return _lay_out(spec, _Builder(spec, reuse))
 
 
 def _lay_out(spec: Spec, builder: _Builder) -> Grid:
@@ -70,7 +83,7 @@ def _lay_out(spec: Spec, builder: _Builder) -> Grid:
         builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), spec.stages)
     )
     nodes = with_upstream([*(node for _, node in cells), *named])
-    return Grid(cells, tuple(nodes), named, len(spec.tasks) * len(spec.seeds) * per_seed)
+    return Grid(cells, tuple(nodes), named, len(spec.tasks) * len(spec.seeds) * per_seed, builder.recipes)
 
 
 @contextmanager
@@ -90,7 +103,15 @@ def together(grids: Sequence[Grid]) -> Grid:
     cells = {node.key: (cell, node) for grid in grids for cell, node in grid.cells}
     nodes = with_upstream([node for grid in grids for node in grid.nodes])
     named = {node.key: node for grid in grids for node in grid.named}
-    return Grid(tuple(cells.values()), tuple(nodes), tuple(named.values()), sum(grid.points for grid in grids))
+    return Grid(
+        tuple(cells.values()),
+        tuple(nodes),
+        tuple(named.values()),
+        sum(grid.points for grid in grids),
+        {key: recipe for grid in grids for key, recipe in grid.recipes.items()},
+        {key: reused for grid in grids for key, reused in grid.reused.items()},
+        tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
+    )
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
@@ -102,12 +123,20 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
             yield Cell(task, method, assistant, operator, severity, value, seed)
 
 
+class _Upstream(NamedTuple):
+    """The texts of what a node reads."""
+
+    keys: Text
+    recipes: Text | None
+    """None where no recipes are asked for."""
+
+
 @dataclass(frozen=True)
 class _Assisted:
     """What all evaluations of one assistant on one training chain share."""
 
     needs: Mapping[str, Node]
-    upstream: Text
+    upstream: _Upstream
     roots: tuple[str, ...]
     config: Mapping[str, Any]
     text: Text
@@ -123,8 +152,10 @@ class _Builder:
     further round begins with rollouts, which complete the dataset for everything that is trained after them.
     """
 
-    def __init__(self, spec: Spec) -> None:
+    def __init__(self, spec: Spec, reuse: Mapping[str, str] | None = None) -> None:
         self.spec = spec
+        self.reuse = reuse
+        self.recipes: dict[str, str] = {}
         self.config = cache(lambda kind: spec.stage(kind).model_dump(mode="json"))
         self.identity = cache(lambda kind: canonical(spec.stage(kind).identity()))
         self.settings = cache(self._settings)
@@ -161,7 +192,7 @@ class _Builder:
             needs["calibration"] = self.calibration(task, chain, method, variant)
         axes = _round_axis(self.spec.rounds) | {"method": method, "method_config": config}
         sort = sort_of("evaluate", task, self.config("evaluate"), axes)
-        return _Assisted(needs, _upstream(needs), (module_of(info.target),), config, canonical(config), sort)
+        return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort)
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
@@ -213,34 +244,37 @@ class _Builder:
         needs: Mapping[str, Node],
         roots: tuple[str, ...],
         label: str,
-        made: tuple[Text, Text, str] | None = None,
+        made: tuple[Text, _Upstream, str] | None = None,
     ) -> Node:
-        """A node; `made` are the text of its axes, that of its upstream keys, and its sort, where many nodes share them."""
+        """A node; `made` are the text of its axes, those of its upstream, and its sort, where many nodes share them."""
         modules: tuple[str, ...] = self.modules(kind, task, roots)
         config = self.config(kind)
-        text, upstream, sort = made or (canonical(axes), _upstream(needs), sort_of(kind, task, config, axes))
-        key = key_of(
-            {
-                "kind": kind,
-                "task": _task_text(task),
-                "seed": seed,
-                "axes": text,
-                "config": self.identity(kind),
-                "settings": self.settings_text(kind),
-                "upstream": upstream,
-                "code": closure_hash(modules),
-            }
-        )
+        text, upstream, sort = made or (canonical(axes), self._upstream(needs), sort_of(kind, task, config, axes))
+        identity = {
+            "kind": kind,
+            "task": _task_text(task),
+            "seed": seed,
+            "axes": text,
+            "config": self.identity(kind),
+            "settings": self.settings_text(kind),
+            "upstream": upstream.keys,
+            "code": closure_hash(modules),
+        }
+        key = key_of(identity)
+        if self.reuse is not None:
+            recipe = recipe_of({**identity, "upstream": upstream.recipes})
+            key = self.reuse.get(recipe, key)
+            self.recipes[key] = recipe
         return Node(kind, task, seed, axes, config, self.settings(kind), needs, modules, key, f"{task} s{seed} {label}", sort)
+
+    def _upstream(self, needs: Mapping[str, Node]) -> _Upstream:
+        keys = canonical({name: node.key for name, node in needs.items()})
+        return _Upstream(keys, None if self.reuse is None else canonical({name: self.recipes[node.key] for name, node in needs.items()}))
 
 
 def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
     """Where the code of a node begins."""
     return tuple(sorted({module_of(STAGES[kind].target), *_task_modules(task), *roots}))
-
-
-def _upstream(needs: Mapping[str, Node]) -> Text:
-    return canonical({name: node.key for name, node in needs.items()})
 
 
 def round_of(node: Node) -> int:

@@ -59,6 +59,12 @@ def key_of(identity: Mapping[str, Any]) -> str:
     return hashlib.sha256(joined({**identity, "schema": Text(SCHEMA), "libraries": _libraries_text()}).encode()).hexdigest()[:LENGTH]
 
 
+def recipe_of(identity: Mapping[str, Any]) -> str:
+    """What `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
+    configuration = {name: value for name, value in identity.items() if name != "code"}
+    return hashlib.sha256(joined({**configuration, "schema": Text(SCHEMA)}).encode()).hexdigest()[:LENGTH]
+
+
 @cache
 def libraries() -> dict[str, str]:
     """Major and minor version of each library whose numerics enter the results."""

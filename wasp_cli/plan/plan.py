@@ -20,9 +20,9 @@ from wasp_cli.store.artifact import read_record
 from wasp_cli.store.index import take_stock
 from wasp_cli.store.layout import Layout
 
-State = Literal["cached", "missing", "changed", "failed", "damaged", "unneeded"]
-IDLE = ("cached", "unneeded")
-"""States in which a run leaves a node as it is."""
+State = Literal["cached", "published", "missing", "changed", "failed", "damaged", "unneeded"]
+IDLE = ("cached", "published", "unneeded")
+"""States in which a run computes nothing for a node."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +101,7 @@ class Plan:
             "cells": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.cells],
             "parts": [{**part.as_json(), "key": node.key} for part, node in self.grid.parts],
             "nodes": [self._node_json(step) for step in self.steps],
+            "notes": list(self.grid.notes),
             "counts": dict(Counter(step.state for step in self.steps)),
             "critical_path": {"seconds": seconds, "nodes": [node.key for node in path]},
         }
@@ -145,24 +146,29 @@ def make_plan(
         wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
     """
     targets = grid.targets if wanted is None else wanted
+    damages = damages or {}
     scope, required = set(targets), set(targets)
     steps: list[Step] = []
     for node in reversed(grid.nodes):
-        step = _step(node, stored, failures, damages or {})
+        step = _step(node, grid, stored, failures, damages)
         if node.key in scope:
             scope.update(needed.key for needed in node.needs.values())
         # What is damaged is repaired also where only a finished node has read it: reports show it.
-        if step.runs and (node.key in required or (step.state == "damaged" and node.key in scope)):
+        if step.state != "cached" and node.key not in required and not (node.key in damages and node.key in scope):
+            step = Step(node, "unneeded", _why_not(node, grid, scope))
+        elif step.runs:
             required.update(needed.key for needed in node.needs.values())
             if step.state == "missing" and (reason := changed(node)) is not None:
                 step = Step(node, "changed", reason)
-        elif step.runs:
-            step = Step(node, "unneeded", _why_not(node, grid, scope))
         steps.append(step)
     return Plan(grid, tuple(reversed(steps)), seconds or {}, wanted)
 
 
-def _step(node: Node, stored: Mapping[str, Container[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
+def _step(node: Node, grid: Grid, stored: Mapping[str, Container[str]], failures: Mapping[str, str], damages: Mapping[str, str]) -> Step:
+    if node.key in grid.reused:
+        # Never computed, whatever became of it in the store: under this code its key would not be the truth.
+        whole = node.key in stored.get(node.kind, ()) and node.key not in damages
+        return Step(node, "cached" if whole else "published", grid.reused[node.key].reason)
     if node.key in damages:
         return Step(node, "damaged", f"damaged, to be computed again: {damages[node.key]}")
     if node.key in stored.get(node.kind, ()):

@@ -54,14 +54,23 @@ class Reasons:
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
     """How many things differ, and the words for them."""
     fields = list(_fields(node, manifest))
-    modules = _modules(source_hashes(node.modules), manifest["sources"])
-    installed = manifest["provenance"]["versions"]
-    versions = [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := _minor(installed.get(name))) != new]
-    parts = [f"{what} changed: {_few(items)}" for what, items in (("spec", fields), ("code", modules), ("library", versions)) if items]
+    modules, versions = _modules(source_hashes(node.modules), manifest["sources"]), library_changes(manifest)
+    parts = [f"{what} changed: {few(items)}" for what, items in (("spec", fields), ("code", modules), ("library", versions)) if items]
     if not parts:
         upstream = manifest["upstream"]
-        parts = [f"upstream changed: {_few([name for name, needed in node.needs.items() if upstream.get(name) != needed.key])}"]
+        parts = [f"upstream changed: {few([name for name, needed in node.needs.items() if upstream.get(name) != needed.key])}"]
     return len(fields) + len(modules) + len(versions), "; ".join(parts)
+
+
+def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
+    """The modules and the libraries that have changed since a version of a node was computed."""
+    return _modules(source_hashes(node.modules), manifest["sources"]) + library_changes(manifest)
+
+
+def library_changes(manifest: Mapping[str, Any]) -> list[str]:
+    """The libraries that an artifact was computed with in another version."""
+    installed = manifest["provenance"].get("versions") or {}
+    return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := _minor(installed.get(name))) != new]
 
 
 def _fields(node: Node, manifest: Mapping[str, Any]) -> Iterator[str]:
@@ -96,7 +105,8 @@ def _minor(version: str | None) -> str:
     return "absent" if version is None else ".".join(version.split(".")[:2])
 
 
-def _few(items: Sequence[str]) -> str:
+def few(items: Sequence[str]) -> str:
+    """The first of several changes, and how many more there are."""
     more = f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
     return ", ".join(items[:NAMED]) + more
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 COLUMNS: dict[State, str] = {
     "cached": "cached",
+    "published": "published",
     "missing": "missing",
     "changed": "changed",
     "failed": "failed before",
@@ -47,7 +48,7 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
     table.add_row("total", str(total.total()), *(str(total[state]) for state in columns), style="bold")
     console.print(table)
     console.print(_size(plan))
-    for line in _every(plan) if every else _reasons(plan):
+    for line in (*plan.grid.notes, *(_every(plan) if every else _reasons(plan))):
         console.print(line, markup=False, soft_wrap=True)
     for line in _time(plan, workers):
         console.print(line, markup=False, soft_wrap=True)
@@ -62,17 +63,23 @@ def _size(plan: Plan) -> str:
 
 
 def _reasons(plan: Plan) -> list[str]:
-    """Why nodes run that someone may believe to be done: each reason once, with the nodes that have it."""
+    """Why nodes run that someone may believe to be done, and what is used that was published: each reason once, with its nodes."""
+    lines = reason_lines(plan, "published", "changed", "failed", "damaged")
+    if len(lines) > SHOWN:
+        lines[SHOWN:] = [f"and {len(lines) - SHOWN} more reasons; --all lists every node"]
+    return lines
+
+
+def reason_lines(plan: Plan, *states: State) -> list[str]:
+    """The reasons of the nodes in some states, each once, with the first of its nodes and how many more have it."""
     found: dict[str, list[Step]] = {}
     for step in plan.steps:
-        if step.state in ("changed", "failed", "damaged"):
+        if step.state in states:
             found.setdefault(step.reason, []).append(step)
     lines = []
-    for reason, steps in list(found.items())[:SHOWN]:
+    for reason, steps in found.items():
         more = f" and {len(steps) - 1} more" if len(steps) > 1 else ""
         lines.append(f"{steps[0].node.label}{more}: {reason}")
-    if len(found) > SHOWN:
-        lines.append(f"and {len(found) - SHOWN} more reasons; --all lists every node")
     return lines
 
 

@@ -13,8 +13,8 @@ from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.registry import load_target
 from wasp_cli.run.session import restricted
 from wasp_cli.spec.load import load
@@ -64,8 +64,8 @@ def measure_ceiling(
     spec = restricted(loaded, _task_of(loaded.spec, task)).spec
     variant, value = _operator_of(operator, spec)
     configs = [_planner(spec, name, tau_r) for name in dict.fromkeys(variants)]
-    expert = _expert_of(spec)
     layout = Layout(results.absolute())
+    expert = _expert_of(spec, layout)
     if (reason := damage(layout, expert.kind, expert.key)) is not None:
         raise ArtifactError(f"there is no {expert.label} of this spec in '{results}': {reason}", _training(path, spec, results, settings))
     evaluate: Any = spec.stage("evaluate")
@@ -114,9 +114,9 @@ def _planner(spec: Spec, variant: str, tau_r: float) -> WASPConfig:
     return WASPConfig.model_validate(spec.method("wasp", variant).model_dump() | {"tau_r": tau_r})
 
 
-def _expert_of(spec: Spec) -> Node:
+def _expert_of(spec: Spec, layout: Layout) -> Node:
     """The expert of the spec's only task and its first seed."""
-    nodes = lay_out(spec.model_copy(update={"methods": (), "stages": ("expert",)})).nodes
+    nodes = lay_out_over(spec.model_copy(update={"methods": (), "stages": ("expert",)}), layout).nodes
     return next(node for node in nodes if node.seed == spec.chain_seed(spec.seeds[0]))
 
 

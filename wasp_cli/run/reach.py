@@ -10,8 +10,8 @@ from pathlib import Path
 
 from wasp_cli.console import waiting_aloud
 from wasp_cli.errors import StoreError
-from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
+from wasp_cli.plan.reuse import NONE, lay_out_over
 from wasp_cli.run.watch import state_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.gc import Rubbish, locked, remove, rubbish, run_rubbish, stored, with_inputs
@@ -31,13 +31,14 @@ class Reach:
     other_runs: tuple[str, ...]
 
 
-def kept_keys(specs: Iterable[Path]) -> set[str]:
-    """The keys of everything that specs ask for now.
+def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
+    """The keys of everything that specs ask for now, with published results in the place of nodes and without.
 
     Raises:
         SpecError: one is not valid.
     """
-    return {node.key for path in specs for node in lay_out(load(path, ()).spec).nodes}
+    loaded = [load(path, ()).spec for path in specs]
+    return {node.key for spec in loaded for reuse in {NONE, spec.reuse} for node in lay_out_over(spec, layout, reuse).nodes}
 
 
 def reach_of_runs(layout: Layout) -> Reach:

@@ -11,9 +11,10 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName
-from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.select import select
+from wasp_cli.plan.show import reason_lines
 from wasp_cli.plan.waves import waves
 from wasp_cli.run.pool import Pool, pool_of
 from wasp_cli.run.progress import NAMES, board
@@ -24,6 +25,7 @@ from wasp_cli.spec.load import Loaded
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
+from wasp_cli.store.published import bring_in
 
 
 def cores() -> int:
@@ -95,7 +97,7 @@ class Part:
 WHOLE = Part()
 
 
-def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE) -> Session:
+def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE, reuse: str | None = None) -> Session:
     """Compute what is missing of a spec.
 
     Args:
@@ -103,13 +105,14 @@ def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE) -> Ses
         results: the results folder.
         way: how it is carried out.
         part: which part of the spec is meant.
+        reuse: what of published results may be used, instead of what the spec says.
 
     Raises:
         StoreError: the results folder cannot be written.
-        UsageError: the selection means nothing, or the backend is not there.
+        UsageError: the selection means nothing, there are no published results, or the backend is not there.
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
-    grid = lay_out(loaded.spec)
+    grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     wanted = select(grid, part.select)
     layout = prepared(results)
     with planning(layout):
@@ -141,9 +144,22 @@ def carry_out(plan: Plan, layout: Layout, run_id: str, way: Way, names: Mapping[
         way: how it is carried out.
         names: what people call a node, by its key, where that is not its label.
     """
+    _bring_in(plan, layout)
     summary = _compute(plan, layout, run_id, way, names) if plan.to_run() else Summary()
     plain(_summary_line(plan, summary))
     return Session(layout, plan, summary, names)
+
+
+def _bring_in(plan: Plan, layout: Layout) -> None:
+    """Copy the published results that are needed into the store, so that no worker has to know of them."""
+    for note in plan.grid.notes:
+        plain(note)
+    found = [plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"]
+    for offer in found:
+        bring_in(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
+    if found:
+        lines = reason_lines(plan, "published")
+        plain("\n  ".join([f"{len(found)} published results are used:", *lines]))
 
 
 def _compute(plan: Plan, layout: Layout, run_id: str, way: Way, names: Mapping[str, str]) -> Summary:
@@ -151,7 +167,7 @@ def _compute(plan: Plan, layout: Layout, run_id: str, way: Way, names: Mapping[s
     pool = pool_of(way.backend, useful_jobs(plan, way.jobs), way.scheduler)
     seconds, unknown = plan.estimate(max(pool.jobs, 1))
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
-    plain(f"{nodes} to compute, {plan.count('cached')} computed before{estimate}; logs in {layout.run(run_id) / 'logs'}")
+    plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
     runner = Runner(layout, run_id, pool, cores=cores(), limit=way.limit, retries=way.retries)
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
@@ -174,12 +190,18 @@ def _kill(pool: Pool) -> None:
 
 
 def _summary_line(plan: Plan, summary: Summary) -> str:
-    parts = [f"{summary.done} computed", f"{plan.count('cached') + summary.shared} computed before"]
+    parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
     if summary.failed:
         parts.append(f"{len(summary.failed)} failed")
     if summary.blocked:
         parts.append(f"{len(summary.blocked)} blocked")
     return f"{', '.join(parts)} in {duration(summary.seconds)}"
+
+
+def _idle(plan: Plan, shared: int = 0) -> list[str]:
+    """What a run has not to compute; `shared` was computed by others meanwhile."""
+    published = plan.count("published")
+    return [f"{plan.count('cached') + shared} computed before", *([f"{published} published"] if published else [])]
 
 
 def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:

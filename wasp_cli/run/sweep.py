@@ -8,12 +8,14 @@ from pathlib import Path
 
 from wasp_cli.console import plain
 from wasp_cli.errors import UsageError
-from wasp_cli.plan.grid import Grid, lay_out, together
+from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import plan_against
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_sweep
 from wasp_cli.run.session import Session, Way, carry_out, planning, prepared, restricted
 from wasp_cli.spec.names import OF_METHODS
 from wasp_cli.spec.sweep import Sweep
+from wasp_cli.store.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def run_sweep(sweep: Sweep, results: Path, way: Way) -> SweepSession:
         StoreError: the results folder cannot be written.
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
-    grids = tuple(lay_out(point.loaded.spec) for point in sweep.points)
+    grids = tuple(lay_out_over(point.loaded.spec, Layout(results.absolute())) for point in sweep.points)
     _require_effect(sweep, grids)
     layout = prepared(results)
     with planning(layout):

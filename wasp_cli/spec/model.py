@@ -94,6 +94,11 @@ class Spec(Config):
     episodes: int = assumed(30, "episodes per cell and seed", ge=1)
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
+    reuse: Literal["none", "published"] = Field(
+        default="none",
+        description="published: what lies in results/published and has the same configuration is used instead of computed, "
+        "also when the code has changed since; enters no key",
+    )
 
     def stage(self, kind: str) -> Config:
         """The section of a stage."""

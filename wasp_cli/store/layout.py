@@ -9,6 +9,7 @@ results/
   runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
   index.json               what plans know of the artifacts; can be removed
+  published/               results that lie in git: store/ and reports/ as above, and nothing else
 """
 
 from __future__ import annotations
@@ -47,6 +48,11 @@ class Layout:
     @property
     def index(self) -> Path:
         return self.root / "index.json"
+
+    @property
+    def published(self) -> Path:
+        """Another such folder, which only `wasp publish` writes to."""
+        return self.root / "published"
 
     def kind(self, kind: str) -> Path:
         """The folder of all artifacts of a kind."""

@@ -1,0 +1,198 @@
+"""Which published results stand in the place of nodes.
+
+A node may be replaced by a published result of the same recipe: the same configuration, perhaps under other code. Its key is then that of
+the published result, so that the keys of whatever is computed from it say what that was computed from.
+
+Under other code, published results are replaced together or not at all where it matters: a critic goes with the world model whose latent
+states it was trained on. What has to be computed therefore never reads two versions of one recipe, neither directly nor through what it
+reads. A published result that nothing reads, such as the rows of a cell, is bound by nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from wasp_cli.errors import UsageError
+from wasp_cli.plan.grid import Grid, lay_out
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.reasons import few, moved_on
+from wasp_cli.spec.model import Spec
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.published import Offer, Reused, not_used, offers, why_unusable
+
+NONE, PUBLISHED = "none", "published"
+"""What may be reused; or the published folder of someone else."""
+SHA_LENGTH = 7
+
+
+def layer_of(layout: Layout, choice: str) -> Layout | None:
+    """The published layer that `--reuse`, or a spec, means; None without reuse.
+
+    Raises:
+        UsageError: a folder is meant that holds no published results.
+        StoreError: that of the results folder is a link.
+    """
+    if choice == NONE:
+        return None
+    if choice == PUBLISHED:
+        return Layout(layout.within(layout.published))
+    found = Layout(Path(choice).absolute())
+    if not choice.strip() or not found.store.is_dir():
+        raise UsageError(f"'{choice}' holds no published results", "say none, published, or a folder that wasp publish has filled")
+    return found
+
+
+def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipes: bool = False) -> Grid:
+    """The grid of a spec with published results in the place of nodes.
+
+    Args:
+        spec: what is asked for.
+        layout: the results folder; it need not be there.
+        reuse: what may be reused, instead of what the spec says.
+        recipes: whether the grid has the recipes of its nodes also where nothing can be reused.
+
+    Raises:
+        UsageError: `reuse` is a folder without published results.
+        StoreError: the published results cannot be read.
+    """
+    source = layer_of(layout, spec.reuse if reuse is None else reuse)
+    offered, damaged = offers(source) if source is not None else ([], [])
+    if not offered:
+        return replace(lay_out(spec, {} if recipes else None), notes=tuple(damaged))
+    own = lay_out(spec, {})
+    usable, notes = _usable(own, offered, layout)
+    chosen = choose(own, usable)
+    keys = {recipe: offer.key for recipe, offer in chosen.items()}
+    moved = any(own.recipes.get(key) != recipe for recipe, key in keys.items())
+    grid = lay_out(spec, keys) if moved else own
+    reused = {
+        node.key: Reused(chosen[recipe], _code_of(node, chosen[recipe], current=own.recipes.get(node.key) == recipe))
+        for node in grid.nodes
+        if (recipe := grid.recipes[node.key]) in chosen
+    }
+    return replace(grid, reused=reused, notes=(*damaged, *notes))
+
+
+def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
+    """Those of a recipe of the grid whose bytes are whole, and what is wrong with the others of a recipe of the grid."""
+    kinds = {own.recipes[node.key]: node.kind for node in own.nodes}
+    usable, notes = [], []
+    for offer in offered:
+        if kinds.get(offer.recipe) != offer.kind:
+            continue
+        if own.recipes.get(offer.key, offer.recipe) != offer.recipe:
+            why: str | None = "it has the key of another node"
+        else:
+            why = why_unusable(offer, layout)
+        if why is None:
+            usable.append(offer)
+        else:
+            notes.append(not_used(offer.kind, offer.key, why))
+    return usable, notes
+
+
+def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
+    """By recipe, the published results that are reused.
+
+    Of several, first that of this very code, then one that was computed from what else is reused, then the newest.
+
+    Args:
+        own: the grid with its recipes and without reuse.
+        offered: what may be reused; each key once.
+    """
+    by_recipe: dict[str, list[Offer]] = {}
+    for offer in offered:
+        by_recipe.setdefault(offer.recipe, []).append(offer)
+    chosen: dict[str, Offer] = {}
+    keys: dict[str, str] = {}
+    for node in own.nodes:  # needed ones first
+        recipe = own.recipes[node.key]
+        keys[recipe] = node.key
+        if recipe in by_recipe:
+            chosen[recipe] = max(by_recipe[recipe], key=lambda offer: _preference(offer, node.key, keys))
+            keys[recipe] = chosen[recipe].key
+    while wrong := set(_at_odds(own, chosen)):
+        chosen = {recipe: offer for recipe, offer in chosen.items() if recipe not in wrong}
+    return chosen
+
+
+def _preference(offer: Offer, own: str, keys: Mapping[str, str]) -> tuple[bool, bool, str, str]:
+    fits = all(keys.get(recipe) == key for recipe, key in offer.behind.items())
+    return offer.key == own, fits, offer.started_at, offer.key
+
+
+def _at_odds(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
+    """The recipes of results that must not be reused: a node that is computed would read two versions of something through them."""
+    keys = _keys_with(own, chosen)
+    read = {needed.key for node in own.nodes for needed in node.needs.values()}
+    versions: dict[str, Mapping[str, str]] = {}
+    """By recipe of a node that others read, the versions that are behind it, itself included, by recipe."""
+    judged: set[int] = set()
+    for node in own.nodes:
+        recipe = own.recipes[node.key]
+        if recipe in chosen:
+            versions[recipe] = {**chosen[recipe].behind, recipe: keys[recipe]}
+        elif node.key in read or id(node.needs) not in judged:  # the cells of an assistant share what they read
+            judged.add(id(node.needs))
+            merged, twofold = _merged(versions[own.recipes[needed.key]] for needed in node.needs.values())
+            versions[recipe] = {**merged, recipe: keys[recipe]}
+            for reused in _nearest(own, node, chosen) if twofold else ():
+                behind = chosen[reused].behind
+                if any(name in behind and behind[name] != keys.get(name) for name in twofold):
+                    yield reused
+
+
+def _merged(parts: Iterable[Mapping[str, str]]) -> tuple[dict[str, str], set[str]]:
+    """Versions by recipe, and the recipes of which there are several."""
+    merged: dict[str, str] = {}
+    twofold = {name for part in parts for name, key in part.items() if merged.setdefault(name, key) != key}
+    return merged, twofold
+
+
+def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
+    """By recipe, the key that a node would have; of one that is to be computed from other versions, a text that is no key."""
+    keys: dict[str, str] = {}
+    for node in own.nodes:
+        recipe = own.recipes[node.key]
+        if recipe in chosen:
+            keys[recipe] = chosen[recipe].key
+        else:
+            same = all(keys[own.recipes[needed.key]] == needed.key for needed in node.needs.values())
+            keys[recipe] = node.key if same else f"new {recipe}"
+    return keys
+
+
+def _nearest(own: Grid, node: Node, chosen: Mapping[str, Offer]) -> set[str]:
+    """The recipes of the reused results that a node reads, directly or through what is computed for it."""
+    found: set[str] = set()
+    seen: set[str] = set()
+    pending = list(node.needs.values())
+    while pending:
+        needed = pending.pop()
+        recipe = own.recipes[needed.key]
+        if recipe in seen:
+            continue
+        seen.add(recipe)
+        if recipe in chosen:
+            found.add(recipe)
+        else:
+            pending += needed.needs.values()
+    return found
+
+
+def _code_of(node: Node, offer: Offer, *, current: bool) -> str:
+    """Which code computed a published result."""
+    changes: Sequence[str] = moved_on(node, offer.manifest)
+    if not changes and current:
+        return "published with this code"
+    what = few(changes) if changes else "that of what it was computed from"
+    return f"published by other code: {what}{commit_of(offer)}"
+
+
+def commit_of(offer: Offer) -> str:
+    """The commit of a published result, for people; empty when unknown."""
+    git = offer.manifest["provenance"].get("git")
+    sha = git.get("sha") if isinstance(git, dict) else None
+    return f" (git {sha[:SHA_LENGTH]})" if isinstance(sha, str) and sha else ""

@@ -1,0 +1,163 @@
+"""The published layer: artifacts that lie in git, for runs that ask for the same configuration on a machine that has not computed it.
+
+It is laid out as a results folder, with `store/` and `reports/`. A manifest there says two things more: `recipe`, the configuration without
+the code that computed it, and `behind`, by recipe, the keys of everything that it was computed from. Who wrote it need not be trusted:
+nothing of an artifact is read before its form is seen to be ours, and nothing is used whose bytes are not those of its manifest.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.store.artifact import (
+    corruption,
+    discard,
+    file_digest,
+    is_published,
+    listed_files,
+    publish,
+    published,
+    read_manifest,
+    staging_folder,
+)
+from wasp_cli.store.find import stored_kinds
+from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.lock import held
+from wasp_cli.store.plain import open_plain
+
+RECIPE, BEHIND = "recipe", "behind"
+"""What a published manifest has besides that of the store."""
+FROM_PUBLISHED = "published"
+"""Set in the provenance of an artifact that was brought into the store from the published layer."""
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A published artifact."""
+
+    source: Layout
+    """The published layer."""
+    kind: str
+    key: str
+    recipe: str
+    behind: Mapping[str, str]
+    """By recipe, the key of everything that it was computed from."""
+    manifest: Mapping[str, Any]
+
+    @property
+    def started_at(self) -> str:
+        """When it was computed, so that it sorts."""
+        return str(self.manifest["provenance"].get("started_at", ""))
+
+
+@dataclass(frozen=True)
+class Reused:
+    """A published artifact that stands in the place of a node."""
+
+    offer: Offer
+    reason: str
+    """Which code computed it, for people."""
+
+
+def offers(source: Layout) -> tuple[list[Offer], list[str]]:
+    """Everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at.
+
+    Raises:
+        StoreError: a folder of the layer cannot be read, or is a link.
+    """
+    found: dict[str, Offer] = {}
+    notes: list[str] = []
+    twice: set[str] = set()
+    for kind in stored_kinds(source):
+        for key in sorted(filter(is_key, published(source, kind))):
+            try:
+                offer = _offer(source, kind, key)
+            except ArtifactError as error:
+                notes.append(not_used(kind, key, error.message))
+                continue
+            if key in found:
+                twice.add(key)
+            found[key] = offer
+    # A key is one node; two of one name would take each other's place.
+    notes += [not_used(found[key].kind, key, "two kinds have this key") for key in sorted(twice)]
+    return [offer for key, offer in found.items() if key not in twice], notes
+
+
+def not_used(kind: str, key: str, why: str) -> str:
+    """What a plan and a run say of a published artifact that they leave alone."""
+    return f"published {kind}/{key} is not used: {why}"
+
+
+def _offer(source: Layout, kind: str, key: str) -> Offer:
+    manifest = read_manifest(source, kind, key)
+    path = source.manifest(kind, key)
+    if MANIFEST in listed_files(manifest, path):
+        raise ArtifactError(f"'{path}' is damaged: it lists itself")
+    recipe, behind = manifest.get(RECIPE), manifest.get(BEHIND)
+    own = manifest.get("kind") == kind and manifest.get("key") == key
+    if not own or not isinstance(recipe, str) or not is_key(recipe) or not _are_keys(behind):
+        raise ArtifactError(f"'{path}' is damaged: it does not say what it is the result of")
+    if not isinstance(manifest.get("provenance"), dict) or not isinstance(manifest.get("sources"), dict):
+        raise ArtifactError(f"'{path}' is damaged: it does not say what code computed it")
+    return Offer(source, kind, key, recipe, dict(behind or {}), manifest)
+
+
+def _are_keys(value: object) -> bool:
+    return isinstance(value, dict) and all(is_key(str(recipe)) and isinstance(key, str) and is_key(key) for recipe, key in value.items())
+
+
+def why_unusable(offer: Offer, layout: Layout) -> str | None:
+    """What is wrong with the bytes of a published artifact; None when they are whole, or when the store has them already."""
+    if is_published(layout, offer.kind, offer.key):
+        return None
+    try:
+        return corruption(offer.source, offer.kind, offer.key)
+    except (ArtifactError, OSError, AttributeError) as error:  # it changes now, or names no digests
+        return str(error)
+
+
+def bring_in(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
+    """Copy a published artifact into the store; whether it was not there.
+
+    Args:
+        layout: the results folder.
+        offer: what to copy.
+        waiting: asked while another process has the node.
+
+    Raises:
+        ArtifactError: its files are not those of its manifest.
+        OSError: they cannot be read or written.
+    """
+    with held(layout.lock(offer.key), waiting):
+        if is_published(layout, offer.kind, offer.key):
+            return False
+        staging = staging_folder(layout, offer.key)
+        try:
+            copy_files(offer.source, offer.kind, offer.key, offer.manifest, staging)
+            provenance = {**offer.manifest["provenance"], FROM_PUBLISHED: True}
+            publish(layout, offer.kind, offer.key, staging, {**offer.manifest, "provenance": provenance})
+        except BaseException:
+            discard(staging)
+            raise
+    return True
+
+
+def copy_files(source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path) -> None:
+    """Copy what a manifest lists, and nothing else that lies beside it.
+
+    Raises:
+        ArtifactError: the manifest names other things than files of the artifact, or a file has other bytes than it says.
+        StoreError: a part of the way to a file is a link.
+    """
+    for name in listed_files(manifest, source.manifest(kind, key)):
+        path, copy = source.within(source.artifact(kind, key) / name), folder / name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        with open_plain(path) as file, copy.open("wb") as written:
+            shutil.copyfileobj(file, written)
+        if file_digest(copy) != manifest["files"][name].get("sha256"):
+            raise ArtifactError(f"'{path}' does not have the bytes that were published")
