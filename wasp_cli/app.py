@@ -12,6 +12,7 @@ from wasp_cli import __version__, complete
 from wasp_cli.app_bench import bench_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
+from wasp_cli.app_publish import publish_app
 from wasp_cli.app_spec import spec_app
 from wasp_cli.app_status import status_app
 from wasp_cli.app_store import store_app
@@ -210,6 +211,7 @@ app.add_typer(tasks_app, name="tasks")
 app.add_typer(bench_app, name="bench")
 app.add_typer(explain_app)
 app.add_typer(operators_app)
+app.add_typer(publish_app)
 app.add_typer(spec_app)
 app.add_typer(status_app)
 app.add_typer(store_app)

@@ -1,0 +1,197 @@
+"""`wasp publish` over fake stages: what it copies, what it refuses, and that nothing of a machine goes along."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.run.harness import Fakes, run
+from wasp_cli.run.publish import PUBLIC
+from wasp_cli.run.session import Way, run_spec
+from wasp_cli.spec.load import load
+from wasp_cli.store.artifact import corruption, file_digest, read_manifest
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.provenance import provenance
+
+HOST = "a-machine-of-mine"
+
+
+@pytest.fixture
+def results(fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A results folder in which the spec has been run, with a report."""
+    monkeypatch.setattr(platform, "node", lambda: HOST)
+    provenance.cache_clear()
+    folder = tmp_path / "results"
+    run(small_spec, folder)
+    report = Layout(folder).reports("small")
+    report.mkdir(parents=True)
+    (report / "report.md").write_text("# Report: small\n")
+    yield folder
+    provenance.cache_clear()
+
+
+def publish(spec: Path, results: Path, *options: str | Path, code: int = 0) -> str:
+    done = run_here("publish", spec, "--results", results, *options, columns=200)
+    assert done.exit_code == code, done.output
+    return done.output
+
+
+def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.rglob("*") if path.is_file()}
+
+
+def keys(folder: Path) -> set[str]:
+    return {path.parent.name for path in folder.glob("store/*/*/manifest.json")}
+
+
+def test_everything_small_is_published_and_nothing_else_is_written(results: Path, small_spec: Path) -> None:
+    told = publish(small_spec, results, "--dry-run")
+    assert not (results / "published").exists()
+    assert publish(small_spec, results).startswith(told)
+    layer = Layout(results / "published")
+    assert keys(layer.root) == keys(results)
+    assert {path.name for path in layer.root.iterdir()} == {"store", "reports"}
+    assert (layer.reports("small") / "report.md").read_text() == "# Report: small\n"
+    rows = {line.split()[0]: line.split()[1:] for line in told.splitlines() if line.strip()}
+    assert rows["evaluate"][0] == str(len(list(results.glob("store/evaluate/*"))))
+    assert rows["total"][0] == str(len(keys(results)) + 1)
+    for path in layer.store.glob("*/*"):
+        assert corruption(layer, path.parent.name, path.name) is None
+
+
+def test_manifests_say_where_results_came_from_and_name_nobody(results: Path, small_spec: Path) -> None:
+    publish(small_spec, results)
+    layout, layer = Layout(results), Layout(results / "published")
+    for path in layer.store.glob("*/*"):
+        ours, theirs = (read_manifest(each, path.parent.name, path.name) for each in (layout, layer))
+        assert ours["provenance"]["host"] == HOST
+        assert set(theirs["provenance"]) == set(ours["provenance"]) & set(PUBLIC)
+        assert theirs["provenance"]["git"] == ours["provenance"]["git"]
+        assert {**theirs, "provenance": 0} == {**ours, "provenance": 0, "recipe": theirs["recipe"], "behind": theirs["behind"]}
+        assert set(ours["upstream"].values()) <= set(theirs["behind"].values())
+        text = (path / "manifest.json").read_text()
+        assert HOST not in text
+        assert str(results) not in text
+
+
+def test_publishing_again_replaces_nothing_that_is_equal_and_removes_nothing(results: Path, small_spec: Path) -> None:
+    publish(small_spec, results)
+    own = results / "published/store/expert" / ("f" * 20)
+    own.mkdir()
+    (own / "manifest.json").write_text("{}")
+    before = tree(results / "published")
+    told = publish(small_spec, results)
+    assert tree(results / "published") == before
+    assert next(line for line in told.splitlines() if "total" in line).split()[1:] == ["0", "0", "bytes", str(len(keys(results)))]
+
+
+def test_what_is_damaged_in_the_layer_is_published_anew(results: Path, small_spec: Path) -> None:
+    publish(small_spec, results)
+    first, second, third = sorted((results / "published/store").glob("evaluate/*"))[:3]
+    (first / "data.bin").write_bytes(bytes((first / "data.bin").stat().st_size))
+    (second / "data.bin").unlink()
+    (third / "manifest.json").write_text("{")
+    publish(small_spec, results)
+    layer = Layout(results / "published")
+    for path in (first, second, third):
+        assert corruption(layer, "evaluate", path.name) is None
+        assert {each.name for each in path.iterdir()} == {each.name for each in (results / "store/evaluate" / path.name).iterdir()}
+    assert not layer.tmp.exists()
+
+
+@pytest.mark.parametrize("harm", ["gone", "other size", "other bytes"])
+def test_what_is_not_there_or_not_whole_is_refused(harm: str, results: Path, small_spec: Path) -> None:
+    victim = sorted(results.glob("store/evaluate/*"))[0]
+    label = json.loads((victim / "manifest.json").read_text())["label"]
+    if harm == "gone":
+        shutil.rmtree(victim)
+    else:
+        (victim / "data.bin").write_bytes(b"" if harm == "other size" else bytes((victim / "data.bin").stat().st_size))
+    told = publish(small_spec, results, code=1)
+    assert "1 results cannot be published" in told
+    assert label in told
+    assert "wasp run SPEC --reuse none" in told
+    assert not (results / "published").exists()
+
+
+def test_what_is_large_is_left_out_and_named(results: Path, small_spec: Path) -> None:
+    large = sorted(results.glob("store/world_model/*"))[0]
+    manifest = json.loads((large / "manifest.json").read_text())
+    smallest = sum(known["size"] for known in manifest["files"].values())
+    told = publish(small_spec, results, "--largest", str((smallest - 1) / 1e6))
+    assert "left out: goal1 s0 world_model has" in told
+    assert not (results / "published/store").exists()
+    publish(small_spec, results, "--largest", str(smallest / 1e6))
+    assert keys(results / "published") == keys(results)
+
+
+def test_a_part_of_the_spec(results: Path, small_spec: Path, tmp_path: Path) -> None:
+    other = tmp_path / "elsewhere"
+    publish(small_spec, results, "--to", other, "--select", "method=human,seed=0", "--select", "stage=policies")
+    assert {path.parent.name for path in other.glob("store/*/*")} == {"evaluate", "policies"}
+    assert len(keys(other)) == 2 + 2
+    assert not (results / "published").exists()
+    publish(small_spec, results, "--to", other, "--task", "race1", code=2)
+
+
+@pytest.mark.parametrize("private", ["host", "results"])
+@pytest.mark.parametrize("place", ["report", "file"])
+def test_what_names_this_machine_is_refused(private: str, place: str, results: Path, small_spec: Path) -> None:
+    text = {"host": HOST, "results": f"{results}/runs"}[private]
+    if place == "report":
+        (results / "reports/small/report.md").write_text(f"see {text}\n")
+    else:
+        victim = sorted(results.glob("store/expert/*"))[0]
+        (victim / "half.bin").write_bytes(f"see {text}".encode())
+        manifest = json.loads((victim / "manifest.json").read_text())
+        manifest["files"]["half.bin"] = {"size": (victim / "half.bin").stat().st_size, "sha256": file_digest(victim / "half.bin")}
+        (victim / "manifest.json").write_text(json.dumps(manifest))
+    told = publish(small_spec, results, code=1)
+    assert "it names " + {"host": "this machine", "results": "the results folder"}[private] in told
+    assert not (results / "published").exists()
+
+
+def test_links_of_the_layer_are_not_followed(results: Path, small_spec: Path, tmp_path: Path) -> None:
+    (results / "published").mkdir()
+    (tmp_path / "away").mkdir()
+    (results / "published/store").symlink_to(tmp_path / "away")
+    assert "is a link" in publish(small_spec, results, code=1)
+    assert not list((tmp_path / "away").iterdir())
+
+
+def test_what_was_reused_is_published_only_on_demand(results: Path, small_spec: Path, fakes: Fakes, tmp_path: Path) -> None:
+    publish(small_spec, results)
+    fresh = tmp_path / "fresh"
+    shutil.copytree(results / "published", fresh / "published")
+    done = run_here("plan", small_spec, "--results", fresh, "--reuse", "published", columns=200)
+    assert "published with this code" in done.output
+    run_spec(load(small_spec, ("reuse=published",)), fresh, Way(jobs=0))
+    before = tree(fresh / "published")
+    told = publish(small_spec, fresh, "--reuse", "published")
+    assert tree(fresh / "published") == before
+    assert "nodes that were not computed, since nothing needs them: expert, " in told
+    # Somewhere else, what stands behind it would be missing only because nobody asked for it; what is there goes along as it was.
+    publish(small_spec, fresh, "--reuse", "published", "--to", tmp_path / "third")
+    for path in (tmp_path / "third").glob("store/*/*/manifest.json"):
+        assert path.read_bytes() == (fresh / "published" / path.relative_to(tmp_path / "third")).read_bytes()
+
+
+def test_gc_leaves_the_layer_and_what_was_taken_from_it(results: Path, small_spec: Path, tmp_path: Path) -> None:
+    publish(small_spec, results)
+    fresh = tmp_path / "fresh"
+    shutil.copytree(results / "published", fresh / "published")
+    run_spec(load(small_spec, ("reuse=published",)), fresh, Way(jobs=0))
+    before, taken = tree(fresh / "published"), keys(fresh)
+    assert run_here("gc", fresh, "--yes", "--runs", columns=80).exit_code == 0
+    assert tree(fresh / "published") == before
+    assert keys(fresh) == taken
+    shutil.rmtree(fresh / "runs")
+    (fresh / "runs").mkdir()
+    assert run_here("gc", fresh, "--yes", "--keep", small_spec, columns=80).exit_code == 0
+    assert tree(fresh / "published") == before

@@ -1,0 +1,224 @@
+"""`wasp publish`: from a results folder to the published layer, which lies in git and is read by strangers.
+
+What is copied is whole, small, and says where it came from without naming a person's machine.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import wasp_cli
+from wasp_cli.errors import ArtifactError
+from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.plan import Step, plan_against
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.select import select
+from wasp_cli.spec.model import Spec
+from wasp_cli.store.artifact import condemn, corruption, damage, discard, dumps, listed_files, publish, read_manifest, staging_folder, sweep
+from wasp_cli.store.layout import Layout, is_name
+from wasp_cli.store.published import BEHIND, RECIPE, copy_files
+
+PUBLIC = (
+    "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "devices", "started_at", "seconds",
+)  # fmt: skip
+"""What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
+SHORTEST = 4
+"""Characters of a private name at least: a shorter one is found everywhere by chance."""
+NAMED = 12
+"""Nodes that a refusal names."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """An artifact to publish."""
+
+    node: Node
+    size: int
+    """Bytes of its files."""
+    manifest: Mapping[str, Any]
+    """As it will be published."""
+
+
+@dataclass(frozen=True)
+class Publication:
+    """What is to be published."""
+
+    new: tuple[Item, ...]
+    there: tuple[Item, ...]
+    """Those that the published layer has already, byte for byte."""
+    large: tuple[Item, ...]
+    """Those that are left out for their size."""
+    absent: tuple[Node, ...]
+    """What was not computed because nothing needs it."""
+    reports: tuple[Path, ...]
+    """Files of the spec's report that the published layer does not have."""
+
+
+def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:
+    """What of a spec can be published; nothing is written.
+
+    Args:
+        spec: whose results.
+        layout: the results folder.
+        target: the published layer.
+        selectors: texts of `--select`; all cells and all trained parts without any.
+        largest: bytes of an artifact at most.
+        reuse: which results stand for nodes, as for a run: with `none`, those of this code.
+
+    Raises:
+        UsageError: the selection means nothing.
+        ArtifactError: something is not computed, or damaged, or names this machine.
+    """
+    grid = lay_out_over(spec, layout, reuse, recipes=True)
+    selected = select(grid, selectors)
+    plan = plan_against(grid, layout, wanted=selected)
+    steps = [step for step in plan.steps if selected is None or step.node.key in selected]
+    behind = _behind(grid)
+    found: dict[str, list[Item]] = {"new": [], "there": [], "large": []}
+    refused = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
+    private = _private(layout)
+    for step in steps:
+        if step.state == "published" and damage(target, step.node.kind, step.node.key) is not None:
+            refused.append(f"{step.node.label}: it was published elsewhere, and is not in '{layout.root}'")
+        elif step.state in ("cached", "published"):
+            source = layout if step.state == "cached" else target
+            item = _item(step, source, grid.recipes[step.node.key], behind[step.node.key])
+            place = "large" if item.size > largest else _place(item, source, target, private, refused)
+            found[place].append(item)
+    reports = [path for path in _reports(spec, layout) if not _same(path, target.reports(spec.name) / path.name)]
+    refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
+    if refused:
+        more = [f"  and {len(refused) - NAMED} more"] if len(refused) > NAMED else []
+        lines = [f"{len(refused)} results cannot be published:", *(f"  {text}" for text in refused[:NAMED]), *more]
+        raise ArtifactError("\n".join(lines), "wasp run SPEC --reuse none computes what is missing, with this code")
+    absent = tuple(step.node for step in steps if step.state == "unneeded")
+    return Publication(tuple(found["new"]), tuple(found["there"]), tuple(found["large"]), absent, tuple(reports))
+
+
+def _behind(grid: Grid) -> dict[str, dict[str, str]]:
+    """By key of a node, everything that it was computed from: key by recipe."""
+    found: dict[str, dict[str, str]] = {}
+    for node in grid.nodes:
+        if node.key in grid.reused:
+            found[node.key] = dict(grid.reused[node.key].offer.behind)
+        else:
+            own: dict[str, str] = {}
+            for needed in node.needs.values():
+                own |= found[needed.key] | {grid.recipes[needed.key]: needed.key}
+            found[node.key] = own
+    return found
+
+
+def _item(step: Step, source: Layout, recipe: str, behind: Mapping[str, str]) -> Item:
+    node = step.node
+    manifest = read_manifest(source, node.kind, node.key)
+    size = sum(listed_files(manifest, source.manifest(node.kind, node.key)).values())
+    provenance = {name: value for name, value in manifest["provenance"].items() if name in PUBLIC}
+    return Item(node, size, {**manifest, "provenance": provenance, RECIPE: recipe, BEHIND: dict(behind)})
+
+
+def _place(item: Item, source: Layout, target: Layout, private: Mapping[str, str], refused: list[str]) -> str:
+    """Whether an artifact is new or there already; why it cannot be published is added to `refused`."""
+    node = item.node
+    if corruption(target, node.kind, node.key) is None:
+        return "there"
+    wrong = corruption(source, node.kind, node.key)
+    texts = [dumps(item.manifest).encode()]
+    if wrong is None:
+        texts += [(source.artifact(node.kind, node.key) / name).read_bytes() for name in item.manifest["files"]]
+    named = next(filter(None, (_named(text, private) for text in texts)), None)
+    if wrong is not None or named is not None:
+        refused.append(f"{node.label}: {wrong or f'it names {named}'}")
+    return "new"
+
+
+def _private(layout: Layout) -> dict[str, str]:
+    """What must not be published, by what it is: where things lie on this machine, and its name."""
+    checkout = Path(wasp_cli.__file__).resolve().parents[1]
+    named = {
+        "the results folder": str(layout.root),
+        "the results folder behind a link": str(layout.root.resolve()),
+        "the folder of the source": str(checkout),
+        "the home folder": str(Path.home()),
+        "this machine": platform.node(),
+    }
+    return {what: text for what, text in named.items() if len(text) >= SHORTEST and text != "localhost"}
+
+
+def _named(data: bytes, private: Mapping[str, str]) -> str | None:
+    """What private thing a file names; None where it names none."""
+    for what, text in private.items():
+        if re.search(rb"(?<!\w)" + re.escape(text.encode()) + rb"(?!\w)", data):
+            return what
+    return None
+
+
+def _reports(spec: Spec, layout: Layout) -> list[Path]:
+    """The files of a spec's report."""
+    folder = layout.within(layout.reports(spec.name))
+    try:
+        with os.scandir(folder) as entries:
+            return [folder / name for name in sorted(each.name for each in entries if each.is_file(follow_symlinks=False)) if is_name(name)]
+    except FileNotFoundError:
+        return []
+
+
+def _same(one: Path, other: Path) -> bool:
+    return other.is_file() and one.read_bytes() == other.read_bytes()
+
+
+def carry_publication(found: Publication, spec: Spec, layout: Layout, target: Layout) -> None:
+    """Copy what is new; what is there already stays as it is, and nothing is removed.
+
+    Args:
+        found: what to copy, from `publication`.
+        spec: whose results.
+        layout: the results folder.
+        target: the published layer.
+
+    Raises:
+        ArtifactError: a file has changed since it was looked at.
+        StoreError: a folder of the published layer is a link.
+    """
+    for folder in (target.store, target.tmp, target.reports(spec.name)):
+        target.within(folder)
+    sweep(target)
+    try:
+        for item in found.new:
+            _copy(item, layout, target)
+        _copy_reports(found.reports, target.reports(spec.name), target)
+    finally:
+        with suppress(OSError):  # another one writes there now, or nothing was to copy
+            target.tmp.rmdir()
+
+
+def _copy(item: Item, layout: Layout, target: Layout) -> None:
+    kind, key = item.node.kind, item.node.key
+    if damage(target, kind, key) is None:  # of the right sizes, and with other bytes
+        condemn(target, kind, key, "its bytes were not those that were published")
+    staging = staging_folder(target, key)
+    try:
+        copy_files(layout, kind, key, item.manifest, staging)
+        publish(target, kind, key, staging, item.manifest)
+    except BaseException:
+        discard(staging)
+        raise
+
+
+def _copy_reports(files: Iterable[Path], folder: Path, target: Layout) -> None:
+    for path in files:
+        folder.mkdir(parents=True, exist_ok=True)
+        target.tmp.mkdir(parents=True, exist_ok=True)
+        partial = target.tmp / uuid.uuid4().hex
+        shutil.copyfile(path, partial, follow_symlinks=False)
+        os.replace(partial, folder / path.name)
