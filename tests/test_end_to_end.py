@@ -165,3 +165,20 @@ def test_one_worker_gives_the_same_rows_as_two(results: Path, tmp_path: Path) ->
     for name in mine:
         assert mine[name].parent.name == theirs[name].parent.name, "the same content has the same key"
         assert same_rows(mine[name], theirs[name]), name
+
+
+def test_published_results_give_the_same_tables_on_a_fresh_machine(results: Path, tmp_path: Path) -> None:
+    spec, here = str(results.parent / "chain.yaml"), tmp_path / "results"
+    done = wasp("publish", spec, "--results", str(results), "--to", str(here / "published"))
+    assert done.returncode == 0, done.stderr
+    done = wasp("run", spec, "--results", str(here), "--reuse", "published")
+    assert done.returncode == 0, done.stderr
+    assert "0 computed, 0 computed before" in done.stderr
+    assert "published with this code" in done.stderr
+    ours, theirs = cells(here), cells(results)
+    assert {name: path.read_bytes() for name, path in ours.items()} == {name: path.read_bytes() for name, path in theirs.items()}
+    for shown in (done.stdout, wasp("report", str(here)).stdout):
+        assert "their code and libraries are those of today" in shown
+        assert "INCOMPLETE" not in shown
+    tables = (folder / "reports/chain/table1.md" for folder in (here, results))
+    assert next(tables).read_text() == next(tables).read_text()

@@ -69,7 +69,8 @@ def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
 
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:
     """The libraries that an artifact was computed with in another version."""
-    installed = manifest["provenance"].get("versions") or {}
+    recorded = manifest["provenance"].get("versions")
+    installed = recorded if isinstance(recorded, Mapping) else {}
     return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := _minor(installed.get(name))) != new]
 
 
@@ -101,8 +102,8 @@ def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
     return changed + [f"{name} (no longer used)" for name in before if name not in now]
 
 
-def _minor(version: str | None) -> str:
-    return "absent" if version is None else ".".join(version.split(".")[:2])
+def _minor(version: object) -> str:
+    return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"
 
 
 def few(items: Sequence[str]) -> str:

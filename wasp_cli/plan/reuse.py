@@ -20,11 +20,10 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import Offer, Reused, not_used, offers, why_unusable
+from wasp_cli.store.published import Offer, Reused, commit_of, not_used, offers, why_unusable
 
 NONE, PUBLISHED = "none", "published"
 """What may be reused; or the published folder of someone else."""
-SHA_LENGTH = 7
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
@@ -188,11 +187,4 @@ def _code_of(node: Node, offer: Offer, *, current: bool) -> str:
     if not changes and current:
         return "published with this code"
     what = few(changes) if changes else "that of what it was computed from"
-    return f"published by other code: {what}{commit_of(offer)}"
-
-
-def commit_of(offer: Offer) -> str:
-    """The commit of a published result, for people; empty when unknown."""
-    git = offer.manifest["provenance"].get("git")
-    sha = git.get("sha") if isinstance(git, dict) else None
-    return f" (git {sha[:SHA_LENGTH]})" if isinstance(sha, str) and sha else ""
+    return f"published by other code: {what}{commit_of(offer.manifest)}"

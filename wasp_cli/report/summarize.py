@@ -18,6 +18,7 @@ from wasp_cli.report.assumption_list import Assumption, assumptions_in_force, as
 from wasp_cli.report.figure import FIGURES, cost_return_figure
 from wasp_cli.report.frame import Frame, Missing, Wanted, read_frame
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
+from wasp_cli.report.reused import Origins, absent_fact, absent_parts
 from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
 from wasp_cli.report.threshold_table import threshold_table
 from wasp_cli.report.trained_table import Trained, trained_artifacts, trained_markdown
@@ -52,6 +53,8 @@ class Report:
     assumptions: tuple[Assumption, ...]
     damaged: tuple[str, ...] = ()
     """Records that do not read; `facts` has them too."""
+    published: tuple[str, ...] = ()
+    """What was published and not computed here; `facts` has it too."""
 
     @property
     def missing(self) -> tuple[Missing, ...]:
@@ -62,6 +65,8 @@ class Report:
         """Print the main tables and name what is missing."""
         for table in self.tables[: self.shown]:
             console.print(terminal(table, console.width))
+        for fact in self.published:
+            console.print(Text(fact), soft_wrap=True)
         if self.missing:
             total = len(self.frame.cells) + len(self.missing)
             console.print(Text(f"\n{len(self.missing)} of {total} cells are missing:", style="bold red"))
@@ -137,7 +142,14 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
     frame = read_frame(wanted)
     roots = [*(("evaluate", key) for _, key in cells), *((part.kind, key) for part, key in parts)]
-    trained, unreadable = trained_artifacts(layout, roots)
+    origins = Origins()
+    trained, unreadable = trained_artifacts(layout, roots, origins)
+    published = list(origins.facts())
+    # What nothing needs is no gap in a run that took published results; in any other one it once was there.
+    absent = absent_parts(layout, parts, spec.stages) if published and not frame.missing else []
+    if absent:
+        published.append(absent_fact(absent))
+        parts = [(part, key) for part, key in parts if part not in absent]
     front = [main_table(frame)] if cells else []
     ablations = ablation_table(frame)
     if ablations is not None:
@@ -147,13 +159,14 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
         name=spec.name,
-        facts=(*_facts(spec, frame), *damaged),
+        facts=(*_facts(spec, frame), *published, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
         trained=trained,
         assumptions=tuple(assumptions_in_force(spec)),
         damaged=tuple(damaged),
+        published=tuple(published),
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.text import Text
 
 from wasp_cli.plan.cell import Cell
 from wasp_cli.report.frame import Missing
@@ -29,6 +30,8 @@ class SweepReport:
     swept: tuple[Swept, ...]
     damaged: tuple[str, ...] = ()
     """Records that do not read."""
+    published: tuple[str, ...] = ()
+    """What was published and not computed here."""
 
     @property
     def missing(self) -> tuple[Missing, ...]:
@@ -45,6 +48,8 @@ class SweepReport:
         for table in self.tables:
             if table.rows:
                 console.print(terminal(table, console.width))
+        for fact in self.published:
+            console.print(Text(fact), soft_wrap=True)
         name_missing(console, self.missing)
 
     def write(self, folder: Path) -> list[Path]:
@@ -63,6 +68,7 @@ class SweepReport:
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
             f"{len(frame.cells)} of {len(frame.order)} different cells, {sum(cell.episodes for cell in frame.cells)} episodes.",
+            *self.published,
             *self.damaged,
         ]
         parts = [f"# Sweep: {self.name}\n", "".join(f"- {fact}\n" for fact in facts)]
@@ -98,8 +104,10 @@ def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cel
     """
     swept: list[Swept] = []
     damaged: list[str] = []
+    published: list[str] = []
     for point, own in zip(sweep.points, cells, strict=True):
         report = report_run(results, point.loaded.spec, own)
         damaged += report.damaged
+        published += [f"`{sweep.key}` = `{point.text}`: {fact}" for fact in report.published]
         swept.append(Swept(point.text, point.value, report.frame, {identity_of(cell): key for cell, key in own}))
-    return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)))
+    return SweepReport(sweep.name, sweep.spec, sweep.key, tuple(swept), tuple(dict.fromkeys(damaged)), tuple(published))

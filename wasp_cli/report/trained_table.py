@@ -9,6 +9,7 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.reused import Origins, is_from_published
 from wasp_cli.report.titles import task_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
@@ -30,13 +31,17 @@ class Trained:
     summary: Mapping[str, Any]
 
 
-def trained_artifacts(layout: Layout, roots: Iterable[tuple[str, str]]) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
+def trained_artifacts(
+    layout: Layout, roots: Iterable[tuple[str, str]], origins: Origins | None = None
+) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
     """Artifacts and what is behind them, needed ones first, without evaluated cells; and what is damaged.
 
     Args:
         layout: the results folder.
         roots: kind and key of evaluations and trained parts. One that is not there yet is passed over.
+        origins: takes every artifact into account, evaluated cells too.
     """
+    origins = origins or Origins()
     found: dict[str, Trained | None] = {}
     damaged: list[str] = []
 
@@ -55,10 +60,12 @@ def trained_artifacts(layout: Layout, roots: Iterable[tuple[str, str]]) -> tuple
                 visit(kinds.get(name, name), needed)
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
+            stage += ", published" if is_from_published(manifest) else ""
             stage += f", round {manifest['axes']['round']}" if "round" in manifest["axes"] else ""
             task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
             seconds = manifest["provenance"].get("seconds")
             trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary)
+            origins.add(manifest)
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
             return

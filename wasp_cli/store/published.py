@@ -35,6 +35,9 @@ RECIPE, BEHIND = "recipe", "behind"
 FROM_PUBLISHED = "published"
 """Set in the provenance of an artifact that was brought into the store from the published layer."""
 
+SHA_LENGTH = 7
+"""Hexadecimal digits of a commit that people are shown."""
+
 
 @dataclass(frozen=True)
 class Offer:
@@ -62,6 +65,14 @@ class Reused:
     offer: Offer
     reason: str
     """Which code computed it, for people."""
+
+
+def commit_of(manifest: Mapping[str, Any]) -> str:
+    """The commit that an artifact was computed with, for people; empty when unknown."""
+    git = manifest["provenance"].get("git")
+    if not isinstance(git, dict) or not isinstance(git.get("sha"), str):
+        return ""
+    return f" (git {git['sha'][:SHA_LENGTH]}{' with changes' if git.get('dirty') else ''})"
 
 
 def offers(source: Layout) -> tuple[list[Offer], list[str]]:
