@@ -13,7 +13,7 @@ import pytest
 
 from tests.run.harness import Fakes, data_of
 from wasp_cli.console import err
-from wasp_cli.errors import UsageError
+from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.plan import grid, reasons, reuse
 from wasp_cli.plan.closure import closure
 from wasp_cli.plan.grid import lay_out
@@ -22,9 +22,13 @@ from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.publish import carry_publication, publication
 from wasp_cli.run.session import Session, Way, run_spec
+from wasp_cli.run.sweep import run_sweep
 from wasp_cli.spec.load import load
+from wasp_cli.spec.sweep import read_sweep
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import Busy, held
+from wasp_cli.store.published import bring_in
 
 SPECIFIC = "wasp_cli.methods.ida"
 """A module that some nodes run, none of them one that others read but a calibration."""
@@ -356,3 +360,35 @@ def test_nothing_is_spent_where_nothing_is_reused(fakes: Fakes, small_spec: Path
     assert lay_out_over(load(small_spec).spec, Layout(tmp_path), "published") == plain
     assert called == ["offers"]
     assert len(counted) == 3 * once
+
+
+def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
+    moved(COMMON)
+    swept = read_sweep(small_spec, "wasp.tau_c=0.3,0.5", ("human", "wasp"), ("reuse=published",))
+    done = run_sweep(swept, here, Way(jobs=0))
+    assert done.session.summary.complete
+    # Nothing is trained, Human-only is there, and so is WASP under one of the values.
+    assert kinds(fakes.executions()) == {"calibration": 2, "evaluate": 2 * 2}
+    assert done.session.plan.count("published", "evaluate") == 2 * 2 * 2
+
+
+def test_what_the_store_has_is_not_brought_in_again(here: Path, fakes: Fakes, small_spec: Path) -> None:
+    reused = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values()))
+    layout = Layout(here)
+    assert bring_in(layout, reused.offer, lambda: False)
+    assert read_manifest(layout, reused.offer.kind, reused.offer.key) == {
+        **reused.offer.manifest,
+        "provenance": {**reused.offer.manifest["provenance"], "published": True},
+    }
+    assert not bring_in(layout, reused.offer, lambda: False)
+    with held(layout.lock(reused.offer.key), lambda: False), pytest.raises(Busy):
+        bring_in(layout, reused.offer, lambda: False)
+
+
+def test_what_changes_after_the_plan_was_made_is_not_brought_in(here: Path, fakes: Fakes, small_spec: Path) -> None:
+    offer = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values())).offer
+    (offer.source.artifact(offer.kind, offer.key) / "data.bin").write_bytes(b"something else")
+    with pytest.raises(ArtifactError, match="does not have the bytes"):
+        bring_in(Layout(here), offer, lambda: False)
+    assert not list((here / "tmp").iterdir())
+    assert not list(here.glob("store/*/*"))

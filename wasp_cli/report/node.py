@@ -17,6 +17,7 @@ from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
 from wasp_cli.store.layout import Layout, is_key, is_name
 from wasp_cli.store.plain import open_plain
+from wasp_cli.store.published import FROM_PUBLISHED
 
 FileState = Literal["whole", "changed", "gone", "not of the artifact"]
 
@@ -40,7 +41,8 @@ class Upstream:
     kind: str
     key: str
     label: str
-    state: Literal["present", "damaged", "gone"]
+    state: Literal["present", "damaged", "gone", "not brought in"]
+    """The last: the node was published, and nothing here needed what it was computed from."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,8 @@ def _upstream(layout: Layout, node: FoundNode) -> Iterator[Upstream]:
             label = str(read_manifest(layout, kind, key).get("label", ""))
         except ArtifactError:
             there = layout.artifact(kind, key).exists()
-            yield Upstream(name, kind, key, "", "damaged" if there else "gone")
+            absent: Literal["gone", "not brought in"] = "not brought in" if node.setting("provenance", FROM_PUBLISHED) else "gone"
+            yield Upstream(name, kind, key, "", "damaged" if there else absent)
         else:
             yield Upstream(name, kind, key, label, "present" if damage(layout, kind, key) is None else "damaged")
 

@@ -73,7 +73,7 @@ def _life(state: RunState, now: datetime) -> str:
     if state.state == "not started":
         return "planned, and nothing of it was computed"
     if not state.total:
-        return "everything was computed before"
+        return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
         ending = "ending after what runs now" if state.draining else ""

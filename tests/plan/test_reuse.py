@@ -1,0 +1,137 @@
+"""Recipes, and which of several published results stands in the place of a node."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.plan.test_grid import by_label, spec
+from wasp_cli.plan import grid, keys
+from wasp_cli.plan.grid import Grid, lay_out
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.reuse import choose
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.published import Offer
+
+MODEL, SKILLS, HELDOUT, CRITICS = "goal1 s0 world_model", "goal1 s0 policies", "goal1 s0 heldout", "goal1 s0 critics"
+NOWHERE = Layout(Path("nowhere"))
+
+
+def own_grid(**changes: Any) -> Grid:
+    """A grid with recipes."""
+    return lay_out(spec(**changes), {})
+
+
+def recipes(laid_out: Grid) -> dict[str, str]:
+    return {node.label: laid_out.recipes[node.key] for node in laid_out.nodes}
+
+
+def offer(own: Grid, label: str, key: str, behind: dict[str, str] | None = None, at: str = "2026-01-01") -> Offer:
+    """A published result of a node, with all that it needs as today's code would have it, but for `behind` (by label)."""
+    node = by_label(own)[label]
+    today: dict[str, str] = {}
+
+    def collect(node: Node) -> None:
+        for needed in node.needs.values():
+            today[own.recipes[needed.key]] = (behind or {}).get(needed.label, needed.key)
+            collect(needed)
+
+    collect(node)
+    return Offer(NOWHERE, node.kind, key, own.recipes[node.key], today, {"provenance": {"started_at": at}})
+
+
+def version(number: int) -> dict[str, str]:
+    """Keys of one version of all that is trained behind the critics, by label."""
+    return {label: f"{number}{letter}" * 10 for label, letter in zip((MODEL, SKILLS, HELDOUT, CRITICS), "abcd", strict=True)}
+
+
+def chosen(own: Grid, offered: list[Offer]) -> dict[str, str]:
+    """The key of what is reused, by label, whatever the order of what is offered."""
+    labels = {own.recipes[node.key]: node.label for node in own.nodes}
+    found = {labels[recipe]: each.key for recipe, each in choose(own, offered).items()}
+    shuffled = random.Random(0).sample(offered, len(offered))
+    assert {labels[recipe]: each.key for recipe, each in choose(own, shuffled).items()} == found
+    return found
+
+
+def test_a_recipe_is_the_configuration_without_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, plain = recipes(own_grid()), own_grid()
+    monkeypatch.setattr(grid, "closure_hash", lambda roots: "other code")
+    monkeypatch.setattr(keys, "_libraries_text", lambda: keys.Text('"other libraries"'))
+    after = own_grid()
+    assert recipes(after) == before
+    assert not {node.key for node in after.nodes} & {node.key for node in plain.nodes}
+    assert len(set(before.values())) == len(before) == len(plain.nodes)
+
+
+def test_a_recipe_changes_with_every_setting_behind_it() -> None:
+    before, after = recipes(own_grid()), recipes(own_grid(world_model={"updates": 21}))
+    moved = {label for label in before if before[label] != after[label]}
+    assert {"goal1 s0 world_model", "goal1 s0 critics", "goal1 s0 wasp noisy=0.2"} <= moved
+    assert not {"goal1 s0 expert", "goal1 s0 dataset"} & moved
+    assert recipes(own_grid(name="other", seeds=[1, 0], reuse="published")) == before
+
+
+def test_what_is_computed_from_a_reused_node_has_another_key() -> None:
+    own = own_grid()
+    before = by_label(own)
+    critics = before["goal1 s0 critics"]
+    after = by_label(lay_out(spec(), {own.recipes[critics.key]: "a" * 20}))
+    assert after["goal1 s0 critics"].key == "a" * 20
+    moved = {label for label in before if before[label].key != after[label].key}
+    assert moved == {label for label, node in before.items() if critics in (node, *upstream(node))}
+    assert after["goal1 s0 wasp noisy=0.2"].needs["critics"].key == "a" * 20
+
+
+def upstream(node: Node) -> list[Node]:
+    return [each for needed in node.needs.values() for each in (needed, *upstream(needed))]
+
+
+def test_recipes_are_for_those_who_ask() -> None:
+    assert not lay_out(spec()).recipes
+    assert lay_out(spec()).nodes == own_grid().nodes
+
+
+def test_of_several_todays_code_counts_first_and_then_the_newest() -> None:
+    own = own_grid()
+    label = "goal1 s0 human noisy=0.2"
+    older, newer = offer(own, label, "a" * 20, at="2026-01-01"), offer(own, label, "b" * 20, at="2026-02-01")
+    today = offer(own, label, by_label(own)[label].key, at="2025-01-01")
+    assert chosen(own, [older, newer]) == {label: newer.key}
+    assert chosen(own, [older, newer, today]) == {label: today.key}
+
+
+def test_what_goes_with_what_else_is_reused_counts_before_what_is_newer() -> None:
+    own = own_grid()
+    first, second = version(1), version(2)
+    offered = [offer(own, MODEL, first[MODEL], at="2026-03-01")]
+    for behind, at in ((first, "2026-01-01"), (second, "2026-02-01")):
+        offered += [offer(own, label, behind[label], behind, at) for label in (SKILLS, HELDOUT, CRITICS)]
+    assert chosen(own, offered) == first
+
+
+def test_what_goes_with_nothing_here_is_left_alone() -> None:
+    own = own_grid()
+    cell, behind = "goal1 s0 wasp noisy=0.2", version(1)
+    stranger = offer(own, CRITICS, behind[CRITICS], behind)
+    assert chosen(own, [stranger]) == {}
+    # The rows of a cell are read by nothing, so that they need not go with anything.
+    assert chosen(own, [stranger, offer(own, cell, "f" * 20, behind)]) == {cell: "f" * 20}
+    # Half of what it goes with is not enough: the skills of today would be others than those behind it.
+    model = offer(own, MODEL, behind[MODEL])
+    assert chosen(own, [stranger, model]) == {MODEL: model.key}
+    assert chosen(own, [stranger, model, *(offer(own, label, behind[label], behind) for label in (SKILLS, HELDOUT))]) == behind
+
+
+def test_what_lies_behind_everything_that_is_read_need_not_be_there() -> None:
+    own = own_grid(methods=["wasp"], stages=[])
+    behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
+    offered = [offer(own, label, behind[label], behind) for label in version(1)]
+    # Calibrating reads nothing but these: the dataset of today does not meet the one behind them.
+    assert chosen(own, offered) == version(1)
+    # Judging the world model does read it.
+    judged = own_grid(methods=["wasp"])
+    assert chosen(judged, [offer(judged, label, behind[label], behind) for label in version(1)]) == {}
