@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +72,9 @@ def test_pages_show_commands() -> None:
     assert len(shown()) >= 8
 
 
-@pytest.mark.parametrize("text", [text for page in PAGES for text in blocks(page, "yaml") if text.startswith("name:")])
+@pytest.mark.parametrize("text", [text for page in PAGES for text in blocks(page, "yaml") if text.startswith(("name:", "extends:"))])
 def test_shown_specs_are_valid(text: str, tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "specs", tmp_path, dirs_exist_ok=True)  # which they may extend
     (tmp_path / "spec.yaml").write_text(text, encoding="utf-8")
     assert load(tmp_path / "spec.yaml").spec.tasks
 
