@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +24,32 @@ from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
 CONNECT_SECONDS = 20
+PACKAGES = {"dask": "distributed", "ray": "ray"}
 EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379"}
 STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
 POLL_SECONDS = 0.1
 
 
-def cluster_pool(backend: str, scheduler: str | None) -> Pool:
-    """The workers of a dask scheduler or of a ray cluster.
+def require_cluster(backend: str, scheduler: str | None) -> None:
+    """See that a cluster can be used, before anything is planned for it.
 
     Raises:
-        UsageError: the package is not installed, or nothing answers at the address.
+        UsageError: its package is not installed, it has no address, or nothing answers there.
+    """
+    package = PACKAGES[backend]
+    if find_spec(package) is None:
+        raise UsageError(f"the backend {backend} needs the package '{package}'", f"pip install 'wasp-cli[{backend}]'")
+    if scheduler is not None:
+        _require_answer(backend, scheduler)
+    elif backend == "dask":  # ray starts one of its own on this machine
+        raise UsageError("the backend dask needs the address of its scheduler", EXAMPLES["dask"])
+
+
+def cluster_pool(backend: str, scheduler: str | None) -> Pool:
+    """The workers of a dask scheduler or of a ray cluster, of which `require_cluster` has said that it is there.
+
+    Raises:
+        UsageError: it does not answer after all, or its workers do not fit.
     """
     pool: Pool = DaskPool(scheduler) if backend == "dask" else RayPool(scheduler)
     return pool
@@ -49,17 +66,12 @@ class DaskPool:
     name = "dask"
 
     def __init__(self, scheduler: str | None) -> None:
-        if scheduler is None:
-            raise UsageError("the backend dask needs the address of its scheduler", EXAMPLES["dask"])
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise UsageError("the backend dask needs the package 'distributed'", "pip install 'wasp-cli[dask]'") from error
-        _require_answer(self.name, scheduler)
+        from distributed import Client
+
         try:
             self._client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise _no_answer(self.name, scheduler, error) from error
+            raise _no_answer(self.name, str(scheduler), error) from error
         threads = self._client.nthreads()
         if not threads:
             self._client.close()
@@ -116,13 +128,9 @@ class RayPool:
     name = "ray"
 
     def __init__(self, scheduler: str | None) -> None:
-        try:
-            import ray
-            from ray.util.joblib import register_ray
-        except ImportError as error:
-            raise UsageError("the backend ray needs the package 'ray'", "pip install 'wasp-cli[ray]'") from error
-        if scheduler is not None:
-            _require_answer(self.name, scheduler)
+        import ray
+        from ray.util.joblib import register_ray
+
         try:
             ray.init(address=scheduler, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:

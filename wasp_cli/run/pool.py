@@ -129,6 +129,23 @@ class LokyPool:
 BACKENDS = ("loky", "dask", "ray")
 
 
+def require_backend(backend: str, scheduler: str | None) -> None:
+    """See that a backend can be used, before anything is planned for it.
+
+    Raises:
+        UnknownName: there is none of this name.
+        UsageError: its package is not installed, or its scheduler does not answer.
+    """
+    if backend not in BACKENDS:
+        raise UnknownName("backend", backend, BACKENDS)
+    if backend != "loky":
+        from wasp_cli.run.cluster import require_cluster
+
+        require_cluster(backend, scheduler)
+    elif scheduler is not None:
+        raise UsageError("--scheduler is for the backends dask and ray", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT")
+
+
 def pool_of(backend: str, jobs: int, scheduler: str | None = None) -> Pool:
     """The workers of a backend.
 
@@ -136,18 +153,11 @@ def pool_of(backend: str, jobs: int, scheduler: str | None = None) -> Pool:
         backend: one of `BACKENDS`.
         jobs: worker processes on this machine at most; 0 computes in this process. Others bring their own number.
         scheduler: address of the others' scheduler.
-
-    Raises:
-        UsageError: no such backend, its package is not installed, or its scheduler does not answer.
     """
-    if backend not in BACKENDS:
-        raise UnknownName("backend", backend, BACKENDS)
     if backend != "loky":
         from wasp_cli.run.cluster import cluster_pool
 
         return cluster_pool(backend, scheduler)
-    if scheduler is not None:
-        raise UsageError("--scheduler is for the backends dask and ray", "wasp run SPEC --backend dask --scheduler tcp://HOST:PORT")
     return LokyPool(jobs) if jobs else InlinePool()
 
 

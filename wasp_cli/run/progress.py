@@ -70,7 +70,8 @@ class Lines:
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
             labels = [self._names.get(str(one), str(label)) for one, label in zip(event["suspects"], event["labels"], strict=True)]
-            self._note(f"a worker was killed; what it could have been doing runs again, one at a time: {', '.join(labels)}")
+            doing = f"what it could have been doing runs again, one at a time: {', '.join(labels)}" if labels else "it was doing nothing"
+            self._note(f"a worker was killed; {doing}")
         elif kind == "draining":
             self._note("ending after what runs now; once more ends it at once")
 

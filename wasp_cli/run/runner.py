@@ -33,6 +33,10 @@ _LONG = (
 )  # fmt: skip
 
 
+UNEXPLAINED = 5
+"""Deaths of idle workers that a run lives with."""
+
+
 @dataclass(frozen=True)
 class Failure:
     """A node that failed, and why."""
@@ -75,6 +79,8 @@ class Runner:
         self._layout, self._run_id, self._pool = layout, run_id, pool
         self._cores, self._limit, self._retries = cores, limit, retries
         self._journal = Journal(layout.journal(run_id))
+        self._unexplained = 0
+        """Deaths of workers that computed nothing."""
         self._broken: dict[str, Node] = {}
         """Failed node by key of itself and of everything that needs it."""
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
@@ -150,7 +156,12 @@ class Runner:
         for order in [order for order in left.values() if is_published(self._layout, order.kind, order.key)]:
             del left[order.key]
             yield self._stored(order)
-        suspects = [order for order in left.values() if order.key in in_flight] or list(left.values())
+        suspects = [order for order in left.values() if order.key in in_flight]
+        if not suspects:
+            # It died between two nodes. Where that goes on, the one that kills before it can say that it runs is found one by one.
+            self._unexplained += 1
+            if self._unexplained > UNEXPLAINED:
+                suspects = list(left.values())
         self._journal.write(
             "worker killed", suspects=[order.key for order in suspects], labels=[order.label for order in suspects], memory_mb=in_flight
         )

@@ -16,7 +16,7 @@ from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
 from wasp_cli.plan.waves import waves
-from wasp_cli.run.pool import Pool, pool_of
+from wasp_cli.run.pool import Pool, pool_of, require_backend
 from wasp_cli.run.progress import NAMES, board
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary, failures_text
@@ -114,7 +114,7 @@ def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE, reuse:
     """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     wanted = select(grid, part.select)
-    layout = prepared(results)
+    layout = prepared(results, way)
     with planning(layout):
         plan = plan_against(grid, layout, wanted=wanted, failed_only=part.failed)
         run_id = new_run(layout, loaded, plan)
@@ -126,8 +126,9 @@ def planning(layout: Layout) -> AbstractContextManager[None]:
     return held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True)
 
 
-def prepared(results: Path) -> Layout:
-    """A results folder that can be written, without what killed runs have left."""
+def prepared(results: Path, way: Way) -> Layout:
+    """A results folder that can be written, without what killed runs have left, for workers that are there."""
+    require_backend(way.backend, way.scheduler)
     layout = Layout(results.absolute())
     layout.prepare()
     sweep(layout)

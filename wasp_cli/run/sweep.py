@@ -52,7 +52,7 @@ def run_sweep(sweep: Sweep, results: Path, way: Way) -> SweepSession:
     """
     grids = tuple(lay_out_over(point.loaded.spec, Layout(results.absolute())) for point in sweep.points)
     _require_effect(sweep, grids)
-    layout = prepared(results)
+    layout = prepared(results, way)
     with planning(layout):
         plan = plan_against(together(grids), layout)
         run_id = new_sweep(layout, sweep, plan, grids)
