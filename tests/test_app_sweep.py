@@ -128,3 +128,19 @@ def test_wrong_input_is_one_message_and_nothing_is_written(
     assert "Traceback" not in done.output
     assert done.stdout == ""
     assert not (tmp_path / "results").exists()
+
+
+def test_the_page_says_what_was_published(cells: None, small_spec: Path, tmp_path: Path) -> None:
+    elsewhere, here = tmp_path / "elsewhere", tmp_path / "results"
+    only = ("--set", "methods=[human]")
+    assert run_here("run", small_spec, *only, "--results", elsewhere, "-j", "0", columns=160).exit_code == 0
+    done = run_here("publish", small_spec, *only, "--results", elsewhere, "--to", here / "published", columns=160)
+    assert done.exit_code == 0, done.output
+    done = sweep(small_spec, here, *VARY, "--set", "reuse=published")
+    assert done.exit_code == 0, done.output
+    page = (Layout(here).reports("small-sweep-diffusion.ratio") / "report.md").read_text()
+    for text in (page, done.stdout):
+        for value in ("0.2", "0.4"):
+            assert f"`diffusion.ratio` = `{value}`: " in text
+        assert " results here are published ones (" in text
+    assert "Published cells: goal1 s0 human noisy=0.2, goal1 s1 human noisy=0.2, " in page

@@ -132,6 +132,15 @@ def test_without_reuse_everything_is_computed(here: Path, fakes: Fakes, small_sp
     assert not done.plan.grid.reused
 
 
+def test_what_was_computed_under_todays_code_comes_first(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
+    moved(SPECIFIC)
+    run(small_spec, here, choice="none")
+    found = plan(small_spec, here)
+    assert found.count("cached") == len(found.steps)
+    assert {step.reason for step in found.steps} == {"computed before", "published with this code"}
+    assert {node.key for node in found.grid.nodes} == {node.key for node in lay_out(load(small_spec).spec).nodes}
+
+
 def test_the_spec_says_what_is_reused_and_the_option_wins(here: Path, fakes: Fakes, small_spec: Path) -> None:
     layout = Layout(here)
     assert not lay_out_over(load(small_spec).spec, layout).reused

@@ -3,9 +3,10 @@
 A node may be replaced by a published result of the same recipe: the same configuration, perhaps under other code. Its key is then that of
 the published result, so that the keys of whatever is computed from it say what that was computed from.
 
-Under other code, published results are replaced together or not at all where it matters: a critic goes with the world model whose latent
-states it was trained on. What has to be computed therefore never reads two versions of one recipe, neither directly nor through what it
-reads. A published result that nothing reads, such as the rows of a cell, is bound by nothing.
+The store comes first: what it has under the code of today stays. Results of other code replace nodes together or not at all where it
+matters: a critic goes with the world model whose latent states it was trained on. What has to be computed therefore never reads two
+versions of one recipe, neither directly nor through what it reads. A published result that nothing reads, such as the rows of a cell, is
+bound by nothing.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.model import Spec
+from wasp_cli.store.artifact import is_published
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import Offer, Reused, commit_of, not_used, offers, why_unusable
 
@@ -75,11 +77,12 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
-    """Those of a recipe of the grid whose bytes are whole, and what is wrong with the others of a recipe of the grid."""
-    kinds = {own.recipes[node.key]: node.kind for node in own.nodes}
+    """Those that are whole, of nodes that the store does not have under the code of today; and what is wrong with the others."""
+    nodes = {own.recipes[node.key]: node for node in own.nodes}
     usable, notes = [], []
     for offer in offered:
-        if kinds.get(offer.recipe) != offer.kind:
+        node = nodes.get(offer.recipe)
+        if node is None or node.kind != offer.kind or (node.key != offer.key and is_published(layout, node.kind, node.key)):
             continue
         if own.recipes.get(offer.key, offer.recipe) != offer.recipe:
             why: str | None = "it has the key of another node"
