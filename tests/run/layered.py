@@ -1,0 +1,99 @@
+"""A results folder with published results of the small spec, and code that moves on."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.run.harness import Fakes
+from wasp_cli.console import err
+from wasp_cli.plan import grid, reasons
+from wasp_cli.plan.closure import closure
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.run.publish import carry_publication, publication
+from wasp_cli.run.session import Session, Way, run_spec
+from wasp_cli.spec.load import load
+from wasp_cli.store.layout import Layout
+
+SPECIFIC = "wasp_cli.methods.ida"
+"""A module that some nodes run, none of them one that others read but a calibration."""
+COMMON = "wasp_cli.tasks.goal.task"
+"""A module that every node runs."""
+MORE = ("operators={noisy: {mild: 0.2, severe: 0.6}, laggy: {moderate: 0.7}}",)
+"""One more severity than the spec has."""
+
+
+@pytest.fixture(autouse=True)
+def fresh_console() -> Iterator[None]:
+    """The console keeps the stream of its first use, which is closed after the test."""
+    err.cache_clear()
+    yield
+    err.cache_clear()
+
+
+@pytest.fixture
+def moved(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Changes the code of a module, as far as plans can see."""
+    hashed, sources = grid.closure_hash, reasons.source_hashes
+
+    def change(module: str) -> None:
+        monkeypatch.setattr(grid, "closure_hash", lambda roots: hashed(roots) + ("moved" if module in closure(roots) else ""))
+        monkeypatch.setattr(
+            reasons, "source_hashes", lambda roots: {name: "moved" if name == module else old for name, old in sources(roots).items()}
+        )
+
+    return change
+
+
+@pytest.fixture
+def here(fakes: Fakes, small_spec: Path, tmp_path: Path) -> Path:
+    """A fresh results folder with the published results of the spec, which were computed elsewhere."""
+    elsewhere = Layout(tmp_path / "elsewhere")
+    run_spec(load(small_spec), elsewhere.root, Way(jobs=0))
+    fresh = tmp_path / "results"
+    publish(small_spec, elsewhere, Layout(fresh / "published"))
+    fakes.log.unlink()
+    err.cache_clear()
+    return fresh
+
+
+def publish(spec: Path, layout: Layout, target: Layout) -> None:
+    found = publication(load(spec).spec, layout, target, (), 8e6, "none")
+    carry_publication(found, load(spec).spec, layout, target)
+
+
+def run(spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published") -> Session:
+    done = run_spec(load(spec, settings), results, Way(jobs=0), reuse=choice)
+    done.require_complete()
+    return done
+
+
+def plan(spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published") -> Plan:
+    layout = Layout(results)
+    return plan_against(lay_out_over(load(spec, settings).spec, layout, choice), layout)
+
+
+def kinds(executions: list[str]) -> Counter[str]:
+    return Counter(line.split()[2] for line in executions)
+
+
+def node_of(plan: Plan, label: str) -> Node:
+    return next(step.node for step in plan.steps if step.node.label == label)
+
+
+def published_manifest(results: Path, label: str) -> Path:
+    found = [path for path in results.glob("published/store/*/*/manifest.json") if json.loads(path.read_text())["label"] == label]
+    return found[0]
+
+
+def rewrite(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    manifest = json.loads(path.read_text())
+    change(manifest)
+    path.write_text(json.dumps(manifest))

@@ -1,0 +1,159 @@
+"""Published results that are damaged, or a stranger's: they make us compute, and no more."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.run.harness import Fakes
+from tests.run.layered import COMMON, MORE, fresh_console, here, kinds, moved, plan, published_manifest, rewrite, run
+from wasp_cli.errors import ArtifactError
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.spec.load import load
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import Busy, held
+from wasp_cli.store.published import bring_in
+
+__all__ = ["fresh_console", "here", "moved"]
+
+
+def test_a_corrupt_file_is_not_used_and_named(here: Path, fakes: Fakes, small_spec: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    manifest = published_manifest(here, "goal1 s0 human noisy=0.2")
+    data = manifest.with_name("data.bin")
+    data.write_bytes(bytes(len(data.read_bytes())))
+    before = plan(small_spec, here)
+    (note,) = before.grid.notes
+    assert note.startswith(f"published evaluate/{manifest.parent.name} is not used: ")
+    assert "data.bin' does not have the bytes that were published" in note
+    done = run(small_spec, here)
+    assert done.plan.as_json() == before.as_json()
+    assert note in capsys.readouterr().err
+    assert [step.node.label for step in before.steps if step.runs] == ["goal1 s0 human noisy=0.2"]
+    assert kinds(fakes.executions())["evaluate"] == 1
+    # Once the store has it, nobody asks for the published bytes again.
+    assert not [step for step in plan(small_spec, here).steps if step.runs]
+
+
+def test_what_breaks_in_the_store_is_brought_in_again(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
+    moved(COMMON)
+    run(small_spec, here)
+    (here / "store/evaluate").rename(here / "gone")
+    broken = next((here / "store/diagnostics").glob("*/data.bin"))
+    broken.write_bytes(b"")
+    assert {step.node.kind for step in plan(small_spec, here).steps if step.state == "published"} == {"evaluate", "diagnostics"}
+    run(small_spec, here)
+    assert not fakes.executions()
+    assert broken.stat().st_size
+
+
+def names(name: str) -> Callable[[Path, dict[str, Any]], None]:
+    def change(path: Path, manifest: dict[str, Any]) -> None:
+        manifest["files"][name] = manifest["files"].pop("data.bin")
+
+    return change
+
+
+def linked(path: Path, manifest: dict[str, Any]) -> None:
+    data = path.with_name("data.bin")
+    data.rename(path.parents[4] / "secret.bin")
+    data.symlink_to(path.parents[4] / "secret.bin")
+
+
+def linked_folder(path: Path, manifest: dict[str, Any]) -> None:
+    away = path.parents[4] / "away"
+    path.parent.rename(away)
+    path.parent.symlink_to(away)
+
+
+HARMS: dict[str, Callable[[Path, dict[str, Any]], object]] = {
+    "a name that leads out": names("../../../../secret.bin"),
+    "an absolute name": names("/etc/hostname"),
+    "a manifest that lists itself": names("manifest.json"),
+    "a link": linked,
+    "an artifact that is a link": linked_folder,
+    "another digest": lambda path, manifest: manifest["files"]["data.bin"].update(sha256="0" * 64),
+    "no digest": lambda path, manifest: manifest["files"]["data.bin"].pop("sha256"),
+    "no list": lambda path, manifest: manifest.update(files=[1]),
+    "another kind": lambda path, manifest: manifest.update(kind="expert"),
+    "another key": lambda path, manifest: manifest.update(key="0" * 20),
+    "no recipe": lambda path, manifest: manifest.pop("recipe"),
+    "a recipe that is no text": lambda path, manifest: manifest.update(recipe=7),
+    "nothing behind it": lambda path, manifest: manifest.update(behind=None),
+    "odd things behind it": lambda path, manifest: manifest.update(behind={"../x": "y"}),
+    "no provenance": lambda path, manifest: manifest.update(provenance=None),
+    "no sources": lambda path, manifest: manifest.update(sources=None),
+}
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_a_stranger_can_make_us_compute_and_no_more(harm: str, here: Path, fakes: Fakes, small_spec: Path) -> None:
+    path = published_manifest(here, "goal1 s1 human laggy=0.7")
+    manifest = json.loads(path.read_text())
+    (here / "secret.bin").write_bytes(b"mine")
+    HARMS[harm](path, manifest)
+    if path.is_file():
+        path.write_text(json.dumps(manifest))
+    secret = (here / "secret.bin").read_bytes()
+    run(small_spec, here)
+    assert kinds(fakes.executions())["evaluate"] == 1
+    assert any(" evaluate human " in line and " s1 " in line for line in fakes.executions())
+    assert (here / "secret.bin").read_bytes() == secret
+    assert {item.name for item in here.iterdir()} <= {
+        "secret.bin", "away", "published", "store", "tmp", "runs", "failures", "work", "locks", "index.json",
+    }  # fmt: skip
+
+
+def test_two_artifacts_of_one_key_take_nobodys_place(here: Path, fakes: Fakes, small_spec: Path) -> None:
+    one = published_manifest(here, "goal1 s0 human noisy=0.2").parent
+    other = published_manifest(here, "goal1 s0 diagnostics").parent
+    taken = other.with_name(one.name)
+    other.rename(taken)
+    rewrite(taken / "manifest.json", lambda manifest: manifest.update(key=one.name))
+    found = plan(small_spec, here)
+    assert [note for note in found.grid.notes if "two kinds have this key" in note]
+    assert len(found.steps) == len(lay_out(load(small_spec).spec).nodes)
+    shutil.rmtree(one)
+    found = plan(small_spec, here)
+    assert [note for note in found.grid.notes if "it has the key of another node" in note]
+    assert len({step.node.key for step in found.steps}) == len(lay_out(load(small_spec).spec).nodes)
+
+
+def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(
+    here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]
+) -> None:
+    moved(COMMON)
+    for number, kind in enumerate(("world_model", "policies")):
+        for path in here.glob(f"published/store/{kind}/*/manifest.json"):
+            rewrite(path, lambda manifest, number=number: manifest["behind"].update({"f" * 20: f"{number}" * 20}))
+    done = run(small_spec, here, MORE)
+    assert done.summary.complete
+    assert kinds(fakes.executions())["world_model"] == 2
+
+
+def test_what_the_store_has_is_not_brought_in_again(here: Path, fakes: Fakes, small_spec: Path) -> None:
+    reused = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values()))
+    layout = Layout(here)
+    assert bring_in(layout, reused.offer, lambda: False)
+    assert read_manifest(layout, reused.offer.kind, reused.offer.key) == {
+        **reused.offer.manifest,
+        "provenance": {**reused.offer.manifest["provenance"], "published": True},
+    }
+    assert not bring_in(layout, reused.offer, lambda: False)
+    with held(layout.lock(reused.offer.key), lambda: False), pytest.raises(Busy):
+        bring_in(layout, reused.offer, lambda: False)
+
+
+def test_what_changes_after_the_plan_was_made_is_not_brought_in(here: Path, fakes: Fakes, small_spec: Path) -> None:
+    offer = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values())).offer
+    (offer.source.artifact(offer.kind, offer.key) / "data.bin").write_bytes(b"something else")
+    with pytest.raises(ArtifactError, match="does not have the bytes"):
+        bring_in(Layout(here), offer, lambda: False)
+    assert not list((here / "tmp").iterdir())
+    assert not list(here.glob("store/*/*"))
