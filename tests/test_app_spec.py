@@ -9,17 +9,9 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
+from tests.spec.good import GOOD
 
 ROOT = Path(__file__).parents[1]
-GOOD = """\
-name: good
-preset: smoke
-tasks: [goal1]
-methods: [human, wasp]
-operators:
-  noisy: {mild: 0.2}
-seeds: [0]
-"""
 
 
 @pytest.fixture

@@ -55,6 +55,15 @@ def table(text: str) -> dict[str, tuple[int, str]]:
     return {what: (int(count), size) for what, count, size in rows}
 
 
+def two_runs(first: Path, second: Path, results: Path) -> tuple[Layout, str]:
+    """The results of two specs, and the run of the first."""
+    run(first, results)
+    layout = Layout(results)
+    (run_id,) = run_ids(layout)
+    run(second, results)
+    return layout, run_id
+
+
 def test_what_the_newest_run_of_a_spec_reaches_stays(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     run(small_spec, results)
@@ -125,10 +134,7 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
 
 def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    run(small_spec, results)
-    layout = Layout(results)
-    (run_id,) = run_ids(layout)
-    run(other_spec, results)
+    layout, run_id = two_runs(small_spec, other_spec, results)
     journal = layout.run(run_id) / "journal.jsonl"
     events = [event for event in read_journal(journal) if event["event"] != "run ended"]
     for facts, stays in ((process(os.getpid()), True), ({**process(os.getpid()), "boot": "another"}, False)):
@@ -211,10 +217,7 @@ def test_what_runs_leave_behind(fakes: Fakes, small_spec: Path, tmp_path: Path) 
 
 def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    run(small_spec, results)
-    layout = Layout(results)
-    (run_id,) = run_ids(layout)
-    run(other_spec, results)
+    layout, run_id = two_runs(small_spec, other_spec, results)
     before, plan = artifacts(results), layout.run(run_id) / "plan.json"
     whole = json.loads(plan.read_text())
     for text in ("{", json.dumps({**whole, "nodes": [*whole["nodes"], {"key": "of another form"}]})):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.spec.good import GOOD
 from wasp_cli.errors import UsageError
 from wasp_cli.spec.extend import chain_of
 from wasp_cli.spec.load import Loaded, load, loaded
@@ -12,16 +13,6 @@ from wasp_cli.spec.problem import InvalidSpec, Problem
 from wasp_cli.spec.read import parse
 
 SPECS = Path(__file__).parents[2] / "specs"
-
-GOOD = """\
-name: good
-preset: smoke
-tasks: [goal1]
-methods: [human, wasp]
-operators:
-  noisy: {mild: 0.2}
-seeds: [0]
-"""
 
 
 def read(text: str) -> Loaded:
