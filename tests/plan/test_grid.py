@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import random
+from pathlib import Path
 from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.waves import waves
+from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec, validate
 
 DOCUMENT: dict[str, Any] = {
@@ -251,3 +253,13 @@ def test_what_moves_no_result_moves_no_key() -> None:
     assert not changed(world_model={"checkpoint_every": 7})
     other = by_label(grid(world_model={"checkpoint_every": 7}))
     assert {node.config["checkpoint_every"] for node in other.values() if node.kind == "world_model"} == {7}
+
+
+def test_table_2_and_figure_3_take_their_whole_cells_from_table_1() -> None:
+    folder = Path(__file__).parents[2] / "specs"
+    table1, table2, figure3 = (lay_out(load(folder / f"{name}.yaml").spec) for name in ("table1", "table2", "figure3"))
+    whole = [node.key for cell, node in table2.cells if cell.assistant == "full"]
+    assert whole
+    assert set(whole) <= keys(table1)
+    assert {node.key for node in figure3.nodes if node.kind == "evaluate"} <= keys(table1)
+    assert {node.kind for node in table2.nodes if node.key not in keys(table1)} <= {"evaluate", "calibration"}
