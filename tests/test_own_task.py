@@ -81,7 +81,8 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
         planned = wasp(home, "plan", "puddle.yaml", *settings)
     finally:
         module.write_text(text, encoding="utf-8")
-    assert re.search(r"total +18 +0 +18", planned.stdout), planned.stdout
+    assert re.search(r"total +18 +0 +0 +18", planned.stdout), planned.stdout
+    assert "puddle:Puddle-v0 s0 expert and 17 more: code changed: puddle\n" in planned.stdout
 
 
 def test_the_report_needs_no_environment(home: Path, tmp_path: Path) -> None:

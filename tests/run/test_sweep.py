@@ -142,7 +142,9 @@ def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: P
     fakes.set(free=6)
     process = start("sweep", small_spec, "--vary", VARY, "--results", results, "-j", "0")
     wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 5)
-    os.killpg(process.pid, signal.SIGINT)
+    for _ in range(2):  # the first would wait for what runs
+        os.killpg(process.pid, signal.SIGINT)
+        wait_until(lambda: any(results.glob("runs/*/stop")))
     shown, errors = process.communicate(timeout=30)
     assert (process.returncode, shown) == (130, "")
     assert errors.count("\ninterrupted: ") == 1
