@@ -46,11 +46,10 @@ def large() -> Spec:
     return validate({"name": "large", "tasks": tasks, "methods": methods, "operators": operators, "seeds": seeds, "training_seed": 0})
 
 
-def cells_alone(seeds: int, tmp_path: Path, fakes: Fakes, name: str) -> tuple[Layout, Plan, str]:
+def cells_alone(seeds: int, tmp_path: Path, name: str) -> tuple[Layout, Plan, str]:
     """A store in which only cells are left to compute, all of them independent."""
     spec = tmp_path / f"{name}.yaml"
     spec.write_text(json.dumps(document_of(seeds)), encoding="utf-8")
-    fakes.set()
     loaded, layout, plan = prepared(spec, tmp_path / name)
     for node in plan.to_run():
         if node.kind != "evaluate":
@@ -66,10 +65,11 @@ def carried_out(layout: Layout, plan: Plan, run_id: str, pool: Pool) -> float:
     return time.perf_counter() - begun
 
 
-def warmed(jobs: int, tmp_path: Path, fakes: Fakes) -> LokyPool:
-    """Workers that have imported what they need: they are started once in a run, whatever its size."""
+def warmed(jobs: int, tmp_path: Path, fakes: Fakes, **behaviour: float) -> LokyPool:
+    """Workers that have imported what they need, which they do once in a run; their stages behave as they are told now."""
+    fakes.set(**behaviour)
     pool = LokyPool(jobs)
-    carried_out(*cells_alone(4, tmp_path, fakes, f"warm{jobs}"), pool)
+    carried_out(*cells_alone(1, tmp_path, f"warm{jobs}"), pool)
     return pool
 
 
@@ -77,7 +77,7 @@ def warmed(jobs: int, tmp_path: Path, fakes: Fakes) -> LokyPool:
 def test_a_cell_costs_less_than_ten_milliseconds(benchmark: Any, jobs: int, fakes: Fakes, tmp_path: Path) -> None:
     """Cells that do nothing: what is left is lock, log, pulse, staging, manifest, fsync, rename, journal."""
     pool = warmed(jobs, tmp_path, fakes)
-    layout, plan, run_id = cells_alone(200, tmp_path, fakes, "many")
+    layout, plan, run_id = cells_alone(200, tmp_path, "many")
     cells = len(plan.to_run())
     benchmark.pedantic(carried_out, (layout, plan, run_id, pool), rounds=1)
     pool.close(kill=True)
@@ -87,9 +87,8 @@ def test_a_cell_costs_less_than_ten_milliseconds(benchmark: Any, jobs: int, fake
 
 def test_orchestration_is_under_one_percent_of_a_grid(benchmark: Any, fakes: Fakes, tmp_path: Path) -> None:
     """Cells of a second each, two at a time, beside the time that they themselves take."""
-    pool = warmed(2, tmp_path, fakes)
-    layout, plan, run_id = cells_alone(20, tmp_path, fakes, "grid")
-    fakes.set(seconds=1.0)
+    pool = warmed(2, tmp_path, fakes, seconds=1.0)
+    layout, plan, run_id = cells_alone(20, tmp_path, "grid")
     benchmark.pedantic(carried_out, (layout, plan, run_id, pool), rounds=1)
     pool.close(kill=True)
     own = len(plan.to_run()) * 1.0 / 2
@@ -101,9 +100,8 @@ def test_two_workers_do_nearly_twice_as_much_as_one(benchmark: Any, fakes: Fakes
     """Cells that keep a core busy for a third of a second; beside them, two bare processes that do the same work."""
     times = {}
     for jobs in (1, 2):
-        pool = warmed(jobs, tmp_path, fakes)
-        layout, plan, run_id = cells_alone(20, tmp_path, fakes, f"busy{jobs}")
-        fakes.set(work=WORK)
+        pool = warmed(jobs, tmp_path, fakes, work=WORK)
+        layout, plan, run_id = cells_alone(20, tmp_path, f"busy{jobs}")
         if jobs == 1:
             times[jobs] = carried_out(layout, plan, run_id, pool)
         else:
@@ -115,11 +113,11 @@ def test_two_workers_do_nearly_twice_as_much_as_one(benchmark: Any, fakes: Fakes
     assert benchmark.extra_info["throughput"] > 1.9 * min(1.0, benchmark.extra_info["throughput_of_bare_processes"] / 2 + 0.02)
 
 
-WORK = 400_000
+WORK = 1_200_000
 """Iterations of a hash: about a third of a second."""
 
 
-def bare(processes: int, pieces: int = 40) -> float:
+def bare(processes: int, pieces: int = 60) -> float:
     """Seconds that bare processes need for so many pieces of the same work."""
     command = f"import hashlib\nfor _ in range({pieces // processes}): hashlib.pbkdf2_hmac('sha256', b'', b'', {WORK})"
     begun = time.perf_counter()

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.facts import VERSION, facts_of, measured
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import Grid, uncollected
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.part import Part
 from wasp_cli.plan.reasons import Reasons
@@ -200,15 +200,16 @@ def plan_against(
     Raises:
         StoreError: the results folder cannot be read.
     """
-    kinds = list(dict.fromkeys(node.kind for node in grid.nodes))
-    stock = take_stock(layout, kinds, facts_of, VERSION)
-    nodes = {node.key for node in grid.nodes}
-    failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
-    damages = {key: wrong for key, wrong in stock.damaged.items() if key in nodes}
-    if failed_only:
-        wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
-    reasons = Reasons(layout, stock, kinds)
-    return make_plan(grid, stock.whole, failures, measured(stock), damages, changed=reasons.of, wanted=wanted)
+    with uncollected():
+        kinds = list(dict.fromkeys(node.kind for node in grid.nodes))
+        stock = take_stock(layout, kinds, facts_of, VERSION)
+        nodes = {node.key for node in grid.nodes}
+        failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
+        damages = {key: wrong for key, wrong in stock.damaged.items() if key in nodes}
+        if failed_only:
+            wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
+        reasons = Reasons(layout, stock, kinds)
+        return make_plan(grid, stock.whole, failures, measured(stock), damages, changed=reasons.of, wanted=wanted)
 
 
 def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 from pydantic import ValidationError
@@ -29,13 +30,13 @@ class Reasons:
 
     def __init__(self, layout: Layout, stock: Stock, kinds: Sequence[str]) -> None:
         self._layout = layout
-        self._versions = versions(stock, kinds)
+        self._versions = cache(lambda: versions(stock, kinds))  # a plan in which nothing is missing never asks
         self._known: dict[tuple[object, ...], tuple[int, str]] = {}
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 
     def of(self, node: Node) -> str | None:
         """What changed since the nearest version; None where there is none."""
-        candidates = self._versions.get(who_is(node), [])[:NEWEST]
+        candidates = self._versions().get(who_is(node), [])[:NEWEST]
         found = [difference for key, entry in candidates if (difference := self._difference(node, key, entry)) is not None]
         return min(found, key=lambda item: item[0])[1] if found else None
 

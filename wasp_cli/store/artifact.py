@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.layout import MANIFEST, Layout, is_key, is_name
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import parse, printable, read_plain
 
@@ -65,6 +65,15 @@ def published(layout: Layout, kind: str) -> set[str]:
         return set()
     except OSError as error:
         raise StoreError(f"cannot read '{layout.kind(kind)}': {(error.strerror or str(error)).lower()}") from error
+
+
+def stored_kinds(layout: Layout) -> list[str]:
+    """The kinds of which a store has artifacts, whatever version wrote them."""
+    try:
+        with os.scandir(layout.within(layout.store)) as entries:
+            return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
+    except OSError:
+        return []
 
 
 def _holds_manifest(entry: os.DirEntry[str]) -> bool:

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-from wasp_cli.store.artifact import published, read_manifest, read_record
-from wasp_cli.store.layout import MANIFEST, Layout, is_key, is_name
+from wasp_cli.store.artifact import published, read_manifest, read_record, stored_kinds
+from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.tables import CELL_FILE
 
 KIND = "evaluate"
@@ -139,15 +139,6 @@ def find_node(layout: Layout, text: str) -> FoundNode:
         how = "say a key (a folder name in store/<kind>), or a label" + (f" such as '{labels[0]}'" if labels else "")
         raise UnknownName("node", wanted, set(labels), f"no node '{wanted}' in '{layout.root}'", otherwise=how)
     return found[0]
-
-
-def stored_kinds(layout: Layout) -> list[str]:
-    """The kinds of which a store has artifacts, whatever version wrote them."""
-    try:
-        with os.scandir(layout.within(layout.store)) as entries:
-            return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
-    except OSError:
-        return []
 
 
 def _node(layout: Layout, kind: str, key: str, failures: Mapping[str, Mapping[str, Any]]) -> FoundNode:

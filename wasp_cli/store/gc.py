@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.store.artifact import discard, left_behind, read_manifest
-from wasp_cli.store.find import stored_kinds
+from wasp_cli.store.artifact import discard, left_behind, read_manifest, stored_kinds
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import held_if_free, is_held, remove_lock
 

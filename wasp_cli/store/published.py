@@ -24,8 +24,8 @@ from wasp_cli.store.artifact import (
     published,
     read_manifest,
     staging_folder,
+    stored_kinds,
 )
-from wasp_cli.store.find import stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
