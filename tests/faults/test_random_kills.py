@@ -138,7 +138,7 @@ def test_fifty_kills_over_the_smoke_grid(tmp_path: Path) -> None:
     spec, calm, stormy = ROOT / "specs" / "smoke.yaml", tmp_path / "calm", tmp_path / "stormy"
     arguments: list[str | Path] = ["run", spec, "-j", "2", "--real", "--results"]
     assert start_real([*arguments, calm]).wait(timeout=900) == 0
-    counts, runs = storm([*arguments, stormy], stormy, 50, 8.0, random.Random(7))
+    counts, runs = storm([*arguments, stormy], stormy, 50, 16.0, random.Random(7))
     print(f"\nkilled {counts} in {runs} runs; {len(artifacts(stormy))} of {len(artifacts(calm))} artifacts were there then")
     assert start_real([*arguments, stormy]).wait(timeout=900) == 0
     assert payload(stormy) == payload(calm)
