@@ -178,7 +178,9 @@ def test_nothing_is_imported() -> None:
 
 def test_every_node_of_the_syntax_is_told_apart() -> None:
     def text(source: str) -> str:
-        return "".join(module._syntax(ast.parse(source)))
+        texts: list[str] = []
+        module._syntax(ast.parse(source), texts)
+        return "".join(texts)
 
     sources = [
         "x = 1",
