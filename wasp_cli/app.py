@@ -39,9 +39,9 @@ from wasp_cli.options import (
 
 if TYPE_CHECKING:
     from wasp_cli.plan.cell import Cell
-    from wasp_cli.plan.part import Part as TrainedPart
+    from wasp_cli.plan.part import Part
     from wasp_cli.report.summarize import Report
-    from wasp_cli.run.session import Part, Way
+    from wasp_cli.run.session import Selection, Way
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
     from wasp_cli.store.layout import Layout
@@ -98,15 +98,15 @@ def run(
     What is in the results folder already is used as it is; what failed runs again. The first Ctrl-C lets finish what runs, the second
     ends it; what is finished is kept either way.
     """
-    from wasp_cli.run.session import Part, restricted
+    from wasp_cli.run.session import Selection, restricted
     from wasp_cli.spec.load import load
 
-    loaded, part = restricted(load(spec, set_ or ()), task), Part(select or (), failed)
+    loaded, selection = restricted(load(spec, set_ or ()), task), Selection(select or (), failed)
     way = way_of(jobs, timeout, retries, backend, scheduler)
     if dry_run:
-        _show_plan(loaded.spec, results, part, way.jobs, reuse)
+        _show_plan(loaded.spec, results, selection, way.jobs, reuse)
     else:
-        _run_and_report(loaded, results, way, part, reuse)
+        _run_and_report(loaded, results, way, selection, reuse)
 
 
 @app.command(epilog="[bold]wasp plan specs/table1.yaml[/]   ·   [bold]wasp plan specs/table1.yaml --json | jq '.nodes[0]'[/]")
@@ -124,11 +124,11 @@ def plan(
     json: Annotated[bool, typer.Option("--json", help="Every cell and node with its key, state and reason.")] = False,
 ) -> None:
     """Show what a run would compute and why, and how long it will take; run nothing."""
-    from wasp_cli.run.session import Part, cores, restricted
+    from wasp_cli.run.session import Selection, cores, restricted
     from wasp_cli.spec.load import load
 
     loaded = restricted(load(spec, set_ or ()), task)
-    _show_plan(loaded.spec, results, Part(select or (), failed), cores() if jobs is None else jobs, reuse, every=every, json=json)
+    _show_plan(loaded.spec, results, Selection(select or (), failed), cores() if jobs is None else jobs, reuse, every=every, json=json)
 
 
 @app.command(epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1[/]")
@@ -286,7 +286,9 @@ def doctor(results: ResultsOption = Path("results")) -> None:
     require(findings)
 
 
-def _show_plan(spec: Spec, results: Path, part: Part, jobs: int, reuse: str | None, *, every: bool = False, json: bool = False) -> None:
+def _show_plan(
+    spec: Spec, results: Path, selection: Selection, jobs: int, reuse: str | None, *, every: bool = False, json: bool = False
+) -> None:
     from wasp_cli.console import out
     from wasp_cli.plan.plan import plan_against
     from wasp_cli.plan.reuse import lay_out_over
@@ -296,18 +298,18 @@ def _show_plan(spec: Spec, results: Path, part: Part, jobs: int, reuse: str | No
 
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
-    laid_out = plan_against(grid, layout, wanted=select(grid, part.select), failed_only=part.failed)
+    laid_out = plan_against(grid, layout, wanted=select(grid, selection.select), failed_only=selection.failed)
     if json:
         print_json({"spec": spec.name, **laid_out.as_json()})
     else:
         show(laid_out, out(), max(jobs, 1), every=every)
 
 
-def _run_and_report(loaded: Loaded, results: Path, way: Way, part: Part | None = None, reuse: str | None = None) -> None:
+def _run_and_report(loaded: Loaded, results: Path, way: Way, selection: Selection | None = None, reuse: str | None = None) -> None:
     from wasp_cli.plan.plan import cells_with_keys, parts_with_keys
     from wasp_cli.run.session import WHOLE, run_spec
 
-    session = run_spec(loaded, results, way, part or WHOLE, reuse)
+    session = run_spec(loaded, results, way, selection or WHOLE, reuse)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, wanted = session.plan.grid, session.plan.wanted
     report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid))
@@ -315,7 +317,7 @@ def _run_and_report(loaded: Loaded, results: Path, way: Way, part: Part | None =
     require_cells([cell for cell in report.missing if wanted is None or cell.key in wanted], session.layout)
 
 
-def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[TrainedPart, str]]) -> Report:
+def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]]) -> Report:
     from wasp_cli.console import out
     from wasp_cli.report.summarize import report_run
 

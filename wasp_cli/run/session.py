@@ -85,7 +85,7 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Part:
+class Selection:
     """Which part of a spec is meant."""
 
     select: Sequence[str] = ()
@@ -94,17 +94,17 @@ class Part:
     """Only what failed before, and what waits for it."""
 
 
-WHOLE = Part()
+WHOLE = Selection()
 
 
-def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE, reuse: str | None = None) -> Session:
+def run_spec(loaded: Loaded, results: Path, way: Way, selection: Selection = WHOLE, reuse: str | None = None) -> Session:
     """Compute what is missing of a spec.
 
     Args:
         loaded: the spec.
         results: the results folder.
         way: how it is carried out.
-        part: which part of the spec is meant.
+        selection: which part of the spec is meant.
         reuse: what of published results may be used, instead of what the spec says.
 
     Raises:
@@ -113,10 +113,10 @@ def run_spec(loaded: Loaded, results: Path, way: Way, part: Part = WHOLE, reuse:
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
-    wanted = select(grid, part.select)
+    wanted = select(grid, selection.select)
     layout = prepared(results, way)
     with planning(layout):
-        plan = plan_against(grid, layout, wanted=wanted, failed_only=part.failed)
+        plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
         run_id = new_run(layout, loaded, plan)
     return carry_out(plan, layout, run_id, way)
 
