@@ -61,6 +61,24 @@ def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fa
     assert len(list(results.glob("store/*/*/manifest.json"))) == 16
 
 
+def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    """dask would wait for ever."""
+    results = tmp_path / "results"
+    fakes.set(seconds=0.3)
+    with dask_cluster(tmp_path / "dask") as cluster:
+        process = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 3)
+        os.killpg(cluster.processes[0].pid, signal.SIGKILL)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "error: the dask scheduler is lost" in errors
+    kept = len(list(results.glob("store/*/*/manifest.json")))
+    fakes.set()
+    assert run(small_spec, results).done == 17 - kept
+    run(small_spec, tmp_path / "here")
+    assert data_of(results) == data_of(tmp_path / "here")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

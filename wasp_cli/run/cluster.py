@@ -6,11 +6,13 @@ refuses to publish. The machines' own schedulers decide where a node runs.
 
 from __future__ import annotations
 
+import queue
 import re
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +26,7 @@ from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
 CONNECT_SECONDS = 20
+CLOSE_SECONDS = 5
 PACKAGES = {"dask": "distributed", "ray": "ray"}
 EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379"}
 STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
@@ -85,22 +88,47 @@ class DaskPool:
 
     def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
         from distributed import KilledWorker
+
+        # In a thread of its own: joblib waits for ever for a scheduler that is gone, and Ctrl-C has to come through.
+        sent: queue.SimpleQueue[Outcome | Exception | None] = queue.SimpleQueue()
+        threading.Thread(target=self._send, args=(orders, sent), daemon=True, name="dask-sender").start()
+        while True:
+            try:
+                found = sent.get(timeout=POLL_SECONDS)
+            except queue.Empty:
+                if self._client.status not in ("running", "connecting"):
+                    raise _lost(self.name, self._client.status) from None
+                continue
+            if found is None:
+                return
+            if isinstance(found, KilledWorker):
+                raise WorkersDied(str(found)) from found
+            if isinstance(found, Exception):
+                raise _lost(self.name, f"{type(found).__name__}: {found}") from found
+            yield found
+
+    def _send(self, orders: Iterable[Order], sent: queue.SimpleQueue[Outcome | Exception | None]) -> None:
         from joblib import Parallel, delayed, parallel_config
 
         try:
             with parallel_config(backend="dask", client=self._client, pure=False):
                 parallel = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-                yield from parallel(delayed(execute_here)(order) for order in orders)
-        except KilledWorker as error:
-            raise WorkersDied(str(error)) from error
-        except OSError as error:
-            raise WaspError(f"the dask scheduler is lost: {error}", "start it again, then run again: finished nodes are kept") from error
+                for outcome in parallel(delayed(execute_here)(order) for order in orders):
+                    sent.put(outcome)
+            sent.put(None)
+        except Exception as error:  # whatever it is, it is told where outcomes are waited for
+            sent.put(error)
 
     def alone(self, order: Order) -> Outcome:
         return next(self.run([order]))
 
     def close(self, *, kill: bool = False) -> None:
-        self._client.close()
+        with suppress(OSError, TimeoutError):
+            self._client.close(timeout=CLOSE_SECONDS)
+
+
+def _lost(backend: str, reason: str) -> WaspError:
+    return WaspError(f"the {backend} scheduler is lost ({reason})", "start it again, then run again: finished nodes are kept")
 
 
 def _require_answer(backend: str, address: str) -> None:
