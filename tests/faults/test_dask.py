@@ -10,24 +10,29 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.dask_cluster import dask_cluster
+from tests.faults.dask_cluster import Cluster, dask_cluster
 from tests.faults.test_random_kills import payload
 from tests.run.harness import ROOT, Fakes, data_of, run, start, wait_until
 from wasp_cli.store.tables import same_rows
+
+
+def through(cluster: Cluster, spec: Path, results: Path) -> subprocess.Popen[str]:
+    """A run whose nodes the cluster computes."""
+    return start("run", spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
 
 
 def test_a_grid_through_dask_has_the_same_bytes(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     fakes.set(seconds=0.05, behave={"s0 ida_q": "refuse"})
     with dask_cluster(tmp_path / "dask") as cluster:
-        first = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        first = through(cluster, small_spec, results)
         _, errors = first.communicate(timeout=120)
         assert first.returncode == 1
         assert "goal1 s0 ida_q: the loss is not finite" in errors
         assert "Traceback" not in errors
     fakes.set()
     with dask_cluster(tmp_path / "again") as cluster:  # its workers were told of no refusal
-        second = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        second = through(cluster, small_spec, results)
         _, errors = second.communicate(timeout=120)
         assert second.returncode == 0, errors
     run(small_spec, tmp_path / "here")
@@ -40,7 +45,7 @@ def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> No
     results = tmp_path / "results"
     fakes.set(seconds=0.5)
     with dask_cluster(tmp_path / "dask") as cluster:
-        process = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        process = through(cluster, small_spec, results)
         wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 2)
         os.kill(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=60)
@@ -54,7 +59,7 @@ def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fa
     results = tmp_path / "results"
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill"})
     with dask_cluster(tmp_path / "dask") as cluster:
-        process = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        process = through(cluster, small_spec, results)
         _, errors = process.communicate(timeout=180)
     assert process.returncode == 1
     assert "1 failed:\n  goal1 s0 human noisy=0.2: its process was killed" in errors
@@ -66,7 +71,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fake
     results = tmp_path / "results"
     fakes.set(seconds=0.3)
     with dask_cluster(tmp_path / "dask") as cluster:
-        process = start("run", small_spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+        process = through(cluster, small_spec, results)
         wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 3)
         os.killpg(cluster.processes[0].pid, signal.SIGKILL)
         _, errors = process.communicate(timeout=60)
@@ -101,7 +106,7 @@ def test_a_backend_that_is_not_there_is_a_usage_error(
 
 def test_workers_with_several_threads_are_refused(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     with dask_cluster(tmp_path / "dask", workers=1, threads=2) as cluster:
-        process = start("run", small_spec, "--results", tmp_path / "results", "--backend", "dask", "--scheduler", cluster.address)
+        process = through(cluster, small_spec, tmp_path / "results")
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "start it with --nthreads 1" in errors

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.run.harness import ROOT, Fakes, data_of, group_is_gone, run, start, wait_until
+from tests.run.harness import ROOT, SMALL, Fakes, data_of, group_is_gone, run, start, wait_until
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.tables import same_rows
 
@@ -93,7 +93,8 @@ def start_real(command: list[str | Path]) -> subprocess.Popen[str]:
     )
 
 
-def fake_storm(kills: int, seed: int, fakes: Fakes, spec: Path, tmp_path: Path) -> None:
+def fake_storm(kills: int, seed: int, fakes: Fakes, spec: Path, tmp_path: Path) -> tuple[dict[str, bytes], dict[str, bytes]]:
+    """The payload of a store that was built over so many kills, and that of one which nobody disturbed."""
     results, chance = tmp_path / "results", random.Random(seed)
     fakes.set(seconds=0.15)
     counts, runs = storm(["run", spec, "--results", results, "-j", "2"], results, kills, 1.2, chance)
@@ -106,21 +107,21 @@ def fake_storm(kills: int, seed: int, fakes: Fakes, spec: Path, tmp_path: Path) 
     assert summary.done == len(artifacts(results)) - len(before)
     assert not list(results.glob("tmp/*")) or summary.done == 0
     run(spec, tmp_path / "calm")
-    assert data_of(results) == data_of(tmp_path / "calm")
+    return data_of(results), data_of(tmp_path / "calm")
 
 
 def test_kills_at_random_instants(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    fake_storm(9, 1, fakes, small_spec, tmp_path)
+    stormy, calm = fake_storm(9, 1, fakes, small_spec, tmp_path)
+    assert stormy == calm
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_fifty_kills_over_fake_stages(seed: int, fakes: Fakes, tmp_path: Path) -> None:
-    from tests.run.harness import SMALL
-
     spec = tmp_path / "small.yaml"
     spec.write_text(SMALL.replace("tasks: [goal1]", "tasks: [goal1, race1, formula1]"), encoding="utf-8")
-    fake_storm(50, 100 + seed, fakes, spec, tmp_path)
+    stormy, calm = fake_storm(50, 100 + seed, fakes, spec, tmp_path)
+    assert stormy == calm
 
 
 def payload(results: Path) -> dict[str, str]:

@@ -72,7 +72,7 @@ def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsons
     ],
 )
 def test_what_specs_may_write_validates(text: str, validator: jsonschema.Draft202012Validator) -> None:
-    validator.validate(document(text))
+    assert list(validator.iter_errors(document(text))) == []
 
 
 @pytest.mark.parametrize(
@@ -149,5 +149,5 @@ def test_names_of_plugins_are_only_there_when_asked_for(monkeypatch: pytest.Monk
 def test_a_chain_is_validated_file_by_file(tmp_path: Path, validator: jsonschema.Draft202012Validator) -> None:
     (tmp_path / "base.yaml").write_text(GOOD, encoding="utf-8")
     (tmp_path / "over.yaml").write_text("extends: base.yaml\nname: over\n", encoding="utf-8")
-    for source in chain_of(read(tmp_path / "over.yaml")).sources:
-        validator.validate(plain(source)[0])
+    sources = chain_of(read(tmp_path / "over.yaml")).sources
+    assert [list(validator.iter_errors(plain(source)[0])) for source in sources] == [[], []]
