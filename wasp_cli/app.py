@@ -40,7 +40,7 @@ from wasp_cli.options import (
 if TYPE_CHECKING:
     from wasp_cli.plan.cell import Cell
     from wasp_cli.plan.part import Part
-    from wasp_cli.report.summarize import Report
+    from wasp_cli.report.document import Report
     from wasp_cli.run.session import Selection, Way
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
@@ -131,16 +131,21 @@ def plan(
     _show_plan(loaded.spec, results, Selection(select or (), failed), cores() if jobs is None else jobs, reuse, every=every, json=json)
 
 
-@app.command(epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1[/]")
+@app.command(
+    epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1 --strict[/]\n\n"
+    "Exit codes: 0 done, 1 part of the results cannot be read (with --strict also: something is missing), 2 usage."
+)
 @expected_errors
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", parser=folder_of, help="A results folder.")] = Path("results"),
     spec: Annotated[
         str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
     ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="End with 1 when cells are missing.")] = False,
+    films: Annotated[bool, typer.Option("--films/--no-films", help="Films of one episode of each task under every method.")] = True,
 ) -> None:
-    """Print the tables of what has run, from the results folder alone."""
-    from wasp_cli.errors import ArtifactError, StoreError, UnknownName, WaspError
+    """Print the tables of what has run, and write them, the figures and one HTML page, from the results folder alone."""
+    from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
     from wasp_cli.report.runs import last_runs
     from wasp_cli.run.record import read_run, results_of
 
@@ -150,16 +155,22 @@ def report(
         raise StoreError(f"no results in '{folder}': it holds no runs", "wasp run SPEC --results DIR writes there")
     if spec is not None and runs and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
+    incomplete: list[str] = []
     for name, run_id in runs.items():
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
-                damaged += _show_report(layout, recorded.spec, recorded.cells, recorded.parts).damaged
+                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, films=films)
+                damaged += shown.damaged
+                incomplete += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
     if damaged:
         found = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
         raise ArtifactError(f"part of the results cannot be read:\n{found}", "run the spec again: what is whole is kept")
+    if strict and incomplete:
+        more = f"\n  and {len(incomplete) - 10} more" if len(incomplete) > 10 else ""
+        raise CellsFailed("\n  ".join([f"{len(incomplete)} cells are missing:", *incomplete[:10]]) + more, "run the spec again")
 
 
 @app.command(epilog="[bold]wasp ablate --variant no-case2 --task goal1 --preset smoke[/]")
@@ -317,15 +328,19 @@ def _run_and_report(loaded: Loaded, results: Path, way: Way, selection: Selectio
     require_cells([cell for cell in report.missing if wanted is None or cell.key in wanted], session.layout)
 
 
-def _show_report(layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]]) -> Report:
-    from wasp_cli.console import out
+def _show_report(
+    layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]], *, films: bool = False
+) -> Report:
+    from wasp_cli.console import err, out
     from wasp_cli.report.summarize import report_run
 
     report = report_run(layout.root, spec, cells, parts)
     # Written first: a terminal that goes away costs no file.
-    page, *_ = report.write(layout.reports(spec.name))
+    with err().status("report") as status:
+        _, page, *_ = report.write(layout.reports(spec.name), (lambda text: status.update(f"film of {text}")) if films else None)
     report.terminal(out())
-    out().print(f"report: {page} (its tables as Markdown and CSV, and the figure, are beside it)", markup=False, soft_wrap=True)
+    beside = "tables as Markdown, CSV and LaTeX, figures as PNG and SVG are beside it"
+    out().print(f"report: {page} ({beside}{'' if films else '; wasp report adds films of episodes'})", markup=False, soft_wrap=True)
     out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
     return report
 

@@ -1,9 +1,10 @@
-"""Figures of a report: cost against return, one panel per task."""
+"""Figures of a report: how all of them look and are written, and cost against return, one panel per task."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
-FIGURES = ("cost_return.png", "cost_return.svg")
+ENDINGS = ("png", "svg")
 STYLES = {name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[i % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)}
 """Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
 LOOK: dict[Any, Any] = {
@@ -42,15 +43,8 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
     found = [group for group in groups(frame) if group.assistant_variant == "full" and group.cells]
     if not found:
         return []
-    # Imported here: matplotlib takes most of a second, and most commands draw nothing.
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     tasks = list(dict.fromkeys(group.task for group in found))
-    with rc_context(LOOK):
-        figure = Figure(figsize=(1.6 + 3.4 * len(tasks), 3.6), layout="constrained", dpi=160)
-        FigureCanvasAgg(figure)
+    with drawn((1.6 + 3.4 * len(tasks), 3.6)) as figure:
         panels = figure.subplots(1, len(tasks), squeeze=False)[0]
         for panel, task in zip(panels, tasks, strict=True):
             for group in found:
@@ -65,7 +59,26 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
         figure.legend(
             handles.values(), handles.keys(), loc="outside right upper", frameon=False, title="large: mean\nsmall: one operator\n"
         )
-        return save(figure, [folder / name for name in FIGURES])
+        return figure_files(figure, folder, "cost_return")
+
+
+@contextmanager
+def drawn(size: tuple[float, float]) -> Iterator[Figure]:
+    """An empty figure of `size` (inches), to be filled and written inside the block, where LOOK is in force."""
+    # Imported here: matplotlib takes most of a second, and most commands draw nothing.
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(LOOK):
+        figure = Figure(figsize=size, layout="constrained", dpi=160)
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as `name.png` and `name.svg`."""
+    return save(figure, [folder / f"{name}.{ending}" for ending in ENDINGS])
 
 
 def save(figure: Figure, files: Sequence[Path]) -> list[Path]:

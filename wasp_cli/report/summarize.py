@@ -1,131 +1,27 @@
-"""The report of a run: every table and figure once, printed or written."""
+"""From a results folder to the report of a run: every table once."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-
-from rich.console import Console
-from rich.text import Text
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.part import Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.ablation_table import ablation_table
-from wasp_cli.report.assumption_list import Assumption, assumptions_in_force, assumptions_markdown
-from wasp_cli.report.figure import FIGURES, cost_return_figure
-from wasp_cli.report.frame import Frame, Missing, Wanted, read_frame
+from wasp_cli.report.assumption_list import assumptions_in_force
+from wasp_cli.report.document import Report
+from wasp_cli.report.frame import Frame, Wanted, read_frame
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
 from wasp_cli.report.reused import Origins, absent_fact, absent_parts
-from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
 from wasp_cli.report.threshold_table import threshold_table
-from wasp_cli.report.trained_table import Trained, trained_artifacts, trained_markdown
+from wasp_cli.report.trained_table import trained_artifacts
 from wasp_cli.report.training_table import training_tables
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
-
-NAMED = 12
-"""Missing cells that the terminal names; the report names all."""
-
-
-TABLES = ("table1", "table2", "training", "world_model", "operators", "details", "thresholds")
-KNOWN = frozenset({"report.md", *FIGURES, *(f"{name}.{ending}" for name in TABLES for ending in RENDERERS)})
-"""Every file that a report can write."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a run amounts to."""
-
-    name: str
-    facts: tuple[str, ...]
-    """One-line statements about the grid."""
-    tables: tuple[Table, ...]
-    """The first ones are for the terminal."""
-    shown: int
-    """How many of them."""
-    frame: Frame
-    trained: tuple[Trained, ...]
-    assumptions: tuple[Assumption, ...]
-    damaged: tuple[str, ...] = ()
-    """Records that do not read; `facts` has them too."""
-    published: tuple[str, ...] = ()
-    """What was published and not computed here; `facts` has it too."""
-
-    @property
-    def missing(self) -> tuple[Missing, ...]:
-        """Cells without readable rows, each with the reason."""
-        return self.frame.missing
-
-    def terminal(self, console: Console) -> None:
-        """Print the main tables and name what is missing."""
-        for table in self.tables[: self.shown]:
-            console.print(terminal(table, console.width))
-        for fact in self.published:
-            console.print(Text(fact), soft_wrap=True)
-        if self.missing:
-            total = len(self.frame.cells) + len(self.missing)
-            console.print(Text(f"\n{len(self.missing)} of {total} cells are missing:", style="bold red"))
-            name_missing(console, self.missing)
-
-    def write(self, folder: Path) -> list[Path]:
-        """Write every table in every format, the figures and `report.md`; returns the files, `report.md` first."""
-        make_own(folder)
-        figures = cost_return_figure(self.frame, folder)
-        pages = write_pages(folder, self.markdown([path.name for path in figures]), self.tables)
-        # What an earlier report had and this one has not would pass for a part of it.
-        for name in KNOWN - {path.name for path in (*pages, *figures)}:
-            (folder / name).unlink(missing_ok=True)
-        return [*pages, *figures]
-
-    def markdown(self, figures: Sequence[str] = ()) -> str:
-        """The whole report as one page."""
-        parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
-        if self.missing:
-            lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
-            parts.append(f"## Missing cells\n\nTheir rows below are marked, and nothing stands in for them.\n\n{lines}")
-        parts += [markdown(table) for table in self.tables[: self.shown]]
-        parts += [f"![Cost against return]({name})\n" for name in figures if name.endswith(".png")]
-        parts += [markdown(table) for table in self.tables[self.shown :]]
-        if self.trained:
-            parts.append(trained_markdown(self.trained))
-        parts.append(assumptions_markdown(self.assumptions))
-        return "\n".join(parts)
-
-
-def name_missing(console: Console, missing: Sequence[Missing]) -> None:
-    """Print the first missing cells, each with its reason, and how many more there are."""
-    for cell in missing[:NAMED]:
-        console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
-    if len(missing) > NAMED:
-        console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
-
-
-def make_own(folder: Path) -> None:
-    """Make the folder of a report, and see that nothing which is written there is written elsewhere.
-
-    Raises:
-        StoreError: the folder is a link.
-    """
-    if folder.is_symlink():
-        raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in folder.iterdir():
-        if path.is_symlink():
-            path.unlink()
-
-
-def write_pages(folder: Path, page: str, tables: Sequence[Table]) -> list[Path]:
-    """Write `report.md` and every table in every format; returns the files, `report.md` first."""
-    texts = {"report.md": page}
-    texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
 
 
 def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], parts: Sequence[tuple[Part, str]] = ()) -> Report:
@@ -159,6 +55,7 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
         name=spec.name,
+        layout=layout,
         facts=(*_facts(spec, frame), *published, *damaged),
         tables=(*front, *back),
         shown=len(front),
@@ -167,6 +64,7 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
         assumptions=tuple(assumptions_in_force(spec)),
         damaged=tuple(damaged),
         published=tuple(published),
+        keys={identity_of(cell): key for cell, key in cells},
     )
 
 

@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.cell import Cell
+from wasp_cli.report.document import make_own, name_missing, write_pages
 from wasp_cli.report.frame import Missing
-from wasp_cli.report.summarize import identity_of, make_own, name_missing, report_run, write_pages
+from wasp_cli.report.summarize import identity_of, report_run
 from wasp_cli.report.sweep_figure import sweep_figures
 from wasp_cli.report.sweep_table import COLUMNS, OPERATOR_COLUMNS, Swept, combined, lines, operator_lines, sweep_operator_table, sweep_table
 from wasp_cli.report.table import Table, markdown, terminal
@@ -56,7 +57,7 @@ class SweepReport:
         """Write both tables in every format, a figure for each task, and `report.md`; returns the files, `report.md` first."""
         make_own(folder)
         figures = sweep_figures(self.key, self.swept, folder)
-        pages = write_pages(folder, self.markdown([path.name for path in figures]), self.tables)
+        pages = write_pages(folder, {"report.md": self.markdown([path.name for path in figures])}, self.tables)
         for path in {*folder.glob("sweep_*.png"), *folder.glob("sweep_*.svg")} - {*figures}:
             path.unlink(missing_ok=True)  # of a task that an earlier sweep had
         return [*pages, *figures]

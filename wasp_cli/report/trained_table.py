@@ -29,6 +29,9 @@ class Trained:
     key: str
     seconds: float | None
     summary: Mapping[str, Any]
+    kind: str = ""
+    """Of its node; `stage` says more, for people."""
+    round: int = 1
 
 
 def trained_artifacts(
@@ -64,7 +67,7 @@ def trained_artifacts(
             stage += f", round {manifest['axes']['round']}" if "round" in manifest["axes"] else ""
             task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
             seconds = manifest["provenance"].get("seconds")
-            trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary)
+            trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary, kind, _round(manifest))
             origins.add(manifest)
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
@@ -75,6 +78,11 @@ def trained_artifacts(
     for kind, key in roots:
         visit(kind, key)
     return tuple(artifact for artifact in found.values() if artifact is not None), tuple(damaged)
+
+
+def _round(manifest: Mapping[str, Any]) -> int:
+    number = manifest["axes"].get("round", 1)
+    return number if isinstance(number, int) else 1
 
 
 def _missing_part(error: Exception) -> str:

@@ -1,0 +1,139 @@
+"""The report of a run as one value: printed, or written as Markdown, HTML and single files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from wasp_cli.errors import StoreError
+from wasp_cli.report.assumption_list import Assumption, assumptions_markdown
+from wasp_cli.report.figure import ENDINGS
+from wasp_cli.report.figures import CAPTIONS, draw_figures
+from wasp_cli.report.frame import Frame, Missing
+from wasp_cli.report.page.build import build_page
+from wasp_cli.report.page.films import TaskFilms, films_of
+from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
+from wasp_cli.report.trained_table import Trained, trained_markdown
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CellIdentity
+
+NAMED = 12
+"""Missing cells that the terminal names; the report names all."""
+TABLES = ("table1", "table2", "training", "world_model", "operators", "details", "thresholds")
+PAGES = ("report.md", "report.html")
+KNOWN = frozenset(
+    {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
+)
+"""Every file that a report can write."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a run amounts to."""
+
+    name: str
+    layout: Layout
+    facts: tuple[str, ...]
+    """One-line statements about the grid."""
+    tables: tuple[Table, ...]
+    """The first ones are for the terminal."""
+    shown: int
+    """How many of them."""
+    frame: Frame
+    trained: tuple[Trained, ...]
+    assumptions: tuple[Assumption, ...]
+    damaged: tuple[str, ...] = ()
+    """Records that do not read; `facts` has them too."""
+    published: tuple[str, ...] = ()
+    """What was published and not computed here; `facts` has it too."""
+    keys: Mapping[CellIdentity, str] = field(default_factory=dict)
+    """Of the evaluations."""
+
+    @property
+    def missing(self) -> tuple[Missing, ...]:
+        """Cells without readable rows, each with the reason."""
+        return self.frame.missing
+
+    def terminal(self, console: Console) -> None:
+        """Print the main tables and name what is missing."""
+        for table in self.tables[: self.shown]:
+            console.print(terminal(table, console.width))
+        for fact in self.published:
+            console.print(Text(fact), soft_wrap=True)
+        if self.missing:
+            total = len(self.frame.cells) + len(self.missing)
+            console.print(Text(f"\n{len(self.missing)} of {total} cells are missing:", style="bold red"))
+            name_missing(console, self.missing)
+
+    def write(self, folder: Path, tell: Callable[[str], None] | None = None) -> list[Path]:
+        """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
+
+        Args:
+            folder: where they go.
+            tell: told which film is being drawn; None draws none.
+        """
+        make_own(folder)
+        figures = draw_figures(self.layout, self.frame, self.trained, folder)
+        films = () if tell is None else tuple(films_of(self.layout, self.frame, dict(self.keys), tell))
+        texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
+        pages = write_pages(folder, texts, self.tables)
+        # What an earlier report had and this one has not would pass for a part of it.
+        for name in KNOWN - {path.name for path in (*pages, *figures)}:
+            (folder / name).unlink(missing_ok=True)
+        return [*pages, *figures]
+
+    def markdown(self, figures: Sequence[str] = ()) -> str:
+        """The whole report as one page."""
+        parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
+        if self.missing:
+            lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
+            parts.append(f"## Missing cells\n\nTheir rows below are marked, and nothing stands in for them.\n\n{lines}")
+        parts += [markdown(table) for table in self.tables[: self.shown]]
+        parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
+        parts += [markdown(table) for table in self.tables[self.shown :]]
+        if self.trained:
+            parts.append(trained_markdown(self.trained))
+        parts.append(assumptions_markdown(self.assumptions))
+        return "\n".join(parts)
+
+    def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
+        """The whole report as one page that needs no other file."""
+        return build_page(
+            name=self.name, facts=self.facts, verdict=None, tables=self.tables, figures=figures, missing=self.missing,
+            trained=self.trained, assumptions=self.assumptions, films=films,
+        )  # fmt: skip
+
+
+def name_missing(console: Console, missing: Sequence[Missing]) -> None:
+    """Print the first missing cells, each with its reason, and how many more there are."""
+    for cell in missing[:NAMED]:
+        console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
+    if len(missing) > NAMED:
+        console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
+
+
+def make_own(folder: Path) -> None:
+    """Make the folder of a report, and see that nothing which is written there is written elsewhere.
+
+    Raises:
+        StoreError: the folder is a link.
+    """
+    if folder.is_symlink():
+        raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in folder.iterdir():
+        if path.is_symlink():
+            path.unlink()
+
+
+def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table]) -> list[Path]:
+    """Write pages (name: text) and every table in every format; returns the files, the pages first."""
+    texts = dict(pages)
+    texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]

@@ -1,0 +1,139 @@
+"""The films of a report: on each task one episode under every method, side by side.
+
+Which episode: of the first operator at its severity `moderate` (or its first one) and the first seed, the one whose cost under Human-only
+is the median, so that neither the best nor the worst one is picked. Worlds and the operator's mistakes are the same for all methods.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wasp_cli.errors import WaspError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import UNIMPAIRED
+from wasp_cli.registry import load_target
+from wasp_cli.report.explain.stored import Episode, read_episode
+from wasp_cli.report.frame import CellNumbers, Frame
+from wasp_cli.report.ladder import MODERATE
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.find import KIND, FoundCell
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CellIdentity
+from wasp_cli.tasks.registry import TASKS
+
+if TYPE_CHECKING:
+    from wasp_cli.learning.film import Sprite
+
+FRAMES, SIZE = 90, 176
+"""Frames of a film at most (about), and their side in px."""
+
+
+@dataclass(frozen=True, eq=False)
+class MethodFilm:
+    """An episode under one method."""
+
+    method: str
+    episode: Episode
+    sprite: Sprite | None
+    every: int
+    """Decisions between two frames."""
+    problem: str = ""
+    """Why there are no frames."""
+
+
+@dataclass(frozen=True)
+class TaskFilms:
+    """One episode of a task under every method."""
+
+    task: str
+    operator: str
+    value: float | None
+    severity: str | None
+    seed: int
+    number: int
+    """of the episode"""
+    chosen_by_cost: bool
+    """whether Human-only was there to choose by"""
+    films: tuple[MethodFilm, ...]
+
+    @property
+    def decisions(self) -> int:
+        """Of the longest one."""
+        return max(film.episode.decisions for film in self.films)
+
+    @property
+    def decision_seconds(self) -> float | None:
+        """Simulated time of a decision."""
+        return next((film.episode.constants.decision_seconds for film in self.films), None)
+
+
+def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], tell: Callable[[str], None]) -> Iterator[TaskFilms]:
+    """The films of every task of which a map can be drawn.
+
+    Args:
+        layout: the results folder.
+        frame: the cells of the report.
+        keys: of their evaluations.
+        tell: told what is being drawn.
+    """
+    for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
+        # Nothing else is drawn: its environment would be imported, and the results may be a stranger's.
+        if task in TASKS and (found := _of_task(layout, task, frame.cells, keys, tell)) is not None:
+            yield found
+
+
+def _of_task(
+    layout: Layout, task: str, cells: Sequence[CellNumbers], keys: dict[CellIdentity, str], tell: Callable[[str], None]
+) -> TaskFilms | None:
+    full = [cell for cell in cells if cell.identity.task == task and cell.identity.assistant_variant == "full"]
+    impaired = [cell for cell in full if METHODS[cell.identity.method].impaired and cell.identity.variant != UNIMPAIRED]
+    if not impaired:
+        return None
+    variant = impaired[0].identity.variant
+    first = next((cell for cell in impaired if cell.identity.variant == variant and cell.severity == MODERATE), impaired[0])
+    condition = (variant, first.identity.value, first.identity.seed)
+    chosen = [cell for cell in impaired if (cell.identity.variant, cell.identity.value, cell.identity.seed) == condition]
+    chosen += [cell for cell in full if cell.identity.variant == UNIMPAIRED and cell.identity.seed == first.identity.seed]
+    alone = next((cell for cell in chosen if cell.identity.method == "human"), None)
+    number = _median_episode((alone or first).episodes["cost"])
+    films = []
+    for cell in chosen:
+        tell(f"{task}: {METHODS[cell.identity.method].title}")
+        film = _film(layout, cell.identity, keys[cell.identity], number)
+        if film is not None:
+            films.append(film)
+    if not films:
+        return None
+    return TaskFilms(task, variant, first.identity.value, first.severity, first.identity.seed, number, alone is not None, tuple(films))
+
+
+def _median_episode(costs: Any) -> int:
+    """The first episode whose cost is the (upper) median."""
+    wanted = np.sort(costs)[len(costs) // 2]
+    return int(np.flatnonzero(costs == wanted)[0])
+
+
+def _film(layout: Layout, identity: CellIdentity, key: str, number: int) -> MethodFilm | None:
+    """None where the rows cannot be read again."""
+    try:
+        path: Path = layout.within(layout.artifact(KIND, key) / "cell.parquet")
+        episode = read_episode(FoundCell(path, key, read_manifest(layout, KIND, key)), number)
+    except WaspError:
+        return None
+    every = max(1, math.ceil(episode.decisions / FRAMES))
+    repeat = episode.constants.action_repeat
+    if repeat is None:
+        return MethodFilm(identity.method, episode, None, every, "its manifest does not say how long a decision is")
+    draw: Callable[..., Sprite] = load_target("wasp_cli.learning.film:sprite_of")  # by import string: it needs MuJoCo
+    seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
+    try:
+        sprite = draw(identity.task, repeat, seed, episode.a, episode.a_h, rewards, every, SIZE)
+    except WaspError as error:
+        return MethodFilm(identity.method, episode, None, every, error.message)
+    return MethodFilm(identity.method, episode, sprite, every)
