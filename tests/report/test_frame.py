@@ -20,11 +20,11 @@ def test_a_cell_is_pooled_before_anything_else(grid: Grid) -> None:
     table = read_episodes([wanted[17].path])
     steps = np.array(table["decisions"])
     cell = frame.cells[17]
-    assert cell.episodes == 4
+    assert cell.count == 4
     assert cell.pooled["viol"] == pytest.approx((np.array(table["viol"]) * steps).sum() / steps.sum())
     assert cell.pooled["return"] == pytest.approx(np.mean(table["return"]))
     assert cell.pooled["decision_p50_ms"] == 2.0
-    assert cell.costs.tolist() == table["cost"].to_pylist()
+    assert cell.episodes["cost"].tolist() == table["cost"].to_pylist()
     assert cell.thresholds.tau_c == 0.3
 
 

@@ -15,7 +15,7 @@ from wasp_cli.store.tables import CellIdentity
 
 def cell(seed: int, value: float, number: float, costs: Sequence[float] = (0.0,)) -> CellNumbers:
     identity = CellIdentity("goal1", "ida", "full", "noisy", value, seed)
-    return CellNumbers(identity, "mild", 1, {"return": number}, np.array(costs, np.float64))
+    return CellNumbers(identity, "mild", {"return": number}, {"cost": np.array(costs, np.float64)})
 
 
 def test_mean_and_spread_by_hand() -> None:

@@ -21,6 +21,12 @@ Floats = NDArray[np.float64]
 POOLING = ("decisions", "env_steps", "intervened", "planned")
 """Columns that weigh others (metrics.episode.WEIGHTS)."""
 
+TIMES = ("decision_p50_ms", "decision_p95_ms")
+"""Columns of which a cell has the median over its episodes."""
+
+WEIGHT_OF: dict[str, str | None] = {**WEIGHTS, "smoothness": "jumps"}
+"""The columns that are means over episodes, each with the column that weighs it; None is one weight per episode."""
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -53,16 +59,28 @@ class Missing:
 
 @dataclass(frozen=True, eq=False)
 class CellNumbers:
-    """One cell, pooled over its episodes."""
+    """One cell: its episodes, and the same pooled."""
 
     identity: CellIdentity
     severity: str | None
-    episodes: int
     pooled: Mapping[str, float]
-    """By column of metrics.episode.WEIGHTS, and `decision_p50_ms`, `decision_p95_ms`; NaN is undefined."""
-    costs: Floats
-    """[E] cost of each episode"""
+    """By column of WEIGHT_OF or TIMES; NaN is undefined."""
+    episodes: Mapping[str, Floats]
+    """[E] per column of WEIGHT_OF, its weights, TIMES, and `world`: the episode's seed, which is that of the same world under every
+    assistant and operator of a task and seed. NaN is undefined. Views into one array for all cells of a frame: do not write."""
     thresholds: Thresholds = field(default_factory=Thresholds)
+
+    @property
+    def count(self) -> int:
+        """E, its episodes"""
+        return len(self.episodes["world"])
+
+    def weighted(self, key: str) -> tuple[Floats, Floats]:
+        """[E] each: weight x value, and weight, of a column of WEIGHT_OF; both 0 where it is undefined. The pooled value is the ratio of
+        their sums."""
+        values, weight = self.episodes[key], WEIGHT_OF[key]
+        mass = np.where(np.isnan(values), 0.0, 1.0 if weight is None else self.episodes[weight])
+        return mass * np.nan_to_num(values), mass
 
 
 @dataclass(frozen=True)
@@ -162,17 +180,18 @@ def pool_cells(tables: list[tuple[Wanted, pa.Table]]) -> list[CellNumbers]:
         return []
     rows = pa.concat_tables([table for _, table in tables])
     sizes = np.array([table.num_rows for _, table in tables])
-    groups = np.repeat(np.arange(len(tables)), sizes)
-    pooled = pool({name: _floats(rows, name) for name in (*WEIGHTS, *POOLING)}, groups)
+    columns = {name: _floats(rows, name) for name in (*WEIGHTS, *POOLING, *TIMES)}
+    columns |= {"jumps": columns["decisions"] - 1.0, "world": _floats(rows, "episode_seed")}
+    pooled = pool(columns, np.repeat(np.arange(len(tables)), sizes))
     starts = np.concatenate([[0], np.cumsum(sizes)])
-    cost, times = _floats(rows, "cost"), {name: _floats(rows, name) for name in ("decision_p50_ms", "decision_p95_ms")}
     cells = []
     for i, (cell, table) in enumerate(tables):
         part = slice(int(starts[i]), int(starts[i + 1]))
+        episodes = {name: values[part] for name, values in columns.items()}
         numbers = {name: float(values[i]) for name, values in pooled.items()}
-        numbers |= {name: _median(values[part]) for name, values in times.items()}
+        numbers |= {name: _median(episodes[name]) for name in TIMES}
         first = {name: table[name][0].as_py() for name in ("tau_c", "tau_r", "tau_q")}
-        cells.append(CellNumbers(cell.identity, cell.severity, int(sizes[i]), numbers, cost[part], Thresholds(**first)))
+        cells.append(CellNumbers(cell.identity, cell.severity, numbers, episodes, Thresholds(**first)))
     return cells
 
 

@@ -16,10 +16,10 @@ from wasp_cli.store.tables import CellIdentity
 
 
 def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
-    """Per seed the mean of a pooled column over its cells; cells that leave it undefined are left out."""
+    """Per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
     by_seed: dict[int, list[float]] = {}
     for cell in cells:
-        number = cell.pooled[key]
+        number = cell.pooled.get(key, math.nan)
         if not math.isnan(number):
             by_seed.setdefault(cell.identity.seed, []).append(number)
     return {seed: float(np.mean(numbers)) for seed, numbers in sorted(by_seed.items())}
@@ -45,17 +45,17 @@ def over_episodes(cells: Sequence[CellNumbers], reduce: Callable[[Floats], float
     if not cells:
         return UNDEFINED
     seeds = {cell.identity.seed for cell in cells}
-    return Value(float(reduce(np.concatenate([cell.costs for cell in cells]))), n=len(seeds), ranked=False)
+    return Value(float(reduce(np.concatenate([cell.episodes["cost"] for cell in cells]))), n=len(seeds), ranked=False)
 
 
 def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:
     """Mean difference to the reference over the cells that both have (same task, operator, severity and seed)."""
-    by_condition = {_condition(cell.identity): cell.pooled[key] for cell in reference}
+    by_condition = {condition(cell.identity): cell.pooled.get(key, math.nan) for cell in reference}
     differences: dict[int, list[float]] = {}
     for cell in cells:
-        other = by_condition.get(_condition(cell.identity), math.nan)
-        if not math.isnan(cell.pooled[key] - other):
-            differences.setdefault(cell.identity.seed, []).append(cell.pooled[key] - other)
+        change = cell.pooled.get(key, math.nan) - by_condition.get(condition(cell.identity), math.nan)
+        if not math.isnan(change):
+            differences.setdefault(cell.identity.seed, []).append(change)
     return float(np.mean([np.mean(numbers) for numbers in differences.values()])) if differences else None
 
 
@@ -78,5 +78,6 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
     )
 
 
-def _condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
+def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
+    """What two cells have in common that can be compared in pairs: task, operator, severity and seed."""
     return identity.task, identity.variant, identity.value, identity.seed

@@ -120,7 +120,7 @@ def _wanted(layout: Layout, cell: Cell, key: str, failure: str | None, blocked: 
 
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
     total = len(frame.cells) + len(frame.missing)
-    episodes = sum(cell.episodes for cell in frame.cells)
+    episodes = sum(cell.count for cell in frame.cells)
     yield f"{len(frame.cells)} of {total} cells, {episodes} episodes." if total else "Training only: the spec lists no methods."
     yield f"Preset `{spec.preset}`, {spec.action_repeat} env steps per decision step."
     if spec.training_seed is not None:

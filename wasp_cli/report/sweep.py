@@ -68,7 +68,7 @@ class SweepReport:
         values = ", ".join(f"`{each.text}`" for each in self.swept)
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
-            f"{len(frame.cells)} of {len(frame.order)} different cells, {sum(cell.episodes for cell in frame.cells)} episodes.",
+            f"{len(frame.cells)} of {len(frame.order)} different cells, {sum(cell.count for cell in frame.cells)} episodes.",
             *self.published,
             *self.damaged,
         ]
