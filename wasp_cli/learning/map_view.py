@@ -1,0 +1,157 @@
+"""The map of a running episode with what people want to see on it: arrows, trails, marks.
+
+A map of a small task stands still; that of a large one follows the robot, which may move freely in its middle. Everything is drawn twice as
+large as it is shown, which smooths its edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from wasp_cli.tasks.base import Floats, HasScene
+from wasp_cli.tasks.camera.look import Look
+from wasp_cli.tasks.camera.topdown import draw_map
+
+COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
+"""Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
+colour blindness, and unlike the things on the maps."""
+WIDEST = 4.0
+"""Half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen."""
+FREE = 0.6
+"""Share of the half side within which the robot may move before the map follows."""
+REACH, ROBOT = 0.24, 0.05
+"""As shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins."""
+_SMOOTH = 2
+
+
+def stick(task: object, action: Floats) -> Floats | None:
+    """An action [A] as (forward, left) [2] in [-1, 1]; None of a task that does not say how it is driven.
+
+    A point is commanded by throttle and turn rate (left is positive), a car by the torques of the driver's right and left wheel: their mean
+    drives, half of what the right one has more turns left.
+    """
+    drive = getattr(task, "drive", None)
+    if drive == "point":
+        return np.array([action[0], action[1]])
+    if drive == "car":
+        return np.array([(action[0] + action[1]) / 2.0, (action[0] - action[1]) / 2.0])
+    return None
+
+
+class Pose:
+    """Where a robot is [2] and where it looks: unit vectors forward and left [2]."""
+
+    def __init__(self, task: HasScene, row: int = 0) -> None:
+        scene = task.scene(np.array([row]))
+        forward = (scene.rotation[0] @ np.array([*task.look().forward, 0.0]))[:2]
+        self.at = scene.position[0, :2].copy()
+        self.forward = forward / max(float(np.hypot(*forward)), 1e-9)
+        self.left = np.array([-self.forward[1], self.forward[0]])
+
+    @property
+    def yaw(self) -> float:
+        """Direction of the front in rad."""
+        return float(np.arctan2(self.forward[1], self.forward[0]))
+
+
+class MapView:
+    """Draws one episode, decision after decision."""
+
+    def __init__(self, task: HasScene, size: int, row: int = 0) -> None:
+        """Draw `row` of a task as images of `size` px."""
+        self._task, self._row, self._size = task, row, size
+        look: Look = task.look()
+        self.half = min(look.map_half_side, WIDEST)
+        whole = look.map_half_side <= WIDEST
+        self._centre = np.array(look.map_centre or (0.0, 0.0)) if whole else Pose(task, row).at
+        # A map that shows everything moves only for a robot that would leave it.
+        self._free = self.half * (0.9 if whole else FREE)
+
+    def picture(self) -> MapPicture:
+        """What is there now, to be drawn on."""
+        at = Pose(self._task, self._row).at
+        self._centre = self._centre + (at - self._centre) - np.clip(at - self._centre, -self._free, self._free)
+        x, y = self._centre.tolist()
+        size = self._size * _SMOOTH
+        image = draw_map(self._task.look(), self._task.scene(np.array([self._row])), 0, size, ((x, y), self.half))
+        return MapPicture(Image.fromarray(image), self._centre, self.half)
+
+
+class MapPicture:
+    """A map, and marks at places of the world in m. Widths are in px of the finished image."""
+
+    def __init__(self, image: Image.Image, centre: Floats, half: float) -> None:
+        self._image, self._centre, self._half = image, centre, half
+        self._draw = ImageDraw.Draw(image, "RGBA")
+
+    def _pixels(self, places: Floats) -> list[tuple[float, float]]:
+        scaled = (np.asarray(places, np.float64).reshape(-1, 2) - self._centre) * np.array([1.0, -1.0]) / self._half
+        return [(float(x), float(y)) for x, y in (scaled + 1.0) / 2.0 * self._image.width]
+
+    def line(self, places: Floats, colour: str, width: float = 1.0, dash: int = 0) -> None:
+        """Through places [N, 2]; of every `dash` + 1 stretches the last one is left out."""
+        points = self._pixels(places)
+        if len(points) < 2:
+            return
+        if not dash:
+            self._draw.line(points, colour, round(width * _SMOOTH), joint="curve")
+        for index in range(len(points) - 1) if dash else ():
+            if (index + 1) % (dash + 1):
+                self._draw.line(points[index : index + 2], colour, round(width * _SMOOTH))
+
+    def trail(self, places: Floats, width: float) -> None:
+        """Where the robot has been [N, 2]: visible on light and dark ground."""
+        self.line(places, "#FFFFFF90", 2.2 * width)
+        self.line(places, "#404040C0", width)
+
+    def dots(self, places: Floats, colour: str, radius: float, edge: str | None = None) -> None:
+        """A disc at each of N places [N, 2]."""
+        reach = radius * _SMOOTH
+        for x, y in self._pixels(places):
+            self._draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour, edge, _SMOOTH)
+
+    def arrow(self, pose: Pose, push: Floats, colour: str, width: float) -> None:
+        """An action as (forward, left) [2] at a robot: along its nose what drives, to the side what turns."""
+        pushed = REACH * (push[0] * pose.forward + push[1] * pose.left)
+        # It begins beside the robot, which would else lie under it.
+        start = pose.at + ROBOT * self._half * pushed / max(float(np.hypot(*pushed)), 1e-9)
+        (x0, y0), (x1, y1) = self._pixels(np.stack([start, start + self._half * pushed]))
+        length = float(np.hypot(x1 - x0, y1 - y0))
+        if length < _SMOOTH:
+            return
+        along = np.array([x1 - x0, y1 - y0]) / length
+        side = np.array([-along[1], along[0]])
+        for grown, shade in ((1.0, "#FFFFFF"), (0.0, colour)):
+            head = min(3.2 * width * _SMOOTH, 0.7 * length) + 2 * grown
+            base = np.array([x1, y1]) - head * along
+            corners = [np.array([x1, y1]) + 2 * grown * along, base + 0.6 * head * side, base - 0.6 * head * side]
+            end = base + 0.3 * head * along
+            self._draw.line([(x0, y0), (float(end[0]), float(end[1]))], shade, round((width + 1.4 * grown) * _SMOOTH))
+            self._draw.polygon([(float(x), float(y)) for x, y in corners], shade)
+
+    def edge(self, colour: str, width: float) -> None:
+        """A frame around the map."""
+        side = self._image.width - 1
+        self._draw.rectangle((0, 0, side, side), outline=colour, width=round(width * _SMOOTH))
+
+    def finished(self) -> Image.Image:
+        """The image at its size."""
+        return self._image.reduce(_SMOOTH)
+
+
+def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: Floats, width: float) -> None:
+    """The command and, where it was changed, what was executed, as arrows; nothing of a task that does not say how it is driven."""
+    command, executed = stick(task, a_h), stick(task, a)
+    if command is None or executed is None:
+        return
+    picture.arrow(pose, command, COMMAND, width)
+    if not np.array_equal(a_h, a):
+        picture.arrow(pose, executed, EXECUTED, width)
+
+
+def along(places: Sequence[Floats]) -> Floats:
+    """Places as one array [N, 2]."""
+    return np.array(places, np.float64).reshape(-1, 2)
