@@ -18,8 +18,9 @@ from wasp_cli.plan.part import Part
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
+from wasp_cli.report.document import TABLES, Report
 from wasp_cli.report.frame import Frame
-from wasp_cli.report.summarize import TABLES, Report, report_run
+from wasp_cli.report.summarize import report_run
 from wasp_cli.report.trained_table import duration, numbers_text, trained_artifacts
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.store.artifact import write_record

@@ -23,7 +23,7 @@ from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
-TABLES = ("table1", "table2", "training", "world_model", "operators", "details", "thresholds")
+TABLES = ("table1", "table2", "training", "world_model", "operators", "ladder", "details", "thresholds")
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
     {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-
-import pyarrow as pa
+from collections.abc import Sequence
 
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.report.frame import Frame, Wanted, read_frame
+from wasp_cli.report.frame import CellNumbers, Frame, Wanted, read_frame
 from wasp_cli.report.ladder import Ladder, Rung
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.tables import CellIdentity, read_episodes
-
-COLUMNS = ("task", "method", "variant", "value", "seed", "episode", "return")
-Place = tuple[str, str, str, float | None]
-"""Task, method, operator variant and severity value: what the cells of a rung have in common."""
+from wasp_cli.store.tables import CellIdentity
 
 
 def read_ladders(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[Ladder], Frame]:
@@ -23,19 +17,20 @@ def read_ladders(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[Ladder], Fr
     Args:
         spec: for tasks, operators and seeds, in its own order.
         wanted: its cells of Human-only and of the Expert; of other methods nothing is taken.
-
-    Raises:
-        StoreError: a cell that could be read cannot be read any more.
     """
     frame = read_frame(wanted)
-    readable = {cell.identity for cell in frame.cells}
-    returns = _returns([cell for cell in wanted if cell.identity in readable])
+    return ladders_of(spec, frame), frame
+
+
+def ladders_of(spec: Spec, frame: Frame) -> list[Ladder]:
+    """The ladders in a frame, by task and then by operator variant, in the order of the spec."""
     numbers = {cell.identity: cell for cell in frame.cells}
 
     def rung(task: str, method: str, variant: str, severity: str | None, value: float | None) -> Rung:
         identities = [CellIdentity(task, method, "full", variant, value, seed) for seed in spec.seeds]
         cells = tuple(numbers[identity] for identity in identities if identity in numbers)
-        return Rung(severity, value, returns.get((task, method, variant, value), {}), cells, len(identities) - len(cells))
+        returns = {place: value for cell in cells for place, value in _returns(cell).items()}
+        return Rung(severity, value, returns, cells, len(identities) - len(cells))
 
     ladders = []
     for task in spec.tasks:
@@ -43,13 +38,9 @@ def read_ladders(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[Ladder], Fr
         for variant, severities in spec.operators.items():
             rungs = (rung(task, "human", variant, name, value) for name, value in severities.items())
             ladders.append(Ladder(task, variant, expert, tuple(rungs)))
-    return ladders, frame
+    return ladders
 
 
-def _returns(cells: Iterable[Wanted]) -> dict[Place, dict[tuple[int, int], float]]:
-    rows: pa.Table = read_episodes([cell.path for cell in cells]).select(COLUMNS)
-    found: dict[Place, dict[tuple[int, int], float]] = {}
-    for *place, seed, episode, value in zip(*(rows[name].to_pylist() for name in COLUMNS), strict=True):
-        task, method, variant, severity = place
-        found.setdefault((task, method, variant, severity), {})[seed, episode] = value
-    return found
+def _returns(cell: CellNumbers) -> dict[tuple[int, int], float]:
+    """Return of each episode by the seed of the cell and its index."""
+    return {(cell.identity.seed, index): value for index, value in enumerate(cell.episodes["return"].tolist())}

@@ -44,14 +44,19 @@ def ladder_table(ladders: Sequence[Ladder], frame: Frame) -> Table:
     return Table("ladder", "Operators alone", ("Task", "Operator", "Severity"), COLUMNS, tuple(rows), notes, ranked=False)
 
 
+def judged(table: Table, ladders: Sequence[Ladder]) -> Table:
+    """The table with the verdicts below it."""
+    return replace(table, notes=(*table.notes, *verdict_lines(ladders)))
+
+
 def write_ladder(folder: Path, table: Table, ladders: Sequence[Ladder]) -> list[Path]:
     """Write the table in every format; the verdicts stand below it where the format has room for them. Returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
-    judged = replace(table, notes=(*table.notes, *verdict_lines(ladders)))
+    whole = judged(table, ladders)
     paths = []
     for ending, render in RENDERERS.items():
         paths.append(folder / f"{table.name}.{ending}")
-        paths[-1].write_text(render(judged), encoding="utf-8")
+        paths[-1].write_text(render(whole), encoding="utf-8")
     return paths
 
 

@@ -13,8 +13,11 @@ from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.document import Report
 from wasp_cli.report.frame import Frame, Wanted, read_frame
+from wasp_cli.report.ladder_cells import ladders_of
+from wasp_cli.report.ladder_table import judged, ladder_table
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
 from wasp_cli.report.reused import Origins, absent_fact, absent_parts
+from wasp_cli.report.table import Table
 from wasp_cli.report.threshold_table import threshold_table
 from wasp_cli.report.trained_table import trained_artifacts
 from wasp_cli.report.training_table import training_tables
@@ -51,7 +54,8 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
     if ablations is not None:
         front.append(ablations)
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
-    back = [table for table in (operator_table(frame), detail_table(frame), threshold_table(frame)) if table.rows and table.columns]
+    back = [operator_table(frame), *_ladder(spec, frame), detail_table(frame), threshold_table(frame)]
+    back = [table for table in back if table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
         name=spec.name,
@@ -66,6 +70,14 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
         published=tuple(published),
         keys={identity_of(cell): key for cell, key in cells},
     )
+
+
+def _ladder(spec: Spec, frame: Frame) -> list[Table]:
+    """The operators alone, where the spec runs them without assistance beside the expert."""
+    if not {"human", "expert"} <= set(spec.methods):
+        return []
+    ladders = ladders_of(spec, frame)
+    return [judged(ladder_table(ladders, frame), ladders)]
 
 
 def wanted_cells(layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> tuple[list[Wanted], list[str]]:

@@ -19,6 +19,8 @@ from wasp_cli.report.trained_table import Trained, duration, numbers_text
 
 FOR_TRAINING = frozenset({"training", "world_model"})
 """Tables that stand on the page of what was trained."""
+SHOWN = 2
+"""Facts in the header."""
 TRAINING_FIGURES = ("learning", "reliability")
 
 
@@ -83,11 +85,19 @@ def _document(name: str, facts: Sequence[str], pages: Sequence[tuple[str, str, M
         element("title", f"wasp: {name}"),
         element("style", Markup(_part("style.css"))),
     )
-    header = element("header", element("h1", f"Report: {name}"), element("div", list_of(facts), class_="soft"))
+    header = _header(name, facts)
     body = element(
         "body", header, element("nav", *links, class_="pages"), element("main", *sections), element("script", Markup(_part("script.js")))
     )
     return f"<!doctype html>\n{element('html', head, body, lang='en')}\n"
+
+
+def _header(name: str, facts: Sequence[str]) -> Markup:
+    """The first facts at once, the others on demand."""
+    told = [element("p", fact.replace("`", ""), class_="soft") for fact in facts[:SHOWN]]
+    more = facts[SHOWN:]
+    rest = [element("details", element("summary", f"{len(more)} more"), list_of(more), class_="soft")] if more else []
+    return element("header", element("h1", f"Report: {name}"), *told, *rest)
 
 
 def _part(name: str) -> str:

@@ -21,7 +21,9 @@ def film_page(films: TaskFilms) -> Markup:
         f"Episode {films.number} of seed {films.seed} under the operator {operator}: {how}. Every method meets the same world and the same "
         "mistakes; the Expert is the unimpaired operator."
     )
-    slider = element("input", type="range", min=0, max=films.decisions, step=films.films[0].every, value=0, aria_label="decision")
+    slider = element(
+        "input", type="range", min=0, max=films.decisions, step=films.films[0].every, value=films.decisions, aria_label="decision"
+    )
     controls = element("div", element("button", "Play", type="button"), slider, element("output", ""), class_="player")
     key = joined(element("span", element("i", style=f"background:var(--{kind})"), name) for kind, name in KEY)
     legend = "On the map: the path so far, the operator's command and the executed action as arrows, dots where it cost."

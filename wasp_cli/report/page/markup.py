@@ -23,7 +23,7 @@ def joined(parts: Iterable[object], between: str = "") -> Markup:
     return Markup(between.join(escaped(part) for part in parts))
 
 
-def element(name: str, *children: object, **attributes: object) -> Markup:
+def element(name: str, /, *children: object, **attributes: object) -> Markup:
     """`<name attributes>children</name>`; `class_` is `class`, other underscores are hyphens; None and False leave an attribute out."""
     text = "".join(_attribute(key, value) for key, value in attributes.items() if value is not None and value is not False)
     if name in ("img", "input", "meta", "br", "line", "rect", "polyline", "circle"):
