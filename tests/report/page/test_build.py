@@ -1,0 +1,129 @@
+"""The page as a whole: everything is in it, nothing is fetched, nobody's text becomes markup."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.report.condition_figures import latency_figure
+from wasp_cli.report.frame import Frame, Missing
+from wasp_cli.report.main_table import detail_table, main_table
+from wasp_cli.report.page.build import build_page
+from wasp_cli.report.page.markup import Markup, element
+from wasp_cli.report.table import Table
+from wasp_cli.report.trained_table import Trained
+from wasp_cli.store.tables import CellIdentity
+
+EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"
+VOID = {"meta", "img", "input", "br", "line", "rect", "polyline"}
+CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
+
+
+class Outline(HTMLParser):
+    """Tags must close in order; anchors and what could be fetched are collected."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.fetched: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        known = dict(attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+        if known.get("id"):
+            self.ids.append(known["id"] or "")
+        if tag == "a":
+            self.links.append(known.get("href") or "")
+        self.fetched += [value or "" for name, value in attrs if name in ("src", "srcset", "data", "action", "poster")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert tag not in VOID
+        assert self.open.pop() == tag
+
+
+def page_of(frame: Frame, folder: Path, *, verdict: Markup | None = None, word: str = "plain") -> str:
+    figures = latency_figure(frame, folder)
+    missing = [Missing(CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7), f"goal1 wasp {word}", f"failed: {word}")]
+    return build_page(
+        name=word, facts=("a fact", "another", f"a third: {word}"), verdict=verdict,
+        tables=(main_table(frame), detail_table(frame)), figures=figures, missing=missing,
+        trained=[Trained(f"expert {word}", "goal1", 0, "0123456789", 61.0, {"note": word})],
+        assumptions=[("wasp.tau_c", 0.3, word)], films=(),
+    )  # fmt: skip
+
+
+def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path) -> None:
+    page = page_of(frame, tmp_path, verdict=element("p", "the verdict"))
+    outline = Outline(page)
+    assert outline.open == []
+    assert {link.removeprefix("#") for link in outline.links} == {"overview", "training", "assumptions"}
+    assert set(outline.ids) >= {"overview", "training", "assumptions", "table-table1", "table-details", "figure-latency"}
+    assert len(set(outline.ids)) == len(outline.ids)
+    assert outline.fetched
+    assert all(source.startswith("data:image/") for source in outline.fetched)
+    assert not re.search(r"@import|url\((?!data:)|<link|<iframe|https?://(?!www\.w3\.org)", page)
+    for text in ("the verdict", "SafeRL-Res", "1 cells are missing", "wasp.tau_c", "1 min 01 s"):
+        assert text in page
+    assert page.index("the verdict") < page.index("table-table1")
+
+
+def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
+    page = page_of(frame, tmp_path, word=EVIL)
+    outline = Outline(page)
+    assert page.count("<script>") == 1
+    assert "<img src=http" not in page
+    assert all(source.startswith("data:image/") for source in outline.fetched)
+
+
+def test_the_same_report_gives_the_same_page(frame: Frame, tmp_path: Path) -> None:
+    assert page_of(frame, tmp_path) == page_of(frame, tmp_path)
+
+
+def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
+    nothing: tuple[Table, ...] = ()
+    page = build_page(
+        name="empty", facts=(), verdict=None, tables=nothing, figures=(), missing=(), trained=(), assumptions=(), films=()
+    )  # fmt: skip
+    assert Outline(page).open == []
+
+
+PROBE = """<script>
+  const told = [];
+  const numbers = () => Array.from(document.querySelectorAll('#table-table1 tbody:first-of-type tr'), (row) => row.cells[2].dataset.value);
+  document.querySelectorAll('#table-table1 th button')[2].click();
+  const falling = numbers().filter(Boolean).map(Number);
+  told.push(falling.length > 3 && falling.every((x, i) => i === 0 || falling[i - 1] >= x));
+  document.querySelectorAll('#table-table1 th button')[2].click();
+  const rising = numbers().filter(Boolean).map(Number);
+  told.push(rising.length > 3 && rising.every((x, i) => i === 0 || rising[i - 1] <= x));
+  told.push(getComputedStyle(document.getElementById('training')).display === 'none');
+  location.hash = '#training';
+  window.addEventListener('hashchange', () => {
+    told.push(getComputedStyle(document.getElementById('training')).display === 'block');
+    document.title = 'told ' + told.join(' ');
+  });
+</script></body>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_a_browser_sorts_turns_pages_and_complains_of_nothing(frame: Frame, tmp_path: Path) -> None:
+    assert CHROMIUM is not None
+    page = tmp_path / "page.html"
+    page.write_text(page_of(frame, tmp_path, word=EVIL).replace("</body>", PROBE), encoding="utf-8")
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}"]
+    command = [CHROMIUM, *options, "--virtual-time-budget=3000", "--dump-dom", page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
+    assert title is not None
+    assert title[1] == "told true true true true"
+    assert ":CONSOLE" not in done.stderr
