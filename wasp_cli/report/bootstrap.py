@@ -182,8 +182,7 @@ def _by_world(x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: in
     larger = (x[:, None] > y) + 0.5 * (x[:, None] == y)
     defined = np.where(np.isnan(x[:, None] - y), 0.0, 1.0)
     place = (x_place[:, None] * worlds + y_place).ravel()
-    won: Floats = np.bincount(place, (larger * defined).ravel(), worlds**2)
-    pairs: Floats = np.bincount(place, defined.ravel(), worlds**2)
+    won, pairs = (np.asarray(np.bincount(place, each.ravel(), worlds**2), np.float64) for each in (larger * defined, defined))
     return won.reshape(worlds, worlds), pairs.reshape(worlds, worlds)
 
 
