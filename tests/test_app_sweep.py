@@ -58,7 +58,8 @@ def test_the_tables_the_page_and_the_curves(cells: None, small_spec: Path, tmp_p
     folder = Layout(tmp_path / "results").reports("small-sweep-diffusion.ratio")
     assert f"report: {folder.absolute()}/report.md" in done.stdout
     assert {path.name for path in folder.iterdir()} == {
-        "report.md", "sweep.md", "sweep.csv", "sweep_operators.md", "sweep_operators.csv", "sweep_goal1.png", "sweep_goal1.svg",
+        "report.md", *(f"{name}.{ending}" for name in ("sweep", "sweep_operators") for ending in ("md", "csv", "tex", "html")),
+        "sweep_goal1.png", "sweep_goal1.svg",
     }  # fmt: skip
 
 

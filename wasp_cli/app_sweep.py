@@ -89,6 +89,6 @@ def sweep(
         print_json({**report.as_json(), "report": str(page)})
     else:
         report.terminal(out())
-        out().print(f"report: {page} (its tables as Markdown and CSV, and the curves, are beside it)", markup=False, soft_wrap=True)
+        out().print(f"report: {page} (its tables, as text and for LaTeX, and the curves are beside it)", markup=False, soft_wrap=True)
     done.session.require_complete()
     require_cells(report.missing, layout)

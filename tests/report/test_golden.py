@@ -11,7 +11,8 @@ import pytest
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.frame import Frame, Wanted, read_frame
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
-from wasp_cli.report.table import RENDERERS, Table
+from wasp_cli.report.render import RENDERERS
+from wasp_cli.report.table import Table
 from wasp_cli.report.threshold_table import threshold_table
 
 GOLDEN = Path(__file__).parent.parent / "golden"

@@ -156,7 +156,7 @@ def test_files_have_the_verdicts_and_the_terminal_has_room_at_80_columns(tmp_pat
     ladders, frame = read(spec_of(), tmp_path)
     table = ladder_table(ladders, frame)
     pages = {path.name: path.read_text(encoding="utf-8") for path in write_ladder(tmp_path / "out", table, ladders)}
-    assert set(pages) == {"ladder.md", "ladder.csv"}
+    assert set(pages) == {"ladder.md", "ladder.csv", "ladder.tex", "ladder.html"}
     assert "- goal1 noisy: accepted: falls at every step; " in pages["ladder.md"]
     assert pages["ladder.csv"].startswith("task,operator,severity,return,return_sd,share,success,")
     console = Console(width=80, file=StringIO(), record=True)

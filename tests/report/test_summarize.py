@@ -136,7 +136,7 @@ def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, t
         assert shown in text
     assert "Main results" not in page
     names = {path.name for path in report.write(tmp_path / "out")}
-    assert names == {"report.md", "training.md", "training.csv", "world_model.md", "world_model.csv"}
+    assert names == {"report.md", *(f"{name}.{ending}" for name in ("training", "world_model") for ending in ("md", "csv", "tex", "html"))}
 
 
 def test_artifacts_are_found_under_the_name_by_which_a_stage_reads_them(tmp_path: Path) -> None:

@@ -11,9 +11,10 @@ import pytest
 from rich.console import Console
 
 from tests.report.swept import NUMBERS, invent_sweep
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.sweep import SweepReport
 from wasp_cli.report.sweep_table import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, Swept, lines, sweep_operator_table, sweep_table
-from wasp_cli.report.table import RENDERERS, Table
+from wasp_cli.report.table import Table
 from wasp_cli.store.tables import CellIdentity
 
 KEY = "diffusion.ratio"
@@ -120,7 +121,8 @@ def test_what_is_written(swept: list[Swept], tmp_path: Path) -> None:
     files = report.write(folder)
     assert {path.name for path in folder.iterdir()} == {path.name for path in files}
     assert [path.name for path in files] == [
-        "report.md", "sweep.md", "sweep.csv", "sweep_operators.md", "sweep_operators.csv", "sweep_goal1.png", "sweep_goal1.svg",
+        "report.md", *(f"{name}.{ending}" for name in ("sweep", "sweep_operators") for ending in ("md", "csv", "tex", "html")),
+        "sweep_goal1.png", "sweep_goal1.svg",
     ]  # fmt: skip
     header, *rows = csv.reader(io.StringIO((folder / "sweep.csv").read_text(encoding="utf-8")))
     assert header[:4] == ["task", "method", "diffusion.ratio", "return"]

@@ -2,14 +2,18 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
+from wasp_cli.report.bootstrap import Interval
 from wasp_cli.report.table import Column, Row, Table, Value, csv_text, markdown, terminal
 
 RETURN = Column("return", "Return", "up")
 COST = Column("cost", "Cost", "down", digits=1)
+
+NARROW = Interval(-0.1, 0.6, "seed", 3)
 
 
 def table(*rows: Row, columns: tuple[Column, ...] = (RETURN, COST), notes: tuple[str, ...] = ()) -> Table:
@@ -42,11 +46,29 @@ def test_unranked_and_undefined_are_never_best() -> None:
     assert found.marks == {(1, 0)}
 
 
+def test_second_best_needs_somebody_behind() -> None:
+    three = table(row("a", "x", 1, 5), row("a", "y", 2, 5), row("a", "z", 3, 6), row("a", "u", 2.001, Value(4, ranked=False)))
+    assert three.marks == {(2, 0), (0, 1), (1, 1)}
+    assert three.seconds == {(1, 0), (3, 0)}  # as printed they share the place; the last of two costs is no second
+    assert replace(three, ranked=False).seconds == frozenset()
+
+
+def test_seconds_are_per_group() -> None:
+    rows = [
+        row(task, method, number, 0)
+        for task, numbers in (("a", (1, 2, 3)), ("b", (9, 8, 7)))
+        for method, number in zip("xyz", numbers, strict=True)
+    ]
+    assert table(*rows).seconds == {(1, 0), (4, 0)}
+
+
 def test_numbers() -> None:
     percent = Column("s", "S", scale=100.0, digits=1)
     assert percent.cell(Value(0.5, 0.25, 3, delta=-0.1)) == "50.0 ± 25.0 (-10.0)"
     assert percent.cell(Value(0.5, 0.25), spread=False) == "50.0"
-    assert Column("s", "S", spread=False).cell(Value(1.0, 0.5)) == "1.00"
+    assert Column("s", "S", spread=False).cell(Value(1.0, 0.5, interval=NARROW)) == "1.00"
+    assert percent.cell(Value(0.5, 0.25, interval=NARROW)) == "50.0 ± 25.0 [-10.0, 60.0]"
+    assert Column("s", "S", signed=True).cell(Value(0.5, interval=NARROW)) == "+0.50 [-0.10, +0.60]"
     assert COST.cell(Value(-0.01)) == "0.0"  # no negative zero
     assert COST.cell(Value(None)) == COST.cell(Value(float("nan"))) == "n/a"
     assert COST.cell(Value(1.0, delta=0.0)) == "1.0 (+0.0)"
@@ -78,6 +100,24 @@ def test_csv_reads_back() -> None:
     assert header == ["task", "method", "return", "return_sd", "cost", "seeds"]
     assert first == ["a", "x", "0.333333333333", "0.1", "2", "3"]
     assert second == ["a", "y, z", "", "", "1", "0"]
+
+
+def test_csv_has_intervals() -> None:
+    text = csv_text(table(row("a", "x", Value(0.5, 0.1, 3, interval=NARROW), 2), row("a", "y", 0.25, Value(1, delta=-1.0))))
+    header, first, second = csv.reader(io.StringIO(text))
+    assert header == ["task", "method", "return", "return_sd", "return_low", "return_high", "cost", "cost_delta", "seeds"]
+    assert first == ["a", "x", "0.5", "0.1", "-0.1", "0.6", "2", "", "3"]
+    assert second == ["a", "y", "0.25", "", "", "", "1", "-1.0", "0"]
+
+
+def test_terminal_styles() -> None:
+    console = Console(width=80, file=io.StringIO(), force_terminal=True, color_system="standard", _environ={"TERM": "xterm"})
+    console.print(terminal(table(row("a", "x", 1, 5), row("a", "y", 2, 5), row("a", "z", 3, 5)), 80))
+    assert isinstance(console.file, io.StringIO)
+    shown = console.file.getvalue()
+    assert "\x1b[1;32m3.00" in shown
+    assert "\x1b[4m2.00" in shown
+    assert "m1.00" not in shown.replace("\x1b[0m", "")
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,8 @@ from wasp_cli.report.figures import CAPTIONS, draw_figures
 from wasp_cli.report.frame import Frame, Missing
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import TaskFilms, films_of
-from wasp_cli.report.table import RENDERERS, Table, markdown, terminal
+from wasp_cli.report.render import RENDERERS
+from wasp_cli.report.table import Table, markdown, terminal
 from wasp_cli.report.trained_table import Trained, trained_markdown
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity

@@ -12,8 +12,9 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.frame import Frame
 from wasp_cli.report.ladder import KEPT, Difference, Ladder, Rung, difference, judge, verdict_lines, without_moderate
 from wasp_cli.report.main_table import AUTONOMY, PAPER_COLUMNS, missing_notes
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.statistics import spread_note, summarise
-from wasp_cli.report.table import RENDERERS, UNDEFINED, Column, Row, Table, Value
+from wasp_cli.report.table import UNDEFINED, Column, Row, Table, Value
 from wasp_cli.report.titles import operator_title, task_title
 
 OPTIONAL = ("success", "viol")

@@ -1,6 +1,6 @@
-"""One table as a value: what stands in it, apart from how it is printed.
+"""One table as a value: what stands in it, apart from how it is printed; and as text: Markdown, CSV, a terminal.
 
-A renderer is a function from a `Table`; `RENDERERS` has those that write a file, by file ending.
+A renderer is a function from a `Table`; `render.RENDERERS` has those that write a file, by file ending.
 """
 
 from __future__ import annotations
@@ -8,15 +8,18 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich import box
 from rich.console import Group
 from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from wasp_cli.report.bootstrap import Interval
 
 MISSING = "n/a"
 """Printed where a number is undefined or its cells are missing."""
@@ -35,6 +38,8 @@ class Value:
     """Difference to a reference row, where a table has one."""
     ranked: bool = True
     """Whether it may be the best of its column."""
+    interval: Interval | None = None
+    """Where the mean may lie, and what says so."""
 
 
 UNDEFINED = Value(None, ranked=False)
@@ -52,9 +57,11 @@ class Column:
     scale: float = 1.0
     """Printed number per stored number: 100 for percent."""
     spread: bool = True
-    """Whether ± is printed; data files have it anyway."""
+    """Whether ± and the interval are printed; data files have them anyway."""
     optional: bool = False
     """Left out where there is no room."""
+    signed: bool = False
+    """Whether a positive number has a sign: a difference."""
 
     @property
     def heading(self) -> str:
@@ -69,12 +76,14 @@ class Column:
         return f"{rounded:{'+' if sign else ''}.{self.digits}f}"
 
     def cell(self, value: Value, spread: bool = True, delta: bool = True) -> str:
-        """`mean ± sd (difference)`."""
+        """`mean ± sd [low, high] (difference)`."""
         if value.mean is None:
             return MISSING
-        text = self.number(value.mean)
+        text = self.number(value.mean, self.signed)
         if value.sd is not None and self.spread and spread:
             text += f" ± {self.number(value.sd)}"
+        if value.interval is not None and self.spread and spread:
+            text += f" [{self.number(value.interval.low, self.signed)}, {self.number(value.interval.high, self.signed)}]"
         if value.delta is not None and delta:
             text += f" ({self.number(value.delta, sign=True)})"
         return text
@@ -110,12 +119,16 @@ class Table:
     ranked: bool = True
     marks: frozenset[tuple[int, int]] = field(init=False, compare=False)
     """(row, column) of the best values."""
+    seconds: frozenset[tuple[int, int]] = field(init=False, compare=False)
+    """(row, column) of the second best ones, where something is behind them."""
 
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row.labels) != len(self.labels) or len(row.values) != len(self.columns):
                 raise ValueError(f"row {row.labels} does not fit the columns of table {self.name}")
-        object.__setattr__(self, "marks", frozenset(self._best()) if self.ranked else frozenset())
+        placed = list(self._places()) if self.ranked else []
+        object.__setattr__(self, "marks", frozenset(where for where, place, last in placed if place == 0 and last > 0))
+        object.__setattr__(self, "seconds", frozenset(where for where, place, last in placed if place == 1 and last > 1))
 
     def group(self, row: int) -> tuple[str, ...]:
         """What a row is compared within."""
@@ -125,9 +138,18 @@ class Table:
         """Whether a row is the first of its group."""
         return row == 0 or self.group(row) != self.group(row - 1)
 
-    def _best(self) -> set[tuple[int, int]]:
-        """Best as printed: rows that print the same number share the mark, and nobody has it when all print the same."""
-        best: set[tuple[int, int]] = set()
+    def shown_labels(self, row: int) -> list[str]:
+        """The labels of a row as people read them: a group is named once."""
+        labels = list(self.rows[row].labels)
+        if self.grouped and not self.starts_group(row):
+            labels[: self.grouping] = [""] * self.grouping
+        return labels
+
+    def _places(self) -> Iterator[tuple[tuple[int, int], int, int]]:
+        """(row, column) of every ranked value, its place in its group from 0, and the last place there.
+
+        As printed: rows that print the same number share a place, so that nobody is best where all print the same.
+        """
         for c, column in enumerate(self.columns):
             if column.better is None:
                 continue
@@ -137,10 +159,8 @@ class Table:
                 if value.ranked and value.mean is not None and math.isfinite(value.mean):
                     groups.setdefault(self.group(r), {})[r] = float(column.number(value.mean))
             for printed in groups.values():
-                winner = max(printed.values()) if column.better == "up" else min(printed.values())
-                if len(set(printed.values())) > 1:
-                    best |= {(r, c) for r, number in printed.items() if number == winner}
-        return best
+                order = sorted(set(printed.values()), reverse=column.better == "up")
+                yield from (((r, c), order.index(number), len(order) - 1) for r, number in printed.items())
 
 
 def markdown(table: Table) -> str:
@@ -154,39 +174,47 @@ def markdown(table: Table) -> str:
     for r, row in enumerate(table.rows):
         cells = [column.cell(value) for column, value in zip(table.columns, row.values, strict=True)]
         cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
-        lines.append(line([*_labels(table, r), *cells]))
+        lines.append(line([*table.shown_labels(r), *cells]))
     if table.notes or table.meanings:
         lines += ["", *(f"- {note}" for note in table.notes + table.meanings)]
     return "\n".join(lines) + "\n"
 
 
 def csv_text(table: Table) -> str:
-    """Unscaled numbers, one line per row; `_sd` and `_delta` columns where the table has any, `seeds` last."""
-    with_sd = [c for c in range(len(table.columns)) if any(row.values[c].sd is not None for row in table.rows)]
-    with_delta = [c for c in range(len(table.columns)) if any(row.values[c].delta is not None for row in table.rows)]
+    """Unscaled numbers, one line per row; `_sd`, `_low`, `_high` and `_delta` columns where the table has any, `seeds` last."""
+    parts = [_parts(row) for row in table.rows]
+    shown = [("", *(name for name in PARTS[1:] if any(row[c][name] is not None for row in parts))) for c in range(len(table.columns))]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     header = [label.lower().replace(" ", "_") for label in table.labels]
-    for c, column in enumerate(table.columns):
-        header += [column.key, *[f"{column.key}_sd"] * (c in with_sd), *[f"{column.key}_delta"] * (c in with_delta)]
-    writer.writerow([*header, "seeds"])
-    for row in table.rows:
-        cells: list[str | float | None] = list(row.labels)
-        for c, value in enumerate(row.values):
-            cells += [value.mean, *[value.sd] * (c in with_sd), *[value.delta] * (c in with_delta)]
-        writer.writerow([*map(_plain, cells), max((value.n for value in row.values), default=0)])
+    writer.writerow([*header, *(column.key + name for column, names in zip(table.columns, shown, strict=True) for name in names), "seeds"])
+    for row, values in zip(table.rows, parts, strict=True):
+        numbers = (plain(each[name]) for each, names in zip(values, shown, strict=True) for name in names)
+        writer.writerow([*row.labels, *numbers, max((value.n for value in row.values), default=0)])
     return out.getvalue()
 
 
-def _plain(cell: str | float | None) -> str | float:
-    """Twelve decimals: the last bits of a sum differ between machines."""
-    if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
+PARTS = ("", "_sd", "_low", "_high", "_delta")
+"""What a data file may say of a value: endings of its column's key."""
+
+
+def _parts(row: Row) -> list[dict[str, float | None]]:
+    """By PARTS, for each value of a row."""
+    spans = ((None, None) if value.interval is None else (value.interval.low, value.interval.high) for value in row.values)
+    return [
+        dict(zip(PARTS, (value.mean, value.sd, *span, value.delta), strict=True)) for value, span in zip(row.values, spans, strict=True)
+    ]
+
+
+def plain(number: float | None) -> str | float:
+    """A number in a data file, empty where it is undefined. Twelve decimals: the last bits of a sum differ between machines."""
+    if number is None or not math.isfinite(number):
         return ""
-    return round(cell, 12) + 0.0 if isinstance(cell, float) else cell
+    return round(number, 12) + (0.0 if isinstance(number, float) else 0)
 
 
 def terminal(table: Table, width: int = 120) -> Group:
-    """For a rich console of some width; the best values are bold. What does not fit is left out, never cut off."""
+    """For a rich console of some width; best values are bold, second best underlined. What does not fit is left out, never cut off."""
     notes = list(table.notes)
     every = tuple(range(len(table.columns)))
     needed = tuple(c for c in every if not table.columns[c].optional)
@@ -218,18 +246,7 @@ def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta:
     for r, line in enumerate(texts):
         if r and table.grouped and table.starts_group(r):
             rich.add_section()
-        cells = [Text(text, style="bold green" if (r, c) in table.marks else "") for c, text in zip(shown, line, strict=True)]
-        rich.add_row(*(Text(label) for label in _labels(table, r)), *cells)
+        styles = ("bold green" if (r, c) in table.marks else "underline" if (r, c) in table.seconds else "" for c in shown)
+        cells = [Text.assemble(pair) for pair in zip(line, styles, strict=True)]  # as a part: the blanks beside it have no style
+        rich.add_row(*(Text(label) for label in table.shown_labels(r)), *cells)
     return rich, frame + sum(tight)
-
-
-def _labels(table: Table, row: int) -> list[str]:
-    """The labels of a row; a group is named once."""
-    labels = list(table.rows[row].labels)
-    if table.grouped and not table.starts_group(row):
-        labels[: table.grouping] = [""] * table.grouping
-    return labels
-
-
-RENDERERS: dict[str, Callable[[Table], str]] = {"md": markdown, "csv": csv_text}
-"""A table as the text of a file, by its ending."""

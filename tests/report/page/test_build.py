@@ -66,15 +66,15 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
     page = page_of(frame, tmp_path, verdict=element("p", "the verdict"))
     outline = Outline(page)
     assert outline.open == []
-    assert {link.removeprefix("#") for link in outline.links} == {"overview", "training", "assumptions"}
-    assert set(outline.ids) >= {"overview", "training", "assumptions", "table-table1", "table-details", "figure-latency"}
+    assert {link.removeprefix("#") for link in outline.links} == {"results", "trained", "assumptions"}
+    assert set(outline.ids) >= {"results", "trained", "assumptions", "table1", "details", "figure-latency"}
     assert len(set(outline.ids)) == len(outline.ids)
     assert outline.fetched
     assert all(source.startswith("data:image/") for source in outline.fetched)
     assert not re.search(r"@import|url\((?!data:)|<link|<iframe|https?://(?!www\.w3\.org)", page)
     for text in ("the verdict", "SafeRL-Res", "1 cells are missing", "wasp.tau_c", "1 min 01 s"):
         assert text in page
-    assert page.index("the verdict") < page.index("table-table1")
+    assert page.index("the verdict") < page.index('id="table1"')
 
 
 def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
@@ -99,17 +99,17 @@ def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
 
 PROBE = """<script>
   const told = [];
-  const numbers = () => Array.from(document.querySelectorAll('#table-table1 tbody:first-of-type tr'), (row) => row.cells[2].dataset.value);
-  document.querySelectorAll('#table-table1 th button')[2].click();
+  const numbers = () => Array.from(document.querySelectorAll('#table1 tbody:first-of-type tr'), (row) => row.cells[2].dataset.value);
+  document.querySelectorAll('#table1 th button')[2].click();
   const falling = numbers().filter(Boolean).map(Number);
   told.push(falling.length > 3 && falling.every((x, i) => i === 0 || falling[i - 1] >= x));
-  document.querySelectorAll('#table-table1 th button')[2].click();
+  document.querySelectorAll('#table1 th button')[2].click();
   const rising = numbers().filter(Boolean).map(Number);
   told.push(rising.length > 3 && rising.every((x, i) => i === 0 || rising[i - 1] <= x));
-  told.push(getComputedStyle(document.getElementById('training')).display === 'none');
-  location.hash = '#training';
+  told.push(getComputedStyle(document.getElementById('trained')).display === 'none');
+  location.hash = '#trained';
   window.addEventListener('hashchange', () => {
-    told.push(getComputedStyle(document.getElementById('training')).display === 'block');
+    told.push(getComputedStyle(document.getElementById('trained')).display === 'block');
     document.title = 'told ' + told.join(' ');
   });
 </script></body>"""

@@ -13,7 +13,8 @@ from wasp_cli.report.frame import Missing
 from wasp_cli.report.page.film_pages import film_page
 from wasp_cli.report.page.films import TaskFilms
 from wasp_cli.report.page.markup import Markup, data_uri, element, joined, list_of, rows_table
-from wasp_cli.report.table import RENDERERS, Table
+from wasp_cli.report.render_html import html
+from wasp_cli.report.table import Table
 from wasp_cli.report.titles import task_title
 from wasp_cli.report.trained_table import Trained, duration, numbers_text
 
@@ -56,7 +57,7 @@ def build_page(
         *(_table(table) for table in tables if table.name not in FOR_TRAINING),
         *(_figure(svgs[figure]) for figure in CAPTIONS if figure in svgs and figure not in TRAINING_FIGURES),
     ]
-    pages = [("overview", "Results", joined(overview))]
+    pages = [("results", "Results", joined(overview))]
     pages += [(f"task-{films.task}", task_title(films.task), film_page(films)) for films in films]
     learned = [
         *(_table(table) for table in tables if table.name in FOR_TRAINING),
@@ -64,7 +65,7 @@ def build_page(
         *([_trained(trained)] if trained else []),
     ]
     if learned:
-        pages.append(("training", "Trained parts", joined(learned)))
+        pages.append(("trained", "Trained parts", joined(learned)))
     pages.append(("assumptions", "Assumptions", _assumptions(assumptions)))
     return _document(name, facts, pages)
 
@@ -115,7 +116,7 @@ def _missing(missing: Sequence[Missing]) -> Markup:
 
 
 def _table(table: Table) -> Markup:
-    return element("section", Markup(RENDERERS["html"](table)), id=f"table-{table.name}")
+    return Markup(html(table))
 
 
 def _figure(path: Path) -> Markup:

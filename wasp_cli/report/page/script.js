@@ -30,6 +30,7 @@
         const rising = heading.getAttribute("aria-sort") === "descending";
         for (const other of headings) other.removeAttribute("aria-sort");
         heading.setAttribute("aria-sort", rising ? "ascending" : "descending");
+        table.classList.add("sorted");
         // A task stays together: rows are compared within it.
         for (const body of table.tBodies) order(body, column, rising);
       });
@@ -96,7 +97,7 @@
     draw();
   }
 
-  document.querySelectorAll("table.sortable").forEach(sortable);
+  document.querySelectorAll("figure.table table").forEach(sortable);
   document.querySelectorAll("[data-player]").forEach(player);
   window.addEventListener("hashchange", show);
   show();
