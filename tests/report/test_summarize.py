@@ -102,13 +102,15 @@ def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + ["calibration of WASP"] * 2
     files = report.write(tmp_path / "out")
     assert all(path.is_file() and path.stat().st_size for path in files)
-    assert {"report.md", "table1.md", "table1.csv", "cost_return.png", "cost_return.svg"} <= {path.name for path in files}
+    assert [path.name for path in files[:2]] == ["report.md", "report.html"]
+    endings = ("md", "csv", "tex", "html")
+    assert {*(f"table1.{ending}" for ending in endings), "cost_return.png", "cost_return.svg"} <= {path.name for path in files}
     page = files[0].read_text(encoding="utf-8")
     for text in (
         "10 of 10 cells, 20 episodes",
         "cost_auprc 0.5123",
         "1 min 05 s",
-        "![Cost against return](cost_return.png)",
+        "](cost_return.png)",
         "`wasp.tau_c`",
     ):
         assert text in page

@@ -83,9 +83,15 @@ def _ladder(spec: Spec, frame: Frame) -> list[Table]:
 def wanted_cells(layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> tuple[list[Wanted], list[str]]:
     """The cells of a run with their places, and with what is known of why they are not there; and which records do not read."""
     damaged: list[str] = []
-    failures = {key: _failure(layout, key, damaged) for _, key in cells}
+    failed = _failed(layout)
+    failures = {key: _failure(layout, key, damaged) for _, key in cells if key in failed}
     blocked = _blocked(layout, spec, damaged)
-    return [_wanted(layout, cell, key, failures[key], blocked.get(key)) for cell, key in cells], damaged
+    return [_wanted(layout, cell, key, failures.get(key), blocked.get(key)) for cell, key in cells], damaged
+
+
+def _failed(layout: Layout) -> set[str]:
+    """The keys of all nodes that have failed: to look for each one alone would take longer than to read the grid."""
+    return {path.stem for path in layout.failures.glob("*.json")}
 
 
 def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
@@ -103,7 +109,7 @@ def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
 
     Not as the spec would be laid out now: that imports the environments that it names, and these results may be a stranger's.
     """
-    failed = {path.stem for path in layout.failures.glob("*.json")}
+    failed = _failed(layout)
     if not failed:
         return {}
     nodes = last_plan(layout, spec.name)
