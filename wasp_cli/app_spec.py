@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,27 +27,23 @@ def check(
     set_: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Every file with its problems, for machines.")] = False,
 ) -> None:
-    """Validate specs: every mistake at once, with file, line and column."""
+    """Validate specs, and papers such as specs/paper.yaml: every mistake at once, with file, line and column."""
     from wasp_cli.console import out
     from wasp_cli.errors import SpecError
-    from wasp_cli.plan.grid import cells_of
-    from wasp_cli.spec.load import load
     from wasp_cli.spec.problem import InvalidSpec
 
     found: list[dict[str, Any]] = []
     refused: dict[Problem, None] = {}  # two specs may extend the same wrong one
     for path in specs:
         try:
-            spec = load(path, set_ or ()).spec
+            cells, what = _what_it_has(path, set_ or ())
         except InvalidSpec as error:
             refused |= dict.fromkeys(error.problems)
             problems = [problem.as_json() for problem in error.problems]
             found.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
             continue
-        cells = len(list(cells_of(spec)))
         found.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
         if not json:
-            what = f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
             out().print(f"{path}: ok, {what}", markup=False, soft_wrap=True)
     if json:
         print_json(found)
@@ -54,6 +51,23 @@ def check(
         raise typer.Exit(SpecError.exit_code)  # all is said
     if refused:
         raise SpecError("\n".join(map(str, refused)))
+
+
+def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
+    """How many cells a valid spec has (None for a paper, which `--set` does not change), and the words for it."""
+    from wasp_cli.plan.grid import cells_of
+    from wasp_cli.spec.load import load
+    from wasp_cli.spec.paper import is_paper, paper_of
+    from wasp_cli.spec.read import read
+
+    source = read(path)
+    if is_paper(source):
+        paper = paper_of(source)
+        rows = sum(len(table.rows[task]) for table in paper.tables for task in table.rows)
+        return None, f"{rows} printed rows, {len(paper.claims)} claims"
+    spec = load(path, settings).spec
+    cells = len(list(cells_of(spec)))
+    return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
 
 
 @spec_app.command(epilog="[bold]wasp schema > specs/wasp.schema.json[/]   ·   [bold]wasp schema --plugins > mine.schema.json[/]")

@@ -365,7 +365,8 @@ def test_the_report_shows_the_gate_where_it_was_judged() -> None:
 def test_no_spec_runs_it_unless_asked() -> None:
     assert "gate_signals" not in DEFAULT_STAGES
     folder = Path(__file__).parents[2] / "specs"
-    asking = {path.stem: load(path).spec.stages for path in folder.glob("*.yaml") if "gate_signals" in load(path).spec.stages}
+    stages = {path.stem: load(path).spec.stages for path in folder.glob("*.yaml") if path.stem != "paper"}
+    asking = {name: named for name, named in stages.items() if "gate_signals" in named}
     assert set(asking) == {"smoke", "worldmodel"}
     assert all(set(DEFAULT_STAGES) < set(stages) for stages in asking.values())
 

@@ -11,7 +11,8 @@ from ruamel.yaml import YAML
 
 from wasp_cli.spec.settings import settings
 
-SPECS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[2] / "specs").glob("*.yaml"))]
+FOLDER = Path(__file__).parents[2] / "specs"
+SPECS = [path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.yaml")) if path.stem != "paper"]
 SNIPPETS = [
     "{", "}", "[", "]", ":", ": ", "- ", "#", "&a ", "*a", "<<: *a", "!!x ", "'", '"', "|", ">", "\n", "\n  ", "\t", "~", "null", "true",
     "1e999", ".nan", "-1", "0.5", "0x1f", "2020-01-01", "goal1", "wasp", "noisy", "? ", "%", "@", "\x00", "é", "\N{BOM}", "---\n", "...",
@@ -116,9 +117,19 @@ def replaced_values(draw: st.DrawFn) -> str:
             below = node.get(part)
             node[part] = node = below if isinstance(below, dict) else {}
         node[setting[-1]] = 0
+    return dumped(document, marked(draw, document, draw(st.integers(1, 4))))
+
+
+def marked(draw: st.DrawFn, document: dict[str, Any], places: int) -> dict[str, str]:
+    """Put marks at places of a document; returns which text is meant by each."""
     marks: dict[str, str] = {}
-    for _ in range(draw(st.integers(1, 4))):
+    for _ in range(places):
         change(draw, document, marks)
+    return marks
+
+
+def dumped(document: dict[str, Any], marks: dict[str, str]) -> str:
+    """A document as YAML, with the texts of its marks."""
     text = io.StringIO()
     writer = YAML()
     writer.width = 10_000

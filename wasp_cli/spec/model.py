@@ -45,7 +45,7 @@ LENIENT = ("gate_signals",)
 """Those that leave out a skill which is not there."""
 
 
-def _refuse(problems: list[Problem]) -> None:
+def refuse(problems: list[Problem]) -> None:
     """Raise every problem at its own place; a plain ValueError would point at the whole section."""
     if problems:
         errors = [InitErrorDetails(type=what, loc=where, input=value) for where, what, value in problems]
@@ -53,7 +53,7 @@ def _refuse(problems: list[Problem]) -> None:
 
 
 def _in_range(operators: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    _refuse(
+    refuse(
         [
             ((variant, severity), _out_of_range(variant), value)
             for variant, severities in operators.items()
@@ -129,7 +129,7 @@ class Spec(Config):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Spec:
-        _refuse(_nothing_to_do(self) + _variant_problems(self) + _operator_problems(self) + _skill_problems(self))
+        refuse(_nothing_to_do(self) + _variant_problems(self) + _operator_problems(self) + _skill_problems(self))
         return self
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,13 +42,31 @@ def not_set_in_sections() -> dict[str, tuple[str, str]]:
     return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(method_sections(), ("variant", "variants: [full]"))
 
 
-def findings(error: ValidationError, document: Mapping[str, Any]) -> list[Finding]:
-    """One finding for each place: what pydantic says of the members of a union belongs together."""
+Hint = Callable[[Loc], str | None]
+
+
+def findings(
+    error: ValidationError, document: Mapping[str, Any], key_hint: Hint = key_hint, description: Hint = description
+) -> list[Finding]:
+    """One finding for each place: what pydantic says of the members of a union belongs together.
+
+    Args:
+        error: what pydantic found.
+        document: the plain values.
+        key_hint: what is said of an unknown key.
+        description: what is said of a missing or an empty one.
+    """
     found: dict[Loc, list[dict[str, Any]]] = {}
     for entry in error.errors(include_url=False):
         loc = _without_tags(entry["loc"], document)
         found.setdefault(loc, []).append({**entry, "loc": loc})
-    return [_worded(loc, entries) for loc, entries in found.items()]
+    # pydantic counts the valid entries of a list only; that the others are wrong is said where they stand.
+    hollow = {loc for loc, entries in found.items() if entries[0]["type"] == "too_short" and any(_within(other, loc) for other in found)}
+    return [_worded(loc, entries, key_hint, description) for loc, entries in found.items() if loc not in hollow]
+
+
+def _within(loc: Loc, section: Loc) -> bool:
+    return len(loc) > len(section) and loc[: len(section)] == section
 
 
 def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
@@ -75,7 +93,7 @@ _WORDS = {
 """pydantic's words for what a YAML file holds, and ours."""
 
 
-def _worded(loc: Loc, entries: list[dict[str, Any]]) -> Finding:
+def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description: Hint) -> Finding:
     first = entries[0]
     context = first.get("ctx") or {}
     name = str(loc[-1]) if loc else ""

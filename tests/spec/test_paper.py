@@ -1,0 +1,231 @@
+"""The paper's numbers and claims: the shipped file is complete and says what the paper says, and mistakes have places."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from tests.commands import run_here
+from tests.spec.mutations import FOLDER, SNIPPETS, VALUES, dumped, marked
+from tests.spec.test_mutated import is_place
+from wasp_cli.spec.paper import IN_CHECKOUT, PACKAGED, Comparison, Paper, Printed, Statement, Who, load_paper, paper_of
+from wasp_cli.spec.problem import InvalidSpec
+from wasp_cli.spec.read import parse
+
+ROOT = FOLDER.parent
+SHIPPED = (FOLDER / "paper.yaml").read_text(encoding="utf-8")
+COLUMNS = ("return", "success", "cost", "viol", "int_rate", "mag")
+METHODS = ("human", "ida", "diffusion", "saferl", "wasp")
+VARIANTS = ("full", "safety-only", "task-only", "no-case2", "no-rollout")
+
+
+@pytest.fixture(scope="module")
+def paper() -> Paper:
+    return load_paper()
+
+
+def test_every_row_of_both_tables_is_there(paper: Paper) -> None:
+    first, second = paper.tables
+    assert first.columns == second.columns == COLUMNS
+    assert {task: list(rows) for task, rows in first.rows.items()} == {
+        task: [Who(method) for method in METHODS] for task in ("race1", "formula1", "goal1")
+    }
+    assert {task: list(rows) for task, rows in second.rows.items()} == {"formula1": [Who("wasp", variant) for variant in VARIANTS]}
+    assert second.rows["formula1"][Who("wasp")] == first.rows["formula1"][Who("wasp")]
+
+
+@pytest.mark.parametrize(
+    ("task", "who", "column", "printed"),
+    [
+        ("race1", "wasp", "return", Printed(13.74, 4.15)),
+        ("race1", "human", "cost", Printed(68.35, 80.20)),
+        ("race1", "human", "mag", Printed(0.0)),
+        ("formula1", "diffusion", "success", Printed(66.70, 25.20)),
+        ("formula1", "ida", "mag", Printed(0.53, 0.27)),
+        ("goal1", "saferl", "viol", Printed(0.07, 0.04)),
+        ("goal1", "wasp", "success", Printed(56.70, 6.80)),
+        ("formula1", "wasp/task-only", "viol", Printed(0.28, 0.08)),
+        ("formula1", "wasp/no-rollout", "int_rate", Printed(0.45, 0.35)),
+    ],
+)
+def test_numbers_are_those_of_the_paper(paper: Paper, task: str, who: str, column: str, printed: Printed) -> None:
+    method, _, variant = who.partition("/")
+    assert paper.printed(task, Who(method, variant or "full"), column) == printed
+
+
+def test_what_is_not_printed_is_none(paper: Paper) -> None:
+    assert paper.printed("race1", Who("wasp"), "uir") is None
+    assert paper.printed("race1", Who("filter"), "cost") is None
+    assert paper.printed("mars1", Who("wasp"), "cost") is None
+
+
+def so_in_print(paper: Paper, asked: Comparison) -> bool | None:
+    """Whether the printed means alone stand as a comparison says; None where they are not printed."""
+    left = paper.printed(asked.task, asked.left, asked.column)
+    if asked.right is None:
+        assert asked.bound is not None
+        return None if left is None else left.mean >= asked.bound if asked.relation == "at_least" else left.mean <= asked.bound
+    right = paper.printed(asked.task, asked.right, asked.column)
+    if left is None or right is None:
+        return None
+    room = asked.margin * abs(right.mean)
+    return {
+        "lower": left.mean < right.mean - room, "higher": left.mean > right.mean + room,
+        "not_lower": left.mean >= right.mean - room, "not_higher": left.mean <= right.mean + room,
+    }[asked.relation]  # fmt: skip
+
+
+def test_claims_are_what_the_printed_numbers_show(paper: Paper) -> None:
+    """Only two sentences say more than the tables do; everything else that was read into a sentence is in the tables."""
+    against: dict[str, set[tuple[str, str]]] = {}
+    for claim in paper.claims:
+        for question in claim.questions():
+            answers = [so_in_print(paper, asked) for asked in question]
+            if answers and not any(answer is not False for answer in answers):
+                against.setdefault(claim.id, set()).update((asked.task, asked.column) for asked in question)
+    assert against == {
+        "fewer-and-smaller": {("race1", "mag"), ("goal1", "int_rate"), ("goal1", "mag")},
+        "fewer-or-smaller-than-ida": {("goal1", "int_rate"), ("goal1", "mag")},
+    }
+
+
+def test_every_claim_is_asked_of_rows_that_a_shipped_spec_has(paper: Paper) -> None:
+    assert len({claim.id for claim in paper.claims}) == len(paper.claims) >= 20
+    for claim in paper.claims:
+        for asked in (asked for question in claim.questions() for asked in question):
+            ablation = {asked.left.variant, asked.right.variant if asked.right else "full"} != {"full"}
+            assert asked.task == "formula1" if ablation else asked.left.method in METHODS
+            assert asked.task == "race1" or asked.column in COLUMNS
+
+
+def test_a_statement_asks_every_pair() -> None:
+    statement = Statement.model_validate(
+        {"tasks": ("race1", "goal1"), "columns": ("cost", "viol"), "left": ("wasp",), "relation": "lower", "right": ("ida", "human")}
+    )
+    asked = [(one.task, one.column, str(one.right)) for question in statement.questions() for one in question]
+    assert sorted(asked) == sorted((t, c, r) for t in ("race1", "goal1") for c in ("cost", "viol") for r in ("ida", "human"))
+    either = Statement.model_validate(
+        {"tasks": ("race1",), "either": ("int_rate", "mag"), "left": ("wasp", "ida"), "relation": "lower", "right": ("human",)}
+    )
+    assert [[one.column for one in question] for question in either.questions()] == [["int_rate", "mag"]] * 2
+
+
+def test_a_wheel_has_the_file_where_it_is_looked_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    ((source, target),) = included.items()
+    assert (ROOT / source, ROOT / target) == (IN_CHECKOUT, PACKAGED)
+
+
+def problems(text: str) -> list[tuple[int, int, str, str | None]]:
+    with pytest.raises(InvalidSpec) as caught:
+        paper_of(parse(text, "paper.yaml"))
+    found = []
+    for problem in caught.value.problems:
+        assert problem.position is not None
+        found.append((problem.position.line, problem.position.column, problem.message, problem.hint))
+    return found
+
+
+GOOD = """\
+title: A paper
+tables:
+  - name: Table 1
+    columns: [return, cost]
+    rows:
+      goal1:
+        human: [1.0 ± 2.0, 3]
+        wasp/no-case2: [-1.5, 0.25 ± 0.5]
+claims:
+  - id: first
+    section: "1"
+    says: It is better.
+    statements:
+      - {tasks: [goal1], columns: [cost], left: [wasp], relation: lower, right: [human]}
+      - {tasks: [goal1], columns: [cost], left: [wasp], relation: at_most, bound: 3}
+"""
+
+
+def test_a_small_paper_is_valid() -> None:
+    paper = paper_of(parse(GOOD, "paper.yaml"))
+    assert paper.printed("goal1", Who("wasp", "no-case2"), "return") == Printed(-1.5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("return, cost]", "return, cots]", (4, 23, "unknown column 'cots'", "did you mean 'cost'?")),
+        ("3]", "3 ± x]", (7, 28, "no printed number", "write it as the paper prints it: 13.74 ± 4.15, or 0")),
+        ("human: [", "humna: [", (7, 9, "unknown method 'humna'", "did you mean 'human'?")),
+        ("no-case2:", "no-case-2:", (8, 9, "unknown assistant variant 'no-case-2'", "did you mean 'no-case2'?")),
+        ("goal1:\n", "gaol1:\n", (6, 7, "unknown task 'gaol1'", "did you mean 'goal1'?")),
+        ("2.0, 3]", "2.0]", (7, 16, "1 numbers for 2 columns", None)),
+        ("says:", "sais:", (12, 5, "unknown key 'sais'", "did you mean 'says'?")),
+        ("lower", "lowr", (14, 67, "should be 'lower', 'higher', 'not_lower', 'not_higher', 'at_least' or 'at_most', not 'lowr'",
+                           "did you mean 'lower'?")),
+        (", right: [human]", "", (14, 9, "'lower' needs 'right', the rows to compare with, and no 'bound'", None)),
+        (", bound: 3", ", right: [human]", (15, 9, "'at_most' needs 'bound', a number, and neither 'right' nor 'margin'", None)),
+        ("bound: 3", "bound: 3, either: [viol]",
+         (15, 9, "one of 'columns' (all of them) and 'either' (one is enough) is needed", None)),
+        ("lower", "not_lower",
+         (14, 9, "'not_lower' needs a 'margin' above 0: no finite number of seeds shows that two means are equal", None)),
+        ("[human]}", "[human], margin: 1}", (14, 98, "should be less than 1", None)),
+    ],
+)  # fmt: skip
+def test_a_mistake_has_its_place_and_its_remedy(old: str, new: str, expected: tuple[int, int, str, str | None]) -> None:
+    assert expected in problems(GOOD.replace(old, new, 1))
+
+
+def test_an_id_stands_once() -> None:
+    again = GOOD + GOOD[GOOD.index("  - id: first") :]
+    assert problems(again) == [(16, 9, "an earlier claim has this id", None)]
+
+
+def test_a_list_of_wrong_entries_is_not_called_empty() -> None:
+    found = problems(GOOD.replace("lower", "lowr").replace("at_most", "atmost"))
+    assert [line for line, *_ in found] == [14, 15]
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> str:
+    """The shipped paper with other characters, or other values and keys."""
+    text = draw(st.sampled_from([SHIPPED, GOOD]))
+    if draw(st.booleans()):
+        start = draw(st.integers(0, len(text)))
+        return text[:start] + draw(st.sampled_from([*SNIPPETS, *VALUES])) + text[start + draw(st.integers(0, 12)) :]
+    document: dict[str, Any] = YAML(typ="safe").load(text)
+    return dumped(document, marked(draw, document, draw(st.integers(1, 3))))
+
+
+@settings(max_examples=80, deadline=None)
+@given(text=mutated() | st.text(max_size=40))
+def test_any_text_is_a_paper_or_a_refusal_with_places(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    path = tmp_path_factory.mktemp("paper") / "paper.yaml"
+    path.write_bytes(text.encode())
+    try:
+        found, paper = (), load_paper(path)
+    except InvalidSpec as error:
+        found, paper = error.problems, None
+    assert (paper is None) == bool(found)
+    for problem in found:
+        assert problem.position is not None
+        assert is_place(problem.source, problem.position.line, problem.position.column)
+
+
+@pytest.mark.parametrize(("change", "code"), [(lambda text: text, 0), (lambda text: text.replace("relation", "relatoin", 1), 3)])
+def test_check_takes_a_paper(tmp_path: Path, change: Callable[[str], str], code: int) -> None:
+    path = tmp_path / "paper.yaml"
+    path.write_text(change(SHIPPED), encoding="utf-8")
+    done = run_here("check", path, columns=200)
+    assert done.exit_code == code
+    if code:
+        assert "did you mean 'relation'?" in done.stderr
+    else:
+        assert done.stdout == f"{path}: ok, 20 printed rows, {len(load_paper().claims)} claims\n"

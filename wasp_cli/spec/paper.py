@@ -1,0 +1,252 @@
+"""What a paper prints and states: its tables number by number, and its claims as comparisons that rows can answer.
+
+    paper = load_paper()                the paper that this project reproduces, specs/paper.yaml
+    paper = load_paper(Path("x.yaml"))  another one
+
+The file explains its own words; mistakes in it are told as those of a spec are, with file, line and column.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import AfterValidator, Field, PlainValidator, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from wasp_cli.config import Config
+from wasp_cli.errors import did_you_mean
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.metrics.episode import WEIGHTS
+from wasp_cli.spec.model import refuse
+from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
+from wasp_cli.spec.plain import plain
+from wasp_cli.spec.problem import InvalidSpec
+from wasp_cli.spec.read import Source, read
+from wasp_cli.spec.where import Loc
+from wasp_cli.spec.wording import findings
+
+PACKAGED = Path(__file__).parents[1] / "paper.yaml"
+"""Where a wheel has the file; pyproject.toml puts it there."""
+IN_CHECKOUT = Path(__file__).parents[2] / "specs" / "paper.yaml"
+
+COLUMNS = (*WEIGHTS, "uir", "rho", "delta_c", "delta_r")
+"""What a claim may be about: the columns of an episode, and those of the counterfactual evaluation (section 5.3)."""
+FULL = "full"
+
+Relation = Literal["lower", "higher", "not_lower", "not_higher", "at_least", "at_most"]
+BOUNDS = ("at_least", "at_most")
+TOLERANT = ("not_lower", "not_higher")
+
+
+class Printed(NamedTuple):
+    """A number as the paper prints it, in the unit of the page."""
+
+    mean: float
+    spread: float | None = None
+    """After ±."""
+
+
+class Who(NamedTuple):
+    """A row of the tables: a method, or an ablation of it."""
+
+    method: str
+    variant: str = FULL
+
+    def __str__(self) -> str:
+        return self.method if self.variant == FULL else f"{self.method}/{self.variant}"
+
+
+_PRINTED = re.compile(r"(-?\d+(?:\.\d+)?)(?: ?(?:±|\+-|\+/-) ?(\d+(?:\.\d+)?))?")
+
+
+def _printed(value: Any) -> Printed:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return Printed(float(value))
+    found = _PRINTED.fullmatch(value) if isinstance(value, str) and len(value) <= 40 else None
+    if found is None:
+        context = {"hint": "write it as the paper prints it: 13.74 ± 4.15, or 0"}
+        raise PydanticCustomError("printed", "no printed number", context)
+    return Printed(float(found[1]), None if found[2] is None else float(found[2]))
+
+
+def _who(value: Any) -> Who:
+    if not isinstance(value, str):
+        raise PydanticCustomError("who", "should be a method or method/variant", {"hint": "wasp, or wasp/no-case2"})
+    method, slash, variant = value.partition("/")
+    if method not in METHODS:
+        raise unknown("method", method, METHODS)
+    if slash and variant not in METHODS[method].variants:
+        raise unknown("assistant variant", variant, METHODS[method].variants)
+    return Who(method, variant or FULL)
+
+
+def _column(name: str) -> str:
+    if name not in COLUMNS:
+        raise unknown("column", name, COLUMNS)
+    return name
+
+
+PrintedNumber = Annotated[Printed, PlainValidator(_printed)]
+WhoName = Annotated[Who, PlainValidator(_who)]
+ColumnName = Annotated[str, AfterValidator(_column)]
+Text = Annotated[str, Field(min_length=1)]
+Tasks = Annotated[tuple[TaskName, ...], Field(min_length=1), NO_REPEATS]
+Columns = Annotated[tuple[ColumnName, ...], Field(min_length=1), NO_REPEATS]
+Whos = Annotated[tuple[WhoName, ...], Field(min_length=1), NO_REPEATS]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+
+
+class PrintedTable(Config):
+    """A table of the paper."""
+
+    name: Text
+    columns: Columns
+    rows: dict[TaskName, dict[WhoName, tuple[PrintedNumber, ...]]]
+
+    @model_validator(mode="after")
+    def _rectangular(self) -> PrintedTable:
+        wanted = len(self.columns)
+        refuse(
+            [
+                (("rows", task, str(who)), PydanticCustomError("repeated", f"{len(numbers)} numbers for {wanted} columns", {}), None)
+                for task, rows in self.rows.items()
+                for who, numbers in rows.items()
+                if len(numbers) != wanted
+            ]
+        )
+        return self
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One question to the rows: how a number of one row stands to another row's, or to a bound."""
+
+    task: str
+    column: str
+    left: Who
+    relation: Relation
+    right: Who | None = None
+    bound: float | None = None
+    margin: float = 0.0
+    """Share of the right side's value."""
+
+
+class Statement(Config):
+    """Comparisons that belong together: every task, every column, every `left` against every `right`."""
+
+    tasks: Tasks
+    columns: Columns | None = None
+    either: Columns | None = None
+    left: Whos
+    relation: Relation
+    right: Whos | None = None
+    bound: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    margin: Annotated[float, Field(ge=0, lt=1)] = 0.0
+
+    @model_validator(mode="after")
+    def _answerable(self) -> Statement:
+        if (self.columns is None) == (self.either is None):
+            raise ValueError("one of 'columns' (all of them) and 'either' (one is enough) is needed")
+        if self.relation in BOUNDS and (self.bound is None or self.right is not None or self.margin):
+            raise ValueError(f"'{self.relation}' needs 'bound', a number, and neither 'right' nor 'margin'")
+        if self.relation not in BOUNDS and (self.right is None or self.bound is not None):
+            raise ValueError(f"'{self.relation}' needs 'right', the rows to compare with, and no 'bound'")
+        if self.relation in TOLERANT and not self.margin:
+            raise ValueError(f"'{self.relation}' needs a 'margin' above 0: no finite number of seeds shows that two means are equal")
+        return self
+
+    def questions(self) -> Iterator[tuple[Comparison, ...]]:
+        """What has to be so; of the comparisons in a tuple one is enough."""
+        columns = [(column,) for column in self.columns] if self.columns is not None else [self.either or ()]
+        for task, left, right, alternatives in product(self.tasks, self.left, self.right or (None,), columns):
+            yield tuple(Comparison(task, column, left, self.relation, right, self.bound, self.margin) for column in alternatives)
+
+
+class Claim(Config):
+    """A sentence of the paper, and what has to be so for it to hold."""
+
+    id: Name
+    section: Text
+    says: Text
+    reading: str | None = None
+    """How the words were made answerable, where that is not obvious."""
+    statements: Annotated[tuple[Statement, ...], Field(min_length=1)]
+
+    def questions(self) -> list[tuple[Comparison, ...]]:
+        """What has to be so; of the comparisons in a tuple one is enough."""
+        return [question for statement in self.statements for question in statement.questions()]
+
+
+def _distinct(claims: tuple[Claim, ...]) -> tuple[Claim, ...]:
+    ids = [claim.id for claim in claims]
+    twice = PydanticCustomError("repeated", "an earlier claim has this id", {})
+    refuse([((index, "id"), twice, name) for index, name in enumerate(ids) if name in ids[:index]])
+    return claims
+
+
+class Paper(Config):
+    """Everything that a paper prints and states."""
+
+    title: Text
+    tables: tuple[PrintedTable, ...]
+    claims: Annotated[tuple[Claim, ...], AfterValidator(_distinct)]
+
+    def printed(self, task: str, who: Who, column: str) -> Printed | None:
+        """The printed number of a row, from the first table that has it."""
+        for table in self.tables:
+            row = table.rows.get(task, {}).get(who)
+            if row is not None and column in table.columns:
+                return row[table.columns.index(column)]
+        return None
+
+
+def load_paper(path: Path | None = None) -> Paper:
+    """Read and validate a paper; by default the one that this project reproduces.
+
+    Raises:
+        InvalidSpec: with every problem, each with file, line and column.
+    """
+    # In a checkout the file that people edit counts, wherever else an installer has put a copy.
+    return paper_of(read(path or (IN_CHECKOUT if IN_CHECKOUT.is_file() else PACKAGED)))
+
+
+def is_paper(source: Source) -> bool:
+    """Whether a file means to be a paper: no spec has these sections."""
+    return any(key in source.document for key in ("claims", "tables"))
+
+
+def paper_of(source: Source) -> Paper:
+    """Validate the document of a paper.
+
+    Raises:
+        InvalidSpec: with every problem, each with file, line and column.
+    """
+    document, problems = plain(source)
+    places = {problem.position for problem in problems}
+    try:
+        paper = Paper.model_validate_json(json.dumps(document), strict=True)
+    except ValidationError as error:
+        found = [
+            source.problem(finding.loc, finding.message, finding.hint, at_key=finding.at_key)
+            for finding in findings(error, document, _key_hint, lambda _: None)
+        ]
+        problems += [problem for problem in found if problem.position not in places]
+        raise InvalidSpec(list(dict.fromkeys(problems))) from error
+    if problems:
+        raise InvalidSpec(problems)
+    return paper
+
+
+_SECTIONS: Mapping[Loc, type[Config]] = {(): Paper, ("tables",): PrintedTable, ("claims",): Claim, ("claims", "statements"): Statement}
+
+
+def _key_hint(loc: Loc) -> str | None:
+    """Close keys of the same section."""
+    section = tuple(part for part in loc[:-1] if isinstance(part, str))
+    return did_you_mean(str(loc[-1]), _SECTIONS[section].model_fields) if section in _SECTIONS else None
