@@ -29,9 +29,12 @@ def operator_title(variant: str) -> str:
 
 def assistant_title(group: Group, ablation: bool = False) -> str:
     """The label of a row; an incomplete one says of how many cells it is the mean."""
-    title = METHODS[group.method].title
-    if ablation:
-        title += f", {ABLATIONS.get(group.assistant_variant, group.assistant_variant)}"
+    title = who_title(group.method, group.assistant_variant) if ablation else METHODS[group.method].title
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
     return title
+
+
+def who_title(method: str, variant: str) -> str:
+    """A method with one of its ablations."""
+    return f"{METHODS[method].title}, {ABLATIONS.get(variant, variant)}"
