@@ -73,8 +73,8 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
 
 
 def _ladder(spec: Spec, frame: Frame) -> list[Table]:
-    """The operators alone, where the spec runs them without assistance beside the expert."""
-    if not {"human", "expert"} <= set(spec.methods):
+    """The operators alone, where cells without assistance stand beside the expert's."""
+    if not {"human", "expert"} <= {identity.method for identity in frame.order}:
         return []
     ladders = ladders_of(spec, frame)
     return [judged(ladder_table(ladders, frame), ladders)]
