@@ -28,6 +28,8 @@ class MethodInfo:
     """Whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)."""
     impaired: bool = True
     """False for the reference row: it runs the unimpaired operator, once for all variants."""
+    intervenes: bool = True
+    """False where the operator's command is always executed, so that there is no intervention to ask about."""
     variants: tuple[str, ...] = ("full",)
     """Ablations that are configurations of the same class."""
     own_thresholds: tuple[str, ...] = ()
@@ -42,7 +44,7 @@ METHODS: Registry[MethodInfo] = Registry(
     "method",
     "wasp.methods",
     (
-        MethodInfo("human", "Human-only", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig"),
+        MethodInfo("human", "Human-only", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", intervenes=False),
         MethodInfo(
             "ida",
             "IDA",
@@ -66,7 +68,9 @@ METHODS: Registry[MethodInfo] = Registry(
             variants=("full", "safety-only", "task-only", "no-case2", "no-rollout"),
             own_thresholds=("no-rollout",),
         ),
-        MethodInfo("expert", "Expert", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", impaired=False),
+        MethodInfo(
+            "expert", "Expert", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", impaired=False, intervenes=False
+        ),
         MethodInfo(
             "filter",
             "Safety filter",

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+ASSISTED, ALONE = "asst", "cf"
+"""The two branches: the method's action first, or the operator's command from the first step on."""
+
 
 class Necessity(NamedTuple):
     """What N interventions were worth."""

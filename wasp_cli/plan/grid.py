@@ -20,7 +20,7 @@ from wasp_cli.plan.node import Node, sort_of, with_upstream
 from wasp_cli.plan.part import Part
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
-from wasp_cli.spec.names import OF_METHODS
+from wasp_cli.spec.names import OF_CELLS, OF_METHODS
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.published import Reused
@@ -30,6 +30,8 @@ CALIBRATED_VARIANT = "full"
 """Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
 BEFORE_ROUNDS = ("expert", "dataset")
 """Stages that no round repeats."""
+COUNTERFACTUAL = "counterfactual"
+"""The stage that runs for every cell whose method may intervene."""
 ROLLOUTS, ASSISTANT = "rollouts", "wasp"
 """The stage that begins every round after the first, and the method that it runs."""
 
@@ -51,16 +53,24 @@ class Grid:
     """By key, the published results that stand in the place of nodes."""
     notes: tuple[str, ...] = ()
     """Published results that cannot be used, each with the reason."""
+    branched: tuple[tuple[Cell, Node], ...] = ()
+    """The cells whose interventions are to be judged, each with the node of its counterfactual branches."""
 
     @property
     def targets(self) -> frozenset[str]:
         """The keys of what the spec asks for; the other nodes are there for these."""
-        return frozenset([*(node.key for _, node in self.cells), *(node.key for node in self.named)])
+        return frozenset(
+            [*(node.key for _, node in self.cells), *(node.key for node in self.named), *(node.key for _, node in self.branched)]
+        )
 
     @property
     def parts(self) -> list[tuple[Part, Node]]:
         """What is trained, needed parts first."""
-        return [(Part(node.task, node.kind, node.seed, round_of(node)), node) for node in self.nodes if node.kind not in OF_METHODS]
+        return [
+            (Part(node.task, node.kind, node.seed, round_of(node)), node)
+            for node in self.nodes
+            if node.kind not in (*OF_METHODS, *OF_CELLS)
+        ]
 
 
 def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
@@ -79,11 +89,13 @@ def _lay_out(spec: Spec, builder: _Builder) -> Grid:
     cells = tuple([(cell, builder.evaluation(cell)) for cell in cells_of(spec)])
     severities = sum(len(values) for values in spec.operators.values())
     per_seed = sum(len(spec.variants_of(method)) for method in spec.methods) * max(severities, 1)
-    named = tuple(
-        builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), spec.stages)
-    )
-    nodes = with_upstream([*(node for _, node in cells), *named])
-    return Grid(cells, tuple(nodes), named, len(spec.tasks) * len(spec.seeds) * per_seed, builder.recipes)
+    trained = [kind for kind in spec.stages if kind not in OF_CELLS]
+    named = tuple(builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), trained))
+    judged = [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes] if COUNTERFACTUAL in spec.stages else []
+    branched = tuple([(cell, builder.branches(cell, node)) for cell, node in judged])
+    nodes = with_upstream([*(node for _, node in cells), *named, *(node for _, node in branched)])
+    points = len(spec.tasks) * len(spec.seeds) * per_seed
+    return Grid(cells, tuple(nodes), named, points, builder.recipes, branched=branched)
 
 
 @contextmanager
@@ -103,6 +115,7 @@ def together(grids: Sequence[Grid]) -> Grid:
     cells = {node.key: (cell, node) for grid in grids for cell, node in grid.cells}
     nodes = with_upstream([node for grid in grids for node in grid.nodes])
     named = {node.key: node for grid in grids for node in grid.named}
+    branched = {node.key: (cell, node) for grid in grids for cell, node in grid.branched}
     return Grid(
         tuple(cells.values()),
         tuple(nodes),
@@ -111,6 +124,7 @@ def together(grids: Sequence[Grid]) -> Grid:
         {key: recipe for grid in grids for key, recipe in grid.recipes.items()},
         {key: reused for grid in grids for key, reused in grid.reused.items()},
         tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
+        tuple(branched.values()),
     )
 
 
@@ -177,11 +191,17 @@ class _Builder:
             "value": cell.value,
         }
         text = joined({**axes, "method_config": shared.text})
-        roots = (*shared.roots, *([module_of(OPERATORS[cell.operator].target)] if cell.operator in OPERATORS else ()))
-        assistant = "" if cell.assistant == CALIBRATED_VARIANT else f"/{cell.assistant}"
-        operator = "unimpaired" if cell.value is None else f"{cell.operator}={cell.value:g}"
-        label = f"{cell.method}{assistant} {operator}"
-        return self._node("evaluate", cell.task, cell.seed, axes, shared.needs, roots, label, (text, shared.upstream, shared.sort))
+        roots = (*shared.roots, *_operator_roots(cell))
+        made = (text, shared.upstream, shared.sort)
+        return self._node("evaluate", cell.task, cell.seed, axes, shared.needs, roots, _cell_label(cell), made)
+
+    def branches(self, cell: Cell, evaluation: Node) -> Node:
+        """The node that branches the interventions of an evaluated cell."""
+        chain = self.spec.chain_seed(cell.seed)
+        needs = self._inputs(COUNTERFACTUAL, cell.task, chain, self.spec.rounds) | {evaluation.kind: evaluation}
+        label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
+        # The assistant is not asked again: its code is in the key through the evaluation alone.
+        return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, _operator_roots(cell), label)
 
     def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
         info = METHODS[method]
@@ -275,6 +295,18 @@ class _Builder:
 def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
     """Where the code of a node begins."""
     return tuple(sorted({module_of(STAGES[kind].target), *_task_modules(task), *roots}))
+
+
+def _operator_roots(cell: Cell) -> tuple[str, ...]:
+    """Where the code of a cell's operator begins."""
+    return (module_of(OPERATORS[cell.operator].target),) if cell.operator in OPERATORS else ()
+
+
+def _cell_label(cell: Cell) -> str:
+    """Who assists whom: `wasp/no-case2 laggy=0.7`."""
+    assistant = "" if cell.assistant == CALIBRATED_VARIANT else f"/{cell.assistant}"
+    operator = "unimpaired" if cell.value is None else f"{cell.operator}={cell.value:g}"
+    return f"{cell.method}{assistant} {operator}"
 
 
 def round_of(node: Node) -> int:

@@ -99,6 +99,7 @@ class Plan:
         return {
             "points": self.grid.points,
             "cells": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.cells],
+            "branched": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.branched],
             "parts": [{**part.as_json(), "key": node.key} for part, node in self.grid.parts],
             "nodes": [self._node_json(step) for step in self.steps],
             "notes": list(self.grid.notes),
@@ -231,6 +232,11 @@ def _cause(path: Path) -> str:
 def cells_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
     """Each cell with the key of its artifact, as reports take them."""
     return [(cell, node.key) for cell, node in grid.cells]
+
+
+def branched_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
+    """Each cell that is branched with the key of its branches, as reports take them."""
+    return [(cell, node.key) for cell, node in grid.branched]
 
 
 def parts_with_keys(grid: Grid) -> list[tuple[Part, str]]:

@@ -47,7 +47,9 @@ def _condition(part: str, text: str) -> Condition:
 
 
 def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
-    """The keys of the nodes that are meant: cells and what the spec trains by name, or with `stage` any node; None without selectors.
+    """The keys of the nodes that are meant: cells with their branches, and what the spec trains by name, or with `stage` any node.
+
+    Without selectors it is None.
 
     Raises:
         UsageError: a selector has another form, or nothing of the grid is meant.
@@ -77,8 +79,9 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
 
 def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:
     """Each node with what it can be selected by; a cell with two names of one severity comes twice."""
-    cells = {node.key for _, node in grid.cells}
-    for cell, node in grid.cells:
+    of_cells = (*grid.cells, *grid.branched)
+    cells = {node.key for _, node in of_cells}
+    for cell, node in of_cells:
         facts = {"task": cell.task, "method": cell.method, "variant": cell.assistant, "operator": cell.operator, "seed": str(cell.seed)}
         if cell.severity is not None and cell.value is not None:
             facts |= {"severity": cell.severity, "value": f"{cell.value:g}"}

@@ -59,6 +59,8 @@ def _size(plan: Plan) -> str:
     text = f"{plan.grid.points} grid points, {cells} cells to evaluate"
     if cells < plan.grid.points:
         text += " (the unimpaired reference is one cell for all operators)"
+    branched = len({node.key for _, node in plan.grid.branched})
+    text += f"; the interventions of {branched} of them are judged by counterfactual branches" if branched else ""
     return text if cells else "nothing to evaluate: the spec lists no methods"
 
 

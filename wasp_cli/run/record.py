@@ -6,7 +6,7 @@ import os
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,8 @@ class Recorded:
     """Each cell with the key of its artifact."""
     parts: list[tuple[Part, str]]
     """Each trained part with the key of its artifact."""
+    branched: list[tuple[Cell, str]] = field(default_factory=list)
+    """Each cell whose interventions were to be judged with the key of its counterfactual branches."""
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
@@ -92,14 +94,18 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
         spec = spec_type().model_validate_json(text, strict=True, context={RECORDED: True})
     except (OSError, ValueError) as error:  # a ValidationError is a ValueError
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
-    record: dict[str, Any] = read_record(folder / "plan.json") or {}
+    record: dict[str, Any] = {"branched": (), **(read_record(folder / "plan.json") or {})}  # older runs name none
     try:
-        cells = [(CELL.validate_python(_without_key(cell)), str(cell["key"])) for cell in record["cells"]]
+        cells, branched = (_cells(record[name]) for name in ("cells", "branched"))
         parts = [(PART.validate_python(_without_key(part)), str(part["key"])) for part in record.get("parts", ())]  # older runs name none
     except (KeyError, TypeError, AttributeError, ValidationError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
-    return Recorded(run_id, spec, cells, parts)
+    return Recorded(run_id, spec, cells, parts, branched)
+
+
+def _cells(entries: Sequence[Mapping[str, Any]]) -> list[tuple[Cell, str]]:
+    return [(CELL.validate_python(_without_key(cell)), str(cell["key"])) for cell in entries]
 
 
 def _without_key(entry: Mapping[str, Any]) -> dict[str, Any]:

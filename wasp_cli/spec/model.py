@@ -20,6 +20,7 @@ from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import load_target
 from wasp_cli.spec.names import (
     NO_REPEATS,
+    OF_CELLS,
     MethodName,
     OperatorName,
     Seed,
@@ -78,7 +79,9 @@ class Spec(Config):
     tasks: Annotated[tuple[TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
     methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(description="the assistants")]
     stages: Annotated[tuple[StageName, ...], NO_REPEATS] = Field(
-        default=DEFAULT_STAGES, description="what is trained besides what the methods need, once for each task and seed of training"
+        default=DEFAULT_STAGES,
+        description="what is computed besides what the methods need: training once for each task and seed of training, "
+        "`counterfactual` for each cell whose method may intervene",
     )
     variants: Annotated[tuple[VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
         default=("full",), description="ablations of the methods that have them; the others run once"
@@ -134,7 +137,7 @@ class Spec(Config):
 
 
 def _nothing_to_do(spec: Spec) -> list[Problem]:
-    if spec.methods or spec.stages:
+    if spec.methods or any(kind not in OF_CELLS for kind in spec.stages):
         return []
     hint = "name a method, or under `stages` what is to be trained"
     return [(("methods",), PydanticCustomError("nothing", "neither methods nor stages are listed", {"hint": hint}), [])]

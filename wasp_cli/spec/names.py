@@ -19,6 +19,8 @@ RECORDED = "recorded"
 """Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
 OF_METHODS = ("calibration", "evaluate")
 """Stages that run for a method: the methods that a spec lists ask for them."""
+OF_CELLS = ("counterfactual",)
+"""Stages that run for every cell whose method may intervene: a spec asks for them under `stages`, and they train nothing."""
 OF_ROUNDS = ("rollouts",)
 """Stages that begin a round: `rounds` asks for them."""
 

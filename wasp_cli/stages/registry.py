@@ -33,5 +33,6 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage"),
         StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage"),
         StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage"),
+        StageInfo("counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage"),
     ),
 )

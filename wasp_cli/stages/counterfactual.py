@@ -1,0 +1,79 @@
+"""Counterfactual branches of a cell: at its interventions, what would have happened without them (section 5.3 of the paper).
+
+Artifact: `branches.parquet` (see `store.branches`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+from wasp_cli.learning.configs import CounterfactualConfig
+from wasp_cli.stages.base import Job
+
+
+class CounterfactualStage:
+    """See the module. The assistant is not asked again: what it executed is stored."""
+
+    kind = "counterfactual"
+    config = CounterfactualConfig
+    settings = ("action_repeat",)
+    needs: tuple[str, ...] = ("world_model", "policies", "heldout")
+
+    def run(self, job: Job) -> Mapping[str, Any]:
+        """Play the episodes of the cell again, and branch at their interventions."""
+        import numpy as np
+
+        from wasp_cli import seeds
+        from wasp_cli.errors import TrainingError
+        from wasp_cli.learning.closed_loop import human
+        from wasp_cli.learning.counterfactual import branches, least_gain, sampled
+        from wasp_cli.learning.heldout import load_heldout
+        from wasp_cli.learning.policies import load_skills
+        from wasp_cli.learning.rerun import Recorded, Rerun
+        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+        from wasp_cli.operators.build import build_operator
+        from wasp_cli.operators.noise import EpisodeNoise
+        from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, read_branches, write_branches
+        from wasp_cli.store.recorded import read_recorded
+        from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_steps
+        from wasp_cli.tasks.make import make_task
+
+        config = cast(CounterfactualConfig, job.config)
+        variant, value = job.axes["variant"], job.axes["value"]
+        tau_R = least_gain(load_heldout(job.inputs["heldout"]), config.window, config.tau_R_fraction)
+        if math.isnan(tau_R):
+            raise TrainingError(
+                f"no held-out episode of the expert has {config.window} decisions, so there is no tau_R",
+                "set a smaller counterfactual.window",
+            )
+        path = job.inputs["evaluate"] / CELL_FILE
+        recorded = Recorded(**read_recorded(path))
+        batch = len(recorded.a)
+        task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
+        owner = human(load_skills(job.inputs["policies"]), task.decision_seconds, task.action_size)
+        mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, value, job.seed, e) for e in range(batch)])
+        operator = build_operator(variant, value, owner, mistakes, batch)
+        rerun = Rerun(task, load_world_model(job.inputs["world_model"]), operator, recorded)
+
+        ends = np.cumsum(rerun.lengths)[:-1]
+        steps = read_steps(path)
+        deviation, gate = (np.split(np.asarray(steps[name]), ends) for name in ("deviation", "gate"))
+        intervened = [norms > 0.0 for norms in deviation]
+        interventions = int(sum(steps.sum() for steps in intervened))
+        stride = config.stride if config.most is None else max(config.stride, math.ceil(interventions / config.most))
+        found = branches(rerun, sampled(intervened, stride), config.window, job.progress)
+
+        identity = CellIdentity(job.task, job.axes["method"], job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
+        rows = [
+            BranchRow(b.episode, b.t, b.name, b.cost, b.cost_env, b.reward, float(deviation[b.episode][b.t]), int(gate[b.episode][b.t]))
+            for b in found
+        ]
+        write_branches(job.out_dir / BRANCHES_FILE, BranchedCell(identity, config.window, stride, tau_R, batch), rows)
+        stored = read_branches(job.out_dir / BRANCHES_FILE)  # reports see the rewards as they are stored
+        judged = necessity(stored.cost[ALONE], stored.cost[ASSISTED], stored.reward[ALONE], stored.reward[ASSISTED], tau_R)
+        shown = {"uir": judged.unnecessary, "rho": judged.rho, "delta_c": judged.delta_c, "delta_r": judged.delta_r}
+        numbers = {name: round(float(values.mean()), 4) if len(values) else None for name, values in shown.items()}
+        return {"interventions": interventions, "branched": len(stored.t), **numbers, "tau_R": round(tau_R, 4)}

@@ -1,0 +1,207 @@
+"""The counterfactual branches of one cell: a Parquet file with two rows per branched decision.
+
+    found = [BranchRow(episode=0, t=12, branch="asst", costs=..., cost_env=..., rewards=..., deviation=0.8, gate=1), ...]
+    write_branches(path, BranchedCell(identity, window=15, stride=1, tau_R=0.06, episodes=10), found)
+
+    read_branches(path)   what the rows have in common, and the pairs of rows side by side
+
+The rows are sorted, the same input gives the same bytes, and a cell without interventions has a file without rows. Letters: N branched
+decisions, W decision steps of a branch at most, w <= W of one that ended early.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from wasp_cli.errors import StoreError
+from wasp_cli.metrics.necessity import ALONE, ASSISTED, padded
+from wasp_cli.store.tables import IDENTITY, CellIdentity
+
+BRANCHES_FILE = "branches.parquet"
+"""Name of the table inside the artifact of a cell's branches."""
+VERSION = 1
+"""Grows with every change of SCHEMA; a file of a newer version is refused."""
+VERSION_KEY, CELL_KEY = b"wasp.branches", b"wasp.branched_cell"
+
+ROW = (
+    pa.field("t", pa.int32(), nullable=False),
+    pa.field("branch", pa.string(), nullable=False),
+    pa.field("steps", pa.int16(), nullable=False),
+    pa.field("costs", pa.list_(pa.bool_()), nullable=False),
+    pa.field("cost_env", pa.list_(pa.int16()), nullable=False),
+    pa.field("rewards", pa.list_(pa.float32()), nullable=False),
+    pa.field("deviation", pa.float32(), nullable=False),
+    pa.field("gate", pa.int8(), nullable=False),
+    pa.field("tau_R", pa.float64(), nullable=False),
+    pa.field("window", pa.int16(), nullable=False),
+)
+"""A branch: the decision at which it begins, its decision steps, c_t, env steps with cost and reward of each, and of the decision the norm
+of a - a_h and the gate (`metrics.episode`)."""
+SCHEMA = pa.schema([*(field for field in IDENTITY if field.name != "episode_seed"), *ROW])
+
+
+@dataclass(frozen=True)
+class BranchedCell:
+    """What the rows of a file have in common."""
+
+    identity: CellIdentity
+    window: int
+    """W"""
+    stride: int
+    """every how many interventions one was branched"""
+    tau_R: float
+    episodes: int
+    """of the cell"""
+
+
+class BranchRow(NamedTuple):
+    """One branch; see ROW."""
+
+    episode: int
+    t: int
+    branch: str
+    costs: Sequence[bool] | NDArray[np.bool_]
+    cost_env: Sequence[int] | NDArray[np.integer]
+    rewards: Sequence[float] | NDArray[np.floating]
+    deviation: float
+    gate: int
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """The N pairs of branches of a cell, sorted by episode and decision. Steps after the end of an episode are 0."""
+
+    cell: BranchedCell
+    episode: NDArray[np.int64]
+    """[N]"""
+    t: NDArray[np.int64]
+    """[N]"""
+    cost: Mapping[str, NDArray[np.float64]]
+    """[N, W] by branch: c_t"""
+    reward: Mapping[str, NDArray[np.float64]]
+    """[N, W] by branch"""
+    deviation: NDArray[np.float64]
+    """[N]"""
+    gate: NDArray[np.int64]
+    """[N]"""
+
+
+def write_branches(path: Path, cell: BranchedCell, rows: Sequence[BranchRow]) -> None:
+    """Write the branches of a cell. The file appears complete or not at all; the same input gives the same bytes, in any order of rows.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    table = branches_table(cell, rows)
+    part = path.with_name(path.name + ".part")
+    try:
+        with part.open("wb") as file:
+            pq.write_table(table, file, compression="zstd", compression_level=3, write_page_checksum=True)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
+    """The table in memory; see `write_branches`."""
+    rows = sorted(rows, key=lambda row: row[:3])
+    common = asdict(cell.identity) | {"tau_R": cell.tau_R, "window": cell.window}
+    columns: dict[str, Any] = {name: [value] * len(rows) for name, value in common.items()}
+    columns |= {name: [getattr(row, name) for row in rows] for name in BranchRow._fields}
+    columns["steps"] = [len(row.costs) for row in rows]
+    marks = {VERSION_KEY: str(VERSION), CELL_KEY: json.dumps(asdict(cell), sort_keys=True)}
+    return pa.table([pa.array(columns[field.name], field.type) for field in SCHEMA], schema=SCHEMA.with_metadata(marks))
+
+
+def read_branches(path: Path) -> Branches:
+    """The branches of a cell.
+
+    Raises:
+        StoreError: the file is missing, damaged, of a newer version, no table of branches, or its rows are no pairs.
+    """
+    table, cell = _read(path)
+    try:
+        return _paired(cell, table.to_pylist())
+    except (LookupError, TypeError, ValueError) as error:
+        raise _odd(path, " ".join(str(error).split())[:200]) from error
+
+
+def _paired(cell: BranchedCell, rows: Sequence[Mapping[str, Any]]) -> Branches:
+    places = [(row["episode"], row["t"], row["branch"]) for row in rows]
+    if any(before >= after for before, after in pairwise(places)):
+        raise ValueError("its rows are not sorted, or there are two of one branch")
+    by_name = {name: [row for row in rows if row["branch"] == name] for name in (ASSISTED, ALONE)}
+    pairs = [[(row["episode"], row["t"]) for row in own] for own in by_name.values()]
+    if pairs[0] != pairs[1] or 2 * len(pairs[0]) != len(rows):
+        raise ValueError("a decision does not have both branches")
+    first = by_name[ASSISTED]
+    return Branches(
+        cell,
+        np.array([row["episode"] for row in first], np.int64),
+        np.array([row["t"] for row in first], np.int64),
+        {name: _steps(own, "costs", cell.window) for name, own in by_name.items()},
+        {name: _steps(own, "rewards", cell.window) for name, own in by_name.items()},
+        np.array([row["deviation"] for row in first], np.float64),
+        np.array([row["gate"] for row in first], np.int64),
+    )
+
+
+def _steps(rows: Sequence[Mapping[str, Any]], name: str, width: int) -> NDArray[np.float64]:
+    """[N, W]"""
+    found = np.zeros((len(rows), width))
+    for place, row in enumerate(rows):
+        if not 1 <= len(row[name]) == row["steps"] <= width:
+            raise ValueError(f"a branch of {row['steps']} steps has {len(row[name])} {name}, in a window of {width}")
+        found[place] = padded(np.asarray(row[name], np.float64), width)
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name} are not finite")
+    return found
+
+
+def _read(path: Path) -> tuple[pa.Table, BranchedCell]:
+    """The rows of a file and what they have in common, after its version was checked."""
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            marks = file.schema_arrow.metadata or {}
+            if VERSION_KEY not in marks:
+                raise StoreError(f"{path} is a Parquet file, but no table of counterfactual branches")
+            if int(marks[VERSION_KEY]) > VERSION:
+                raise StoreError(
+                    f"{path} has table version {int(marks[VERSION_KEY])}, this wasp reads up to {VERSION}",
+                    "upgrade wasp, or use another results folder",
+                )
+            table = file.read(columns=list(SCHEMA.names), use_threads=False)
+            return table, _cell(marks[CELL_KEY])
+    except FileNotFoundError as error:
+        raise StoreError(f"{path} does not exist", "run the spec again: what is finished is kept") from error
+    except (LookupError, TypeError, ValueError, pa.ArrowException) as error:  # some of pyarrow's errors are ValueErrors
+        raise _odd(path, " ".join(str(error).split())[:200]) from error
+    except OSError as error:
+        raise _odd(path, str(error)) if not error.errno else StoreError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _cell(text: bytes) -> BranchedCell:
+    values = json.loads(text)
+    cell = BranchedCell(**{**values, "identity": CellIdentity(**values["identity"])})
+    numbers = (cell.window, cell.stride, cell.episodes)
+    if not all(type(number) is int and number >= 1 for number in numbers) or not np.isfinite(cell.tau_R):
+        raise ValueError("its window, stride, number of episodes or tau_R is none")
+    return cell
+
+
+def _odd(path: Path, what: str) -> StoreError:
+    return StoreError(f"{path} is damaged: {what}", "delete its folder and run the spec again")
