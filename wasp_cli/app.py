@@ -141,6 +141,10 @@ def report(
     spec: Annotated[
         str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
     ] = None,
+    paper: Annotated[
+        Path | None,
+        typer.Option("--paper", metavar="FILE", help="Another paper's numbers and claims. (default: specs/paper.yaml)", show_default=False),
+    ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="End with 1 when cells are missing.")] = False,
     films: Annotated[bool, typer.Option("--films/--no-films", help="Films of one episode of each task under every method.")] = True,
 ) -> None:
@@ -160,7 +164,7 @@ def report(
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
-                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, films=films)
+                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, paper=paper, films=films)
                 damaged += shown.damaged
                 incomplete += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
             except WaspError as error:  # the other specs are still worth seeing
@@ -329,12 +333,19 @@ def _run_and_report(loaded: Loaded, results: Path, way: Way, selection: Selectio
 
 
 def _show_report(
-    layout: Layout, spec: Spec, cells: list[tuple[Cell, str]], parts: list[tuple[Part, str]], *, films: bool = False
+    layout: Layout,
+    spec: Spec,
+    cells: list[tuple[Cell, str]],
+    parts: list[tuple[Part, str]],
+    *,
+    paper: Path | None = None,
+    films: bool = False,
 ) -> Report:
     from wasp_cli.console import err, out
     from wasp_cli.report.summarize import report_run
+    from wasp_cli.spec.paper import load_paper
 
-    report = report_run(layout.root, spec, cells, parts)
+    report = report_run(layout.root, spec, cells, parts, load_paper(paper))
     # Written first: a terminal that goes away costs no file.
     with err().status("report") as status:
         _, page, *_ = report.write(layout.reports(spec.name), (lambda text: status.update(f"film of {text}")) if films else None)

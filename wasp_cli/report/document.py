@@ -16,15 +16,19 @@ from wasp_cli.report.figures import CAPTIONS, draw_figures
 from wasp_cli.report.frame import Frame, Missing
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import TaskFilms, films_of
+from wasp_cli.report.page.markup import Markup
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.table import Table, markdown, terminal
 from wasp_cli.report.trained_table import Trained, trained_markdown
+from wasp_cli.report.verdict import VerdictReport
+from wasp_cli.report.verdict_html import verdict_html
+from wasp_cli.report.verdict_text import verdict_markdown, verdict_terminal
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
-TABLES = ("table1", "table2", "training", "world_model", "operators", "ladder", "details", "thresholds")
+TABLES = ("table1", "table2", "paper", "training", "world_model", "operators", "ladder", "details", "thresholds")
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
     {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
@@ -53,6 +57,8 @@ class Report:
     """What was published and not computed here; `facts` has it too."""
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)
     """Of the evaluations."""
+    verdict: VerdictReport | None = None
+    """What becomes of the paper's claims; None where nothing was evaluated."""
 
     @property
     def missing(self) -> tuple[Missing, ...]:
@@ -63,6 +69,8 @@ class Report:
         """Print the main tables and name what is missing."""
         for table in self.tables[: self.shown]:
             console.print(terminal(table, console.width))
+        if self.verdict is not None:
+            console.print(verdict_terminal(self.verdict))
         for fact in self.published:
             console.print(Text(fact), soft_wrap=True)
         if self.missing:
@@ -93,6 +101,8 @@ class Report:
         if self.missing:
             lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
             parts.append(f"## Missing cells\n\nTheir rows below are marked, and nothing stands in for them.\n\n{lines}")
+        if self.verdict is not None:
+            parts.append(verdict_markdown(self.verdict))
         parts += [markdown(table) for table in self.tables[: self.shown]]
         parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
         parts += [markdown(table) for table in self.tables[self.shown :]]
@@ -103,8 +113,9 @@ class Report:
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
         """The whole report as one page that needs no other file."""
+        verdict = None if self.verdict is None else Markup(verdict_html(self.verdict))
         return build_page(
-            name=self.name, facts=self.facts, verdict=None, tables=self.tables, figures=figures, missing=self.missing,
+            name=self.name, facts=self.facts, verdict=verdict, tables=self.tables, figures=figures, missing=self.missing,
             trained=self.trained, assumptions=self.assumptions, films=films,
         )  # fmt: skip
 

@@ -21,13 +21,22 @@ from wasp_cli.report.table import Table
 from wasp_cli.report.threshold_table import threshold_table
 from wasp_cli.report.trained_table import trained_artifacts
 from wasp_cli.report.training_table import training_tables
+from wasp_cli.report.verdict import judge
+from wasp_cli.report.verdict_table import numbers_table
 from wasp_cli.spec.model import Spec
+from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
 
 
-def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], parts: Sequence[tuple[Part, str]] = ()) -> Report:
+def report_run(
+    results: Path,
+    spec: Spec,
+    cells: Sequence[tuple[Cell, str]],
+    parts: Sequence[tuple[Part, str]] = (),
+    paper: Paper | None = None,
+) -> Report:
     """Summarise the cells and the trained parts of a run.
 
     Args:
@@ -35,6 +44,7 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
         spec: what the run was asked for.
         cells: its cells, each with the key of its evaluation.
         parts: what it trains, each with the key of its artifact.
+        paper: whose numbers and claims the cells are held against; None: against none.
     """
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells)
@@ -49,12 +59,20 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
     if absent:
         published.append(absent_fact(absent))
         parts = [(part, key) for part, key in parts if part not in absent]
+    verdict = judge(frame, paper, spec) if paper is not None and frame.cells else None
     front = [main_table(frame)] if cells else []
     ablations = ablation_table(frame)
     if ablations is not None:
         front.append(ablations)
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
-    back = [operator_table(frame), *_ladder(spec, frame), detail_table(frame), threshold_table(frame)]
+    beside = None if verdict is None else numbers_table(verdict)
+    back = [
+        *([] if beside is None else [beside]),
+        operator_table(frame),
+        *_ladder(spec, frame),
+        detail_table(frame),
+        threshold_table(frame),
+    ]
     back = [table for table in back if table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
@@ -68,6 +86,7 @@ def report_run(results: Path, spec: Spec, cells: Sequence[tuple[Cell, str]], par
         assumptions=tuple(assumptions_in_force(spec)),
         damaged=tuple(damaged),
         published=tuple(published),
+        verdict=verdict,
         keys={identity_of(cell): key for cell, key in cells},
     )
 
