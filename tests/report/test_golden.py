@@ -9,14 +9,25 @@ from pathlib import Path
 import pytest
 
 from wasp_cli.report.ablation_table import ablation_table
+from wasp_cli.report.comparison_table import BEST, comparison_table
 from wasp_cli.report.frame import Frame, Wanted, read_frame
+from wasp_cli.report.latency_table import latency_table
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
 from wasp_cli.report.render import RENDERERS
+from wasp_cli.report.severity_table import severity_table
 from wasp_cli.report.table import Table
 from wasp_cli.report.threshold_table import threshold_table
 
 GOLDEN = Path(__file__).parent.parent / "golden"
-TABLES: tuple[Callable[[Frame], Table | None], ...] = (main_table, ablation_table, operator_table, detail_table, threshold_table)
+
+
+def best_table(frame: Frame) -> Table | None:
+    return comparison_table(frame, BEST)
+
+
+TABLES: tuple[Callable[[Frame], Table | None], ...] = (
+    main_table, ablation_table, operator_table, detail_table, threshold_table, comparison_table, best_table, severity_table, latency_table,
+)  # fmt: skip
 
 
 def compare(name: str, text: str) -> None:

@@ -53,9 +53,9 @@ def test_paired_difference_uses_what_both_have() -> None:
 
 def test_episodes_are_pooled_over_cells() -> None:
     cells = [cell(0, 0.2, 0, [0, 1, 2]), cell(1, 0.2, 0, [100])]
-    assert over_episodes(cells, np.median).mean == 1.5
-    assert over_episodes(cells, np.max).mean == 100
-    assert over_episodes([], np.max).mean is None
+    assert over_episodes(cells, "cost", np.median).mean == 1.5
+    assert over_episodes(cells, "cost", np.max).mean == 100
+    assert over_episodes([], "cost", np.max).mean is None
 
 
 def test_how_coarse_three_seeds_are() -> None:

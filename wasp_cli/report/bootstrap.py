@@ -83,8 +83,9 @@ class _Clusters:
         found = found[~np.isnan(found)]
         if not len(found):
             return Estimate(value, None)
-        low, high = np.quantile(found, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-        return Estimate(value, Interval(float(low), float(high), self.unit, len(self.names)))
+        # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
+        low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(found, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
+        return Estimate(value, Interval(low, high, self.unit, len(self.names)))
 
     def found(self, statistic: Callable[[Floats], Floats]) -> Estimate:
         """`statistic` with every cluster drawn once, and its interval."""

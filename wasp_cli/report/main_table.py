@@ -56,9 +56,9 @@ REFERENCE_NOTE = "Expert is the unimpaired operator without assistance, for refe
 def main_table(frame: Frame) -> Table:
     """Table 1: per task and method the mean over all operator variants and severities."""
     columns = PAPER_COLUMNS + MORE_COLUMNS
-    rows = [Row(_labels(group), values(group, columns)) for group in _full(frame)]
+    rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
-    has_reference = any(not METHODS[group.method].impaired for group in _full(frame))
+    has_reference = any(not METHODS[group.method].impaired for group in full_groups(frame))
     meanings = (*MEANINGS, REFERENCE_NOTE) if has_reference else MEANINGS
     return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, meanings)
 
@@ -66,9 +66,9 @@ def main_table(frame: Frame) -> Table:
 def detail_table(frame: Frame) -> Table:
     """The stored columns that Table 1 leaves out."""
     rows = []
-    for group in _full(frame):
-        spread = (over_episodes(group.cells, np.median), over_episodes(group.cells, np.max))
-        rows.append(Row(_labels(group), (*spread, *values(group, DETAIL_COLUMNS))))
+    for group in full_groups(frame):
+        spread = (over_episodes(group.cells, "cost", np.median), over_episodes(group.cells, "cost", np.max))
+        rows.append(Row(labels_of(group), (*spread, *values(group, DETAIL_COLUMNS))))
     meanings = (
         "Median and worst are over all episodes of a row: a mean cost is often carried by few of them.",
         "Jump² is the mean squared change between two executed actions. Case II is its share of the planner's iterations.",
@@ -78,13 +78,13 @@ def detail_table(frame: Frame) -> Table:
 
 def operator_table(frame: Frame) -> Table:
     """Return and cost per operator variant, over its severities."""
-    wanted = [group for group in _full(frame) if METHODS[group.method].impaired]
+    wanted = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     variants = dict.fromkeys(cell.identity.variant for group in wanted for cell in group.cells if cell.identity.variant != UNIMPAIRED)
     columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
     rows = []
     for group in wanted:
-        numbers = [_part(group, group.of_variant(variant), column) for variant, column in columns]
-        rows.append(Row(_labels(group), tuple(numbers)))
+        numbers = [part_of(group, group.of_variant(variant), column) for variant, column in columns]
+        rows.append(Row(labels_of(group), tuple(numbers)))
     headings = [
         Column(f"{variant}.{column.key}", f"{operator_title(variant)}: {column.title}", column.better, column.digits)
         for variant, column in columns
@@ -96,7 +96,7 @@ def operator_table(frame: Frame) -> Table:
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
     """The numbers of a row."""
-    return tuple(_part(group, group.cells, column) for column in columns)
+    return tuple(part_of(group, group.cells, column) for column in columns)
 
 
 def missing_notes(frame: Frame) -> list[str]:
@@ -107,7 +107,8 @@ def missing_notes(frame: Frame) -> list[str]:
     return [f"INCOMPLETE: {len(frame.missing)} of {total} cells are missing. Rows with [x of y cells] are partial and never marked best."]
 
 
-def _part(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
+def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
+    """A column over some of the cells of a row."""
     if not cells:
         return UNDEFINED
     value = summarise(cells, column.key)
@@ -116,9 +117,11 @@ def _part(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
     return replace(value, ranked=value.ranked and group.complete and METHODS[group.method].impaired and not idle)
 
 
-def _full(frame: Frame) -> list[Group]:
+def full_groups(frame: Frame) -> list[Group]:
+    """The rows of assistants as a whole, without ablations."""
     return [group for group in groups(frame) if group.assistant_variant == "full"]
 
 
-def _labels(group: Group) -> tuple[str, str]:
+def labels_of(group: Group) -> tuple[str, str]:
+    """Task and method of a row."""
     return task_title(group.task), assistant_title(group)

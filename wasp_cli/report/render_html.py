@@ -54,9 +54,9 @@ def _row(table: Table, r: int) -> str:
     row = table.rows[r]
     shown = table.shown_labels(r)
     cells = [f'<th scope="row"{"" if seen == label else AGAIN}>{escape(label)}</th>' for label, seen in zip(row.labels, shown, strict=True)]
-    for c, (column, value) in enumerate(zip(table.columns, row.values, strict=True)):
+    for c, value in enumerate(row.values):
         mark = "strong" if (r, c) in table.marks else "u" if (r, c) in table.seconds else None
-        text = escape(column.cell(value))
+        text = escape(table.text(r, c))
         text = text if mark is None else f"<{mark}>{text}</{mark}>"
         cells.append(f'<td class="number" data-value="{plain(value.mean)}"{_span(value)}>{text}</td>')
     return f"<tr>{''.join(cells)}</tr>"

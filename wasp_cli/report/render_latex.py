@@ -72,12 +72,12 @@ def _lines(table: Table) -> Iterator[str]:
     yield rf"\begin{{tabular}}{{{'l' * len(table.labels)}{'r' * len(shown)}}}"
     yield r"\toprule"
     yield _line([*map(escaped, table.labels), *(escaped(table.columns[c].heading) for c in shown)])
-    for r, row in enumerate(table.rows):
+    for r in range(len(table.rows)):
         if r == 0 or (table.grouped and table.starts_group(r)):
             yield r"\midrule"
         cells = []
         for c in shown:
-            text = _number(table.columns[c].cell(row.values[c]))
+            text = _number(table.text(r, c))
             command = r"\textbf" if (r, c) in table.marks else r"\underline" if (r, c) in table.seconds else None
             cells.append(text if command is None else f"{command}{{{text}}}")
         yield _line([*map(escaped, table.shown_labels(r)), *cells])

@@ -40,12 +40,13 @@ def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Va
     return over_seeds(seed_means(cells, key).values(), ranked)
 
 
-def over_episodes(cells: Sequence[CellNumbers], reduce: Callable[[Floats], float]) -> Value:
-    """A statistic of the episode costs of all cells together; it has no spread."""
-    if not cells:
+def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]) -> Value:
+    """A statistic of a column over the episodes of all cells together; it has no spread."""
+    columns = [cell.episodes[key] for cell in cells]
+    defined = np.concatenate([column[~np.isnan(column)] for column in columns]) if columns else np.empty(0)
+    if not len(defined):
         return UNDEFINED
-    seeds = {cell.identity.seed for cell in cells}
-    return Value(float(reduce(np.concatenate([cell.episodes["cost"] for cell in cells]))), n=len(seeds), ranked=False)
+    return Value(float(reduce(defined)), n=len({cell.identity.seed for cell in cells}), ranked=False)
 
 
 def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:

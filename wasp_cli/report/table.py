@@ -95,6 +95,8 @@ class Row:
 
     labels: tuple[str, ...]
     values: tuple[Value, ...]
+    columns: tuple[Column, ...] = ()
+    """How its numbers are printed and ranked, where rows have different units; otherwise as the table's columns say."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class Table:
 
     def __post_init__(self) -> None:
         for row in self.rows:
-            if len(row.labels) != len(self.labels) or len(row.values) != len(self.columns):
+            if len(row.labels) != len(self.labels) or {len(row.values), len(row.columns or self.columns)} != {len(self.columns)}:
                 raise ValueError(f"row {row.labels} does not fit the columns of table {self.name}")
         placed = list(self._places()) if self.ranked else []
         object.__setattr__(self, "marks", frozenset(where for where, place, last in placed if place == 0 and last > 0))
@@ -138,6 +140,10 @@ class Table:
         """Whether a row is the first of its group."""
         return row == 0 or self.group(row) != self.group(row - 1)
 
+    def text(self, row: int, column: int, spread: bool = True, delta: bool = True) -> str:
+        """A value as it is printed."""
+        return self._column(row, column).cell(self.rows[row].values[column], spread, delta)
+
     def shown_labels(self, row: int) -> list[str]:
         """The labels of a row as people read them: a group is named once."""
         labels = list(self.rows[row].labels)
@@ -150,17 +156,18 @@ class Table:
 
         As printed: rows that print the same number share a place, so that nobody is best where all print the same.
         """
-        for c, column in enumerate(self.columns):
-            if column.better is None:
-                continue
+        for c in range(len(self.columns)):
             groups: dict[tuple[str, ...], dict[int, float]] = {}
             for r, row in enumerate(self.rows):
-                value = row.values[c]
-                if value.ranked and value.mean is not None and math.isfinite(value.mean):
+                value, column = row.values[c], self._column(r, c)
+                if column.better is not None and value.ranked and value.mean is not None and math.isfinite(value.mean):
                     groups.setdefault(self.group(r), {})[r] = float(column.number(value.mean))
             for printed in groups.values():
-                order = sorted(set(printed.values()), reverse=column.better == "up")
+                order = sorted(set(printed.values()), reverse=self._column(min(printed), c).better == "up")
                 yield from (((r, c), order.index(number), len(order) - 1) for r, number in printed.items())
+
+    def _column(self, row: int, column: int) -> Column:
+        return (self.rows[row].columns or self.columns)[column]
 
 
 def markdown(table: Table) -> str:
@@ -171,8 +178,8 @@ def markdown(table: Table) -> str:
 
     lines = [f"## {table.title}", "", line([*table.labels, *(column.heading for column in table.columns)])]
     lines.append("|" + " --- |" * len(table.labels) + " ---: |" * len(table.columns))
-    for r, row in enumerate(table.rows):
-        cells = [column.cell(value) for column, value in zip(table.columns, row.values, strict=True)]
+    for r in range(len(table.rows)):
+        cells = [table.text(r, c) for c in range(len(table.columns))]
         cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
         lines.append(line([*table.shown_labels(r), *cells]))
     if table.notes or table.meanings:
@@ -230,7 +237,7 @@ def terminal(table: Table, width: int = 120) -> Group:
 
 def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta: bool) -> tuple[RichTable, int]:
     """A table of some columns, and the least width at which only its headings wrap."""
-    texts = [[table.columns[c].cell(row.values[c], spread, delta) for c in shown] for row in table.rows]
+    texts = [[table.text(r, c, spread, delta) for c in shown] for r in range(len(table.rows))]
     headings = [table.columns[c].heading for c in shown]
     labels = [max(map(len, column)) for column in zip(table.labels, *(row.labels for row in table.rows), strict=True)]
     numbers = [max(map(len, column)) for column in zip(*texts, strict=True)] or [0] * len(shown)
