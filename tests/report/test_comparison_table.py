@@ -12,7 +12,7 @@ from wasp_cli.report.frame import Frame, Wanted, groups, read_frame
 from wasp_cli.report.latency_table import latency_table
 from wasp_cli.report.main_table import main_table
 from wasp_cli.report.severity_table import severity_table
-from wasp_cli.report.table import Row, Table, Value
+from wasp_cli.report.table import Row, Table, Value, csv_text
 
 Grid = Callable[..., list[Wanted]]
 
@@ -54,6 +54,12 @@ def test_rows_print_in_the_unit_of_their_measure(frame: Frame) -> None:
     assert wasp["Cost ↓"][2].startswith("-3.50 [-")
     best = {row.labels[1:] for r, row in enumerate(table.rows) if (r, 0) in table.marks}
     assert best == {(measure.heading, "WASP") for measure in MEASURES}  # of a cost the least, of a return the most
+
+
+def test_data_files_name_the_column_and_not_its_unit(frame: Frame) -> None:
+    lines = csv_text(found(comparison_table(frame))).splitlines()
+    assert lines[0].split(",")[:6] == ["task", "measure", "method", "mean", "mean_low", "mean_high"]
+    assert "Goal1,success,Human-only,0.083333333333,0.0625,0.125," in "".join(lines)
 
 
 def test_a_reference_has_no_difference_to_itself_and_the_expert_no_pairs(frame: Frame) -> None:

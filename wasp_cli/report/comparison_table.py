@@ -76,8 +76,9 @@ def _row(group: Group, other: Group | None, measure: Column) -> Row:
         plain = replace(marked, ranked=False)
         numbers.append(_value(difference_of(group.cells, other.cells, measure.key), plain))
         numbers.append(_value(improvement_over(group.cells, other.cells, measure.key, measure.better), plain))
-    labels = task_title(group.task), measure.heading, assistant_title(group)
-    return Row(labels, tuple(numbers), (measure, measure, replace(measure, signed=True), PROBABILITY))
+    task, method = task_title(group.task), assistant_title(group)
+    columns = (measure, measure, replace(measure, signed=True), PROBABILITY)
+    return Row((task, measure.heading, method), tuple(numbers), columns, names=(task, measure.key, method))
 
 
 def _value(estimate: Estimate | None, like: Value) -> Value:

@@ -97,6 +97,8 @@ class Row:
     values: tuple[Value, ...]
     columns: tuple[Column, ...] = ()
     """How its numbers are printed and ranked, where rows have different units; otherwise as the table's columns say."""
+    names: tuple[str, ...] = ()
+    """Its labels in data files, where they are others: numbers have no unit there."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ def csv_text(table: Table) -> str:
     writer.writerow([*header, *(column.key + name for column, names in zip(table.columns, shown, strict=True) for name in names), "seeds"])
     for row, values in zip(table.rows, parts, strict=True):
         numbers = (plain(each[name]) for each, names in zip(values, shown, strict=True) for name in names)
-        writer.writerow([*row.labels, *numbers, max((value.n for value in row.values), default=0)])
+        writer.writerow([*(row.names or row.labels), *numbers, max((value.n for value in row.values), default=0)])
     return out.getvalue()
 
 
