@@ -23,6 +23,7 @@ from wasp_cli.report.frame import Frame
 from wasp_cli.report.summarize import report_run
 from wasp_cli.report.trained_table import duration, numbers_text, trained_artifacts
 from wasp_cli.spec.model import Spec, validate
+from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
@@ -138,7 +139,11 @@ def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, t
         assert shown in text
     assert "Main results" not in page
     names = {path.name for path in report.write(tmp_path / "out")}
-    assert names == {"report.md", *(f"{name}.{ending}" for name in ("training", "world_model") for ending in ("md", "csv", "tex", "html"))}
+    assert names == {
+        "report.md",
+        "report.html",
+        *(f"{name}.{ending}" for name in ("training", "world_model") for ending in ("md", "csv", "tex", "html")),
+    }
 
 
 def test_artifacts_are_found_under_the_name_by_which_a_stage_reads_them(tmp_path: Path) -> None:
@@ -226,7 +231,7 @@ def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells,
 def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, tmp_path: Path, frame: Frame) -> None:
     ablations = ablation_table(frame)
     assert ablations is not None
-    tables = report_run(tmp_path, spec, cells, parts(spec)).tables
+    tables = report_run(tmp_path, spec, cells, parts(spec), load_paper()).tables
     names = {table.name for table in tables} | {ablations.name}
     assert names == set(TABLES)
 

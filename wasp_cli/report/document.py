@@ -28,7 +28,10 @@ from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
-TABLES = ("table1", "table2", "paper", "training", "world_model", "operators", "ladder", "details", "thresholds")
+TABLES = (
+    "table1", "table2", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity", "ladder", "details",
+    "latency", "thresholds",
+)  # fmt: skip
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
     {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
@@ -115,8 +118,8 @@ class Report:
         """The whole report as one page that needs no other file."""
         verdict = None if self.verdict is None else Markup(verdict_html(self.verdict))
         return build_page(
-            name=self.name, facts=self.facts, verdict=verdict, tables=self.tables, figures=figures, missing=self.missing,
-            trained=self.trained, assumptions=self.assumptions, films=films,
+            name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
+            figures=figures, missing=self.missing, trained=self.trained, assumptions=self.assumptions, films=films,
         )  # fmt: skip
 
 

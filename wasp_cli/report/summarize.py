@@ -11,12 +11,15 @@ from wasp_cli.plan.part import Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
+from wasp_cli.report.comparison_table import BEST, comparison_table
 from wasp_cli.report.document import Report
 from wasp_cli.report.frame import Frame, Wanted, read_frame
 from wasp_cli.report.ladder_cells import ladders_of
 from wasp_cli.report.ladder_table import judged, ladder_table
+from wasp_cli.report.latency_table import latency_table
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
 from wasp_cli.report.reused import Origins, absent_fact, absent_parts
+from wasp_cli.report.severity_table import severity_table
 from wasp_cli.report.table import Table
 from wasp_cli.report.threshold_table import threshold_table
 from wasp_cli.report.trained_table import trained_artifacts
@@ -65,15 +68,18 @@ def report_run(
     if ablations is not None:
         front.append(ablations)
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
-    beside = None if verdict is None else numbers_table(verdict)
-    back = [
-        *([] if beside is None else [beside]),
+    further = (
+        None if verdict is None else numbers_table(verdict),
+        comparison_table(frame),
+        comparison_table(frame, BEST),
         operator_table(frame),
-        *_ladder(spec, frame),
+        severity_table(frame),
+        _ladder(spec, frame),
         detail_table(frame),
+        latency_table(frame),
         threshold_table(frame),
-    ]
-    back = [table for table in back if table.rows and table.columns]
+    )
+    back = [table for table in further if table is not None and table.rows and table.columns]
     damaged = list(dict.fromkeys([*damaged, *unreadable]))
     return Report(
         name=spec.name,
@@ -91,12 +97,12 @@ def report_run(
     )
 
 
-def _ladder(spec: Spec, frame: Frame) -> list[Table]:
+def _ladder(spec: Spec, frame: Frame) -> Table | None:
     """The operators alone, where cells without assistance stand beside the expert's."""
     if not {"human", "expert"} <= {identity.method for identity in frame.order}:
-        return []
+        return None
     ladders = ladders_of(spec, frame)
-    return [judged(ladder_table(ladders, frame), ladders)]
+    return judged(ladder_table(ladders, frame), ladders)
 
 
 def wanted_cells(layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> tuple[list[Wanted], list[str]]:

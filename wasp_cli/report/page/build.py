@@ -31,6 +31,7 @@ def build_page(
     facts: Sequence[str],
     verdict: Markup | None,
     tables: Sequence[Table],
+    further: Sequence[Table],
     figures: Sequence[Path],
     missing: Sequence[Missing],
     trained: Sequence[Trained],
@@ -43,7 +44,8 @@ def build_page(
         name: of the spec.
         facts: one-line statements about the grid.
         verdict: what became of the paper's claims.
-        tables: all of them, the main ones first.
+        tables: the main ones, which stand before the figures.
+        further: the others, which stand behind them.
         figures: written files; the SVG ones are shown.
         missing: cells without rows.
         trained: what was trained.
@@ -56,6 +58,7 @@ def build_page(
         *([verdict] if verdict is not None else []),
         *(_table(table) for table in tables if table.name not in FOR_TRAINING),
         *(_figure(svgs[figure]) for figure in CAPTIONS if figure in svgs and figure not in TRAINING_FIGURES),
+        *(_table(table) for table in further),
     ]
     pages = [("results", "Results", joined(overview))]
     pages += [(f"task-{films.task}", task_title(films.task), film_page(films)) for films in films]
