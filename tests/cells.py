@@ -1,0 +1,65 @@
+"""Cells of tiny untrained models, evaluated by the real stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from wasp_cli import seeds
+from wasp_cli.learning.closed_loop import human
+from wasp_cli.learning.configs import EvaluateConfig, ReturnsConfig
+from wasp_cli.learning.policies import load_skills
+from wasp_cli.operators.base import Operator
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.stages.base import Job
+from wasp_cli.stages.evaluate import EvaluateStage
+from wasp_cli.tasks.base import VectorTask
+from wasp_cli.tasks.make import make_task
+
+REPEAT = 20
+"""Env steps per decision: few decisions, so that whole episodes are short."""
+SETTINGS = {"action_repeat": REPEAT, "returns": ReturnsConfig()}
+
+
+class Evaluated(NamedTuple):
+    """A cell, and who drove in it."""
+
+    path: Path
+    """its table"""
+    task: str
+    variant: str
+    value: float
+    episodes: int
+    seed: int
+    inputs: Mapping[str, Path]
+
+    def world(self) -> VectorTask:
+        """The task as the cell was evaluated in."""
+        return make_task(self.task, self.episodes, action_repeat=REPEAT, observe=("pixels",))
+
+    def operator(self, world: VectorTask) -> Operator:
+        """The operator of the cell, fresh."""
+        mistakes = [seeds.operator_seed(self.task, self.variant, self.value, self.seed, e) for e in range(self.episodes)]
+        owner = human(load_skills(self.inputs["policies"]), world.decision_seconds, world.action_size)
+        return build_operator(self.variant, self.value, owner, EpisodeNoise(mistakes), self.episodes)
+
+
+def evaluated(
+    inputs: Mapping[str, Path],
+    folder: Path,
+    method: str = "human",
+    config: Mapping[str, Any] | None = None,
+    variant: str = "noisy",
+    value: float = 0.4,
+    *,
+    task: str = "race1",
+    episodes: int = 3,
+    seed: int = 0,
+) -> Evaluated:
+    """The cell of a method on `inputs`, see `tests.artifacts`; its table lies in `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    axes = {"method": method, "method_config": dict(config or {}), "variant": variant, "value": value}
+    EvaluateStage().run(Job("evaluate", task, seed, EvaluateConfig(episodes=episodes), SETTINGS, axes, inputs, folder, folder))
+    return Evaluated(folder / "cell.parquet", task, variant, value, episodes, seed, inputs)
