@@ -39,6 +39,7 @@ _SMOKE: Document = {
     "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
     "calibration": {"decisions": 20},
+    "counterfactual": {"window": 4, "most": 3},
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
     "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2},
@@ -68,6 +69,7 @@ _QUICK: Document = {
     "denoiser": {"updates": 3000, "batch": 256},
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
+    "counterfactual": {"most": 20},
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32},
 }  # fmt: skip
 

@@ -1,0 +1,152 @@
+"""Branches of the real task against the episodes they begin in, and against slow loops."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.artifacts import tiny_artifacts
+from tests.cells import Evaluated, evaluated
+from wasp_cli.learning.closed_loop import run_episodes
+from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampled
+from wasp_cli.learning.rerun import Recorded, Rerun
+from wasp_cli.learning.trained import load_world_model
+from wasp_cli.methods.base import Decision, Heldout
+from wasp_cli.methods.human import HumanOnly
+from wasp_cli.metrics.necessity import ALONE, ASSISTED
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.store.recorded import read_recorded
+
+IDA = {"vote": 0.0}
+"""On untrained models it intervenes at some decisions, and not at others."""
+VALUES = {"limited-skill": 0.25, "reaction-time": 0.8}
+WINDOW = 6
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
+
+
+@pytest.fixture(scope="module")
+def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
+    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", IDA)
+
+
+def rerun_of(cell: Evaluated) -> Rerun:
+    world = cell.world()
+    return Rerun(world, load_world_model(cell.inputs["world_model"]), cell.operator(world), Recorded(**read_recorded(cell.path)))
+
+
+def branched(cell: Evaluated, chosen: Sequence[Sequence[int]], window: int = WINDOW) -> list[Branch]:
+    return branches(rerun_of(cell), chosen, window, lambda share, text: None)
+
+
+def same(one: Branch, other: Branch) -> bool:
+    return one[:3] == other[:3] and all(np.array_equal(a, b) for a, b in zip(one[3:], other[3:], strict=True))
+
+
+class Script(HumanOnly):
+    """Executes what was recorded before decision t, then one action, then the commands; in one row, the others follow the record."""
+
+    def __init__(self, recorded: Recorded, row: int, t: int, assisted: bool) -> None:
+        self.recorded, self.row, self.t, self.assisted, self.now = recorded, row, t, assisted, -1
+
+    def decide(self, latent: Latent, a_h: torch.Tensor, operator: Any) -> Decision:
+        self.now += 1
+        action = torch.from_numpy(np.stack([actions[min(self.now, len(actions) - 1)] for actions in self.recorded.a]))
+        if self.now > self.t or (self.now == self.t and not self.assisted):
+            action[self.row] = a_h[self.row]
+        return Decision(action)
+
+
+def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention_give(cell: Evaluated) -> None:
+    recorded = Recorded(**read_recorded(cell.path))
+    intervened = [np.flatnonzero((a != a_h).any(1)) for a, a_h in zip(recorded.a, recorded.a_h, strict=True)]
+    chosen = [intervened[0][[1]].tolist(), [], intervened[2][[3, 6]].tolist()]
+    found = branched(cell, chosen)
+    assert [(b.episode, b.t, b.name) for b in found] == [
+        (e, t, name) for e, steps in enumerate(chosen) for t in steps for name in (ASSISTED, ALONE)
+    ]
+    for branch in found:
+        world = cell.world()
+        script = Script(recorded, branch.episode, branch.t, branch.name == ASSISTED)
+        model = load_world_model(cell.inputs["world_model"])
+        loop = run_episodes(world, model, cell.operator(world), script, recorded.layouts, recorded.layouts)
+        part = slice(branch.t, branch.t + WINDOW)
+        for field in ("reward", "cost", "cost_env"):
+            np.testing.assert_array_equal(getattr(branch, field), getattr(loop, field)[part, branch.episode], err_msg=f"{branch[:3]}")
+    assert any(not np.array_equal(one.reward, two.reward) for one, two in zip(found[::2], found[1::2], strict=True))
+
+
+@pytest.mark.parametrize("variant", [*OPERATORS])
+def test_without_an_intervention_both_branches_are_the_real_continuation(inputs: Mapping[str, Path], tmp_path: Path, variant: str) -> None:
+    cell = evaluated(inputs, tmp_path, "human", {}, variant, VALUES.get(variant, 0.5))
+    recorded = Recorded(**read_recorded(cell.path))
+    chosen = [[0, 7, 23], [3], []]  # the episodes have 25 decisions
+    found = branched(cell, chosen)
+    assert len(found) == 2 * 4
+    for branch in found:
+        assert len(branch.reward) == min(WINDOW, 25 - branch.t)
+        expected = recorded.reward[branch.episode][branch.t : branch.t + WINDOW]
+        np.testing.assert_array_equal(branch.reward.astype(np.float32), expected)
+    for assisted, alone in zip(found[::2], found[1::2], strict=True):
+        assert same(assisted._replace(name=ALONE), alone)
+
+
+def test_the_assisted_branch_is_the_episode_until_the_next_intervention(cell: Evaluated) -> None:
+    recorded = Recorded(**read_recorded(cell.path))
+    intervened = [(a != a_h).any(1) for a, a_h in zip(recorded.a, recorded.a_h, strict=True)]
+    found = [branch for branch in branched(cell, sampled(intervened, 1)) if branch.name == ASSISTED]
+    assert len(found) == sum(steps.sum() for steps in intervened)
+    compared = []
+    for branch in found:
+        later = np.flatnonzero(intervened[branch.episode][branch.t + 1 :])
+        agreed = min(int(later[0]) + 1 if len(later) else WINDOW, len(branch.reward))
+        expected = recorded.reward[branch.episode][branch.t : branch.t + agreed]
+        np.testing.assert_array_equal(branch.reward[:agreed].astype(np.float32), expected)
+        compared.append(agreed)
+    assert max(compared) > 2  # otherwise little has been compared
+
+
+def test_a_branch_is_the_same_whatever_else_is_branched(cell: Evaluated) -> None:
+    together = branched(cell, [[2, 5, 9], [4], [0, 5]])
+    alone = [
+        branch
+        for e, t in ((0, 2), (0, 5), (0, 9), (1, 4), (2, 0), (2, 5))
+        for branch in branched(cell, [[t] if i == e else [] for i in range(3)])
+    ]
+    assert len(together) == len(alone)
+    assert all(same(one, other) for one, other in zip(together, alone, strict=True))
+
+
+def test_nothing_chosen_is_nothing_branched(cell: Evaluated) -> None:
+    assert branched(cell, [[], [], []]) == []
+
+
+@given(st.lists(st.lists(st.booleans(), max_size=12), min_size=1, max_size=6), st.integers(1, 9))
+def test_the_interventions_of_a_cell_are_sampled_evenly(intervened: list[list[bool]], stride: int) -> None:
+    chosen = sampled([np.array(steps, bool) for steps in intervened], stride)
+    everything = [(e, t) for e, steps in enumerate(intervened) for t, deviates in enumerate(steps) if deviates]
+    assert [(e, t) for e, decisions in enumerate(chosen) for t in decisions] == everything[::stride]
+
+
+def test_the_least_gain_is_a_share_of_what_the_expert_earns_in_a_window() -> None:
+    reward = np.random.default_rng(0).normal(1.0, 1.0, 12).astype(np.float32)
+    episode = np.repeat([0, 1, 2], [5, 2, 5])
+    rows = Heldout(
+        Latent(torch.zeros(12, 1), torch.zeros(12, 0)),
+        torch.zeros(12, 2),
+        *(torch.from_numpy(x) for x in (reward, reward, episode, reward)),
+    )
+    windows = [reward[i : i + 3].sum() for i in (0, 1, 2, 7, 8, 9)]
+    assert least_gain(rows, 3, 0.1) == pytest.approx(0.1 * np.mean(windows))
+    assert np.isnan(least_gain(rows, 6, 0.1))
