@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import Floats, Pixels
+from wasp_cli.tasks.base import Bools, Floats, Pixels
 from wasp_cli.tasks.camera.look import Colour, Look, Scene
 from wasp_cli.tasks.camera.raster import around as window_around
 from wasp_cli.tasks.camera.raster import filled, near_sides
@@ -41,6 +41,7 @@ class _Canvas:
     def __init__(self, centre: Floats, half_side: float, size: int) -> None:
         at = ((np.arange(size) + 0.5) / size * 2.0 - 1.0) * half_side
         self.x, self.y = centre[0] + at, centre[1] - at
+        self.centre, self.half_side = centre, half_side
         self.pixel = 2.0 * half_side / size
         self.image = np.zeros((size, size, 3))
 
@@ -54,6 +55,11 @@ class _Canvas:
         along, across = (dx * side[0] + dy * side[1] for side in sides)
         inside = along**2 + across**2 < half[0] * half[1] if shape.round else (np.abs(along) < half[0]) & (np.abs(across) < half[1])
         self._blend((rows, columns), inside, colour, alpha)
+
+    def in_view(self, places: Floats, extent: float) -> Bools:
+        """Whether something of a size may show at each of [K, 2]; most of a long track is outside of a map that follows the robot."""
+        near: Bools = np.abs(places - self.centre).max(axis=1) <= self.half_side + extent
+        return near
 
     def disc(self, centre: Floats, radius: float, colour: Colour, alpha: float = 1.0) -> None:
         """Fill a disc."""
@@ -109,7 +115,8 @@ def _draw_things(canvas: _Canvas, look: Look, scene: Scene, row: int, half_side:
         least = half_side * (LEAST_GOAL if kind.name == "goal" else LEAST_THING)
         scale = max(1.0, least / _extent(shapes))
         alpha = _TRANSLUCENT if kind.alpha < 1.0 else 1.0
-        for thing in np.flatnonzero(things.shown[row]):
+        places = things.position[row, :, :2]
+        for thing in np.flatnonzero(things.shown[row] & canvas.in_view(places, 1.5 * scale * _extent(shapes))):
             axes = _ground_axes(things.rotation[row, thing])
             for shape in shapes:
                 canvas.shape(shape, things.position[row, thing, :2], axes, kind.colour, alpha, scale)
