@@ -45,6 +45,10 @@ class Meter(gymnasium.Env[Any, Any]):
 gymnasium.register("FilmMeter-v0", entry_point=Meter, max_episode_steps=40)
 
 
+def pose(task: Any) -> Pose:
+    return Pose(task.look(), task.scene(np.array([0])))
+
+
 class Driven:
     """An episode of a task, driven by the script, with some commands overruled."""
 
@@ -52,14 +56,14 @@ class Driven:
         task = make_task(name, 1, observe=())
         task.reset([seed])
         self.name, self.seed = name, seed
-        actions, rewards, costs, places = [], [], [], [Pose(task).at]
+        actions, rewards, costs, places = [], [], [], [pose(task).at]
         for _ in range(task.max_decisions):
             action = np.clip(8 * drive(task), -1, 1).astype(np.float32)
             step = task.step(action)
             actions.append(action[0])
             rewards.append(np.float32(step.reward[0]))
             costs.append(bool(step.cost[0]))
-            places.append(Pose(task).at)
+            places.append(pose(task).at)
             if step.ended[0]:
                 break
         self.a, self.reward, self.cost, self.places = np.array(actions), np.array(rewards), np.array(costs), np.array(places)
@@ -144,10 +148,10 @@ def test_arrows_point_to_where_actions_lead(name: str) -> None:
         assert (np.abs(push) > 1e-9).tolist() == [way == "forward", way == "left"]
         assert (push >= 0).all()
         task.reset([3])
-        before = Pose(task)
+        before = pose(task)
         for _ in range(6):
             task.step(np.array([action]))
-        after = Pose(task)
+        after = pose(task)
         if way == "forward":
             assert (after.at - before.at) @ before.forward > 0.05
         else:
@@ -163,13 +167,13 @@ def test_the_map_follows_a_robot_that_leaves_it(name: str) -> None:
     task = make_task(name, 1, observe=())
     assert isinstance(task, HasScene)
     task.reset([5])
-    view = MapView(task, 40)
+    view = MapView(task.look(), 40)
     centres = []
     for decision in range(60):
         if decision % 20 == 0:
-            picture = view.picture()
+            picture = view.picture(task.scene(np.array([0])))
             centres.append(picture._centre)
-            assert np.abs(Pose(task).at - picture._centre).max() <= view.half * (FREE if name == "formula1" else 0.9) + 1e-9
+            assert np.abs(pose(task).at - picture._centre).max() <= view.half * (FREE if name == "formula1" else 0.9) + 1e-9
         task.step(np.full((1, 2), 1.0) if name == "goal1" else np.clip(8 * drive(task), -1, 1))  # type: ignore[arg-type]
     assert len(centres) == 3
 
@@ -178,7 +182,7 @@ def test_marks_lie_where_their_places_are() -> None:
     task = make_task("goal1", 1, observe=())
     assert isinstance(task, HasScene)
     task.reset([0])
-    picture = MapView(task, 200).picture()
+    picture = MapView(task.look(), 200).picture(task.scene(np.array([0])))
     place = np.array([[1.0, -0.5]])  # of 2 m: three quarters to the right, a quarter below the middle
     picture.dots(place, "#FF00FF", 3)
     shown = np.asarray(picture.finished()).astype(int)

@@ -116,7 +116,7 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
     made = make_task(task, 1, action_repeat=action_repeat, observe=())
     if not isinstance(made, HasScene):
         made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
-    view = MapView(made, size) if isinstance(made, HasScene) else None
+    view = MapView(made.look(), size) if isinstance(made, HasScene) else None
     frames: list[Pixels] = []
     decisions: list[int] = []
     positions: list[Floats] = []
@@ -125,17 +125,18 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
     for moment in play(made, layout_seed, a, reward):
         now = bool(moment.last is not None and moment.last.cost[0])
         costly |= now
-        if isinstance(made, HasScene):
-            positions.append(Pose(made).at)
+        scene = made.scene(np.array([0])) if isinstance(made, HasScene) else None
+        if scene is not None:
+            positions.append(scene.position[0, :2].copy())
             paid += [positions[-1]] if now else []
         if moment.t % every and moment.t < len(a):
             continue
-        if isinstance(made, HasScene) and view is not None:
-            picture = view.picture()
+        if isinstance(made, HasScene) and view is not None and scene is not None:
+            picture = view.picture(scene)
             picture.trail(along(positions), size / 160)
             picture.dots(along(paid), COST, size / 90)
             if moment.t < len(a):
-                draw_actions(picture, made, Pose(made), a_h[moment.t], a[moment.t], size / 70)
+                draw_actions(picture, made, Pose(made.look(), scene), a_h[moment.t], a[moment.t], size / 70)
             if costly:
                 picture.edge(COST, size / 50)
             frames.append(np.asarray(picture.finished()))

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from wasp_cli.tasks.base import Floats, HasScene
-from wasp_cli.tasks.camera.look import Look
+from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.camera.look import Look, Scene
 from wasp_cli.tasks.camera.topdown import draw_map
 
 COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
@@ -44,10 +44,9 @@ def stick(task: object, action: Floats) -> Floats | None:
 class Pose:
     """Where a robot is [2] and where it looks: unit vectors forward and left [2]."""
 
-    def __init__(self, task: HasScene, row: int = 0) -> None:
-        scene = task.scene(np.array([row]))
-        forward = (scene.rotation[0] @ np.array([*task.look().forward, 0.0]))[:2]
-        self.at = scene.position[0, :2].copy()
+    def __init__(self, look: Look, scene: Scene, row: int = 0) -> None:
+        forward = (scene.rotation[row] @ np.array([*look.forward, 0.0]))[:2]
+        self.at = scene.position[row, :2].copy()
         self.forward = forward / max(float(np.hypot(*forward)), 1e-9)
         self.left = np.array([-self.forward[1], self.forward[0]])
 
@@ -58,25 +57,24 @@ class Pose:
 
 
 class MapView:
-    """Draws one episode, decision after decision."""
+    """Draws one episode, scene after scene."""
 
-    def __init__(self, task: HasScene, size: int, row: int = 0) -> None:
-        """Draw `row` of a task as images of `size` px."""
-        self._task, self._row, self._size = task, row, size
-        look: Look = task.look()
+    def __init__(self, look: Look, size: int) -> None:
+        """Draw a task of this look as images of `size` px."""
+        self._look, self._size = look, size
         self.half = min(look.map_half_side, WIDEST)
         whole = look.map_half_side <= WIDEST
-        self._centre = np.array(look.map_centre or (0.0, 0.0)) if whole else Pose(task, row).at
+        self._centre = np.array(look.map_centre or (0.0, 0.0)) if whole else None
         # A map that shows everything moves only for a robot that would leave it.
         self._free = self.half * (0.9 if whole else FREE)
 
-    def picture(self) -> MapPicture:
-        """What is there now, to be drawn on."""
-        at = Pose(self._task, self._row).at
-        self._centre = self._centre + (at - self._centre) - np.clip(at - self._centre, -self._free, self._free)
+    def picture(self, scene: Scene) -> MapPicture:
+        """The only row of a scene, to be drawn on."""
+        at = scene.position[0, :2]
+        centre = at if self._centre is None else self._centre
+        self._centre = centre + (at - centre) - np.clip(at - centre, -self._free, self._free)
         x, y = self._centre.tolist()
-        size = self._size * _SMOOTH
-        image = draw_map(self._task.look(), self._task.scene(np.array([self._row])), 0, size, ((x, y), self.half))
+        image = draw_map(self._look, scene, 0, self._size * _SMOOTH, ((x, y), self.half))
         return MapPicture(Image.fromarray(image), self._centre, self.half)
 
 
