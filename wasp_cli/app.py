@@ -10,6 +10,7 @@ import typer
 
 from wasp_cli import __version__, complete
 from wasp_cli.app_bench import bench_app
+from wasp_cli.app_compare import compare_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
 from wasp_cli.app_publish import publish_app
@@ -224,6 +225,7 @@ tasks_app = typer.Typer(
 )
 app.add_typer(tasks_app, name="tasks")
 app.add_typer(bench_app, name="bench")
+app.add_typer(compare_app)
 app.add_typer(explain_app)
 app.add_typer(operators_app)
 app.add_typer(publish_app)

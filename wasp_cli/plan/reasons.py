@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -56,11 +56,30 @@ def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
     """How many things differ, and the words for them."""
     fields = list(_fields(node, manifest))
     modules, versions = _modules(source_hashes(node.modules), manifest["sources"]), library_changes(manifest)
-    parts = [f"{what} changed: {few(items)}" for what, items in (("spec", fields), ("code", modules), ("library", versions)) if items]
+    parts = _words(fields, modules, versions)
     if not parts:
         upstream = manifest["upstream"]
         parts = [f"upstream changed: {few([name for name, needed in node.needs.items() if upstream.get(name) != needed.key])}"]
     return len(fields) + len(modules) + len(versions), "; ".join(parts)
+
+
+def _words(fields: Sequence[str], modules: Sequence[str], versions: Sequence[str]) -> list[str]:
+    return [f"{what} changed: {few(items)}" for what, items in (("spec", fields), ("code", modules), ("library", versions)) if items]
+
+
+def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+    """What differs between two versions of a node, from their manifests alone: configuration, code and libraries, not what they read.
+
+    Raises:
+        AttributeError, KeyError, TypeError: a manifest is not as wasp writes it.
+    """
+    fields = _named(_differing(before["config"], after["config"], f"{after['kind']}."))
+    fields += _differing(before["settings"], after["settings"], "")
+    old, new = ((manifest["axes"].get("method_config") or {}) for manifest in (before, after))
+    fields += _differing(old, new, f"{after['axes'].get('method')}.")
+    older, newer = ((manifest["provenance"].get("versions") or {}) for manifest in (before, after))
+    versions = _differing(older, newer, "")
+    return _words(fields, _modules(after["sources"], before["sources"]), list(versions))
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
@@ -82,11 +101,15 @@ def _fields(node: Node, manifest: Mapping[str, Any]) -> Iterator[str]:
         before, now = (model.model_validate(values).identity() for values in (manifest["config"], node.config))
     except ValidationError:  # written by a version with other fields
         before, now = dict(manifest["config"]), dict(node.config)
-    for text in _differing(before, now, f"{node.kind}."):
-        yield text.removeprefix("evaluate.") if text.startswith("evaluate.episodes ") else text  # specs say it at the top
+    yield from _named(_differing(before, now, f"{node.kind}."))
     yield from _differing(manifest["settings"], node.settings, "")
     method = str(node.axes.get("method"))
     yield from _differing(manifest["axes"].get("method_config") or {}, node.axes.get("method_config") or {}, f"{method}.")
+
+
+def _named(changes: Iterable[str]) -> list[str]:
+    """Settings as specs name them: `episodes` stands at the top."""
+    return [text.removeprefix("evaluate.") if text.startswith("evaluate.episodes ") else text for text in changes]
 
 
 def _differing(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -> Iterator[str]:

@@ -80,7 +80,7 @@ class NodeFacts:
 
 def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
     """Everything that the manifest of a node says, its files read and compared."""
-    provenance = _mapping(node.setting("provenance"))
+    provenance = mapping(node.setting("provenance"))
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
     return NodeFacts(
         key=node.key or "",
@@ -90,9 +90,9 @@ def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
         started_at=node.started_at,
         seconds=float(seconds) if isinstance(seconds, int | float) else None,
         attempt=attempt if isinstance(attempt, int) else None,
-        summary=_mapping(node.setting("summary")),
+        summary=mapping(node.setting("summary")),
         changed=tuple(_changed(node)),
-        settings=_mapping(node.setting("settings")),
+        settings=mapping(node.setting("settings")),
         upstream=tuple(_upstream(layout, node)),
         files=tuple(_files(layout, node)),
         provenance=provenance,
@@ -103,11 +103,11 @@ def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
 def _changed(node: FoundNode) -> Iterator[Setting]:
     """What of the stage's section and of the method's differs from the defaults; all of it, where this version has no such stage."""
     section = stage_class(node.kind).config if node.kind in STAGES else None
-    yield from _differences("", _mapping(node.setting("config")), _defaults(section))
+    yield from _differences("", mapping(node.setting("config")), _defaults(section))
     method = node.setting("axes", "method")
     if isinstance(method, str):
         section = load_target(METHODS[method].config) if method in METHODS else None
-        yield from _differences(f"{method}.", _mapping(node.setting("axes", "method_config")), _defaults(section))
+        yield from _differences(f"{method}.", mapping(node.setting("axes", "method_config")), _defaults(section))
 
 
 def _defaults(section: type[Config] | None) -> dict[str, Any]:
@@ -124,8 +124,8 @@ def _differences(prefix: str, values: Mapping[str, Any], defaults: Mapping[str, 
 
 
 def _upstream(layout: Layout, node: FoundNode) -> Iterator[Upstream]:
-    kinds = _mapping(node.setting("upstream_kinds"))
-    for name, key in _mapping(node.setting("upstream")).items():
+    kinds = mapping(node.setting("upstream_kinds"))
+    for name, key in mapping(node.setting("upstream")).items():
         kind = kinds.get(name, name)  # older manifests name artifacts by kind
         if not (isinstance(key, str) and is_key(key) and isinstance(kind, str) and is_name(kind)):
             continue
@@ -140,8 +140,8 @@ def _upstream(layout: Layout, node: FoundNode) -> Iterator[Upstream]:
 
 
 def _files(layout: Layout, node: FoundNode) -> Iterator[StoredFile]:
-    for name, known in _mapping(node.setting("files")).items():
-        known = _mapping(known)
+    for name, known in mapping(node.setting("files")).items():
+        known = mapping(known)
         size = known.get("size")
         yield StoredFile(name, size if isinstance(size, int) else None, _file_state(layout, node, name, known))
 
@@ -158,5 +158,6 @@ def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, 
         return "changed"
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
+def mapping(value: Any) -> Mapping[str, Any]:
+    """A value of a manifest that should be a mapping; an empty one where it is none."""
     return value if isinstance(value, dict) else {}

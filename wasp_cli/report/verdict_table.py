@@ -22,7 +22,7 @@ COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *D
 PRINTED_DIGITS = 2
 LABELS = ("Table", "Task", "Method")
 MEANINGS = (
-    "paper: as it prints it. here: our mean; in brackets our mean minus the paper's.",
+    "paper: as it prints it. here: our mean [95 % interval] (our mean minus the paper's).",
     "The paper does not say what its ± is taken over, and its models, severities and episodes are others: numbers show the size of an "
     "effect, and the claims its direction.",
 )
@@ -88,4 +88,4 @@ def _ours(ours: Estimate | None, printed: Printed | None, key: str, seeds: int) 
     if ours is None:
         return UNDEFINED
     theirs = _printed(printed, key).mean
-    return Value(ours.value, n=seeds, delta=None if theirs is None else ours.value - theirs, ranked=False)
+    return Value(ours.value, n=seeds, delta=None if theirs is None else ours.value - theirs, ranked=False, interval=ours.interval)

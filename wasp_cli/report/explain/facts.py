@@ -225,18 +225,18 @@ def exceeds(value: float | None, limit: float | None) -> bool:
 
 def as_json(facts: Story | Look) -> dict[str, Any]:
     """As plain values; what is undefined is null."""
-    plain: dict[str, Any] = _plain(asdict(facts))
+    plain: dict[str, Any] = plain_values(asdict(facts))
     return plain
 
 
-def _plain(value: Any) -> Any:
+def plain_values(value: Any) -> Any:
     """JSON has no NaN; seven digits are all that single precision knows."""
     if isinstance(value, Mapping):
-        return {str(name).rstrip("_"): _plain(part) for name, part in value.items()}
+        return {str(name).rstrip("_"): plain_values(part) for name, part in value.items()}
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
+        return [plain_values(part) for part in value]
     if isinstance(value, float):
         return float(f"{value:.7g}") if math.isfinite(value) else None
     return value
