@@ -50,7 +50,7 @@ def compare(
     from wasp_cli.report.compare import compare as compared_runs
     from wasp_cli.report.compare_text import as_json, show, write
 
-    found: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec or spec_a, spec or spec_b)]
+    found: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
     paths = [] if out is None else write(found, out)
     if json:
         print_json([as_json(each) for each in found])
@@ -64,7 +64,7 @@ def compare(
         raise NotAccepted(f"not alike: {', '.join(unlike)}", "the cells that differ by more than noise, or are not there, are named above")
 
 
-def _pairs(first: Path, second: Path, spec_a: str | None, spec_b: str | None) -> list[tuple[Side, Side]]:
+def _pairs(first: Path, second: Path, spec: str | None, spec_a: str | None, spec_b: str | None) -> list[tuple[Side, Side]]:
     """The runs that are compared: two named specs, or every spec that has run in both folders.
 
     Raises:
@@ -75,14 +75,16 @@ def _pairs(first: Path, second: Path, spec_a: str | None, spec_b: str | None) ->
     from wasp_cli.report.runs import last_runs
     from wasp_cli.run.record import read_run, results_of
 
-    if (spec_a is None) != (spec_b is None):
-        raise UsageError("--spec-a and --spec-b name one spec each, and belong together", "wasp compare A B --spec-a mine --spec-b other")
+    if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):
+        what = "--spec-a and --spec-b belong together, and stand in the place of --spec"
+        raise UsageError(what, "wasp compare A B --spec-a mine --spec-b other")
+    spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
     try:
         layouts = [results_of(folder) for folder in (first, second)]
         runs = [last_runs(layout)[0] for layout in layouts]
         for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
             if name is not None and name not in known:
-                raise UnknownName(f"spec in '{folder}'", name, known)
+                raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
         names = [(spec_a, spec_b)] if spec_a is not None and spec_b is not None else [(name, name) for name in runs[0] if name in runs[1]]
         if not names:
             which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))

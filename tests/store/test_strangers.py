@@ -19,6 +19,7 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("logs", "{label}", "--results", "{results}"), ("logs", "{key}", "--path", "--results", "{results}"),
     ("show", "{label}", "--results", "{results}"), ("show", "{key}", "--json", "--results", "{results}"),
     ("explain", "{key}", "-e", "0", "--results", "{results}"), ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"),
+    ("compare", "{results}", "{results}"), ("compare", "{results}", "{results}", "--json"),
     ("gc", "{results}", "--dry-run"), ("gc", "{results}", "--runs", "--yes"),
 )  # fmt: skip
 

@@ -54,7 +54,7 @@ class Causes:
         except (AttributeError, KeyError, TypeError, ValueError):
             yield f"another {kind}, whose record is damaged"
             return
-        yield from (f"{kind}: {text}" if not text.startswith("spec") else text for text in own)
+        yield from own
         upstream = list(_differing(old, new))
         for _, other, needed, needed_too in upstream if left else ():
             yield from self._follow(other, needed, needed_too, left - 1)

@@ -23,7 +23,11 @@ from wasp_cli.spec.paper import Who
 
 SHOWN = 12
 """Cells that a terminal names of each kind."""
-COLUMNS = tuple(replace(next(column for column in PAPER_COLUMNS if column.key == name), better=None, signed=True) for name in MEASURES)
+OPTIONAL = ("viol", "int_rate")
+COLUMNS = tuple(
+    replace(next(column for column in PAPER_COLUMNS if column.key == name), better=None, signed=True, optional=name in OPTIONAL)
+    for name in MEASURES
+)
 STATES: dict[State, str] = {
     "same": "the same",
     "same rows": "the same rows under another key",
