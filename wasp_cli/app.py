@@ -14,6 +14,7 @@ from wasp_cli.app_compare import compare_app
 from wasp_cli.app_explain import explain_app
 from wasp_cli.app_operators import operators_app
 from wasp_cli.app_publish import publish_app
+from wasp_cli.app_replay import replay_app
 from wasp_cli.app_spec import spec_app
 from wasp_cli.app_status import status_app
 from wasp_cli.app_store import store_app
@@ -229,6 +230,7 @@ app.add_typer(compare_app)
 app.add_typer(explain_app)
 app.add_typer(operators_app)
 app.add_typer(publish_app)
+app.add_typer(replay_app)
 app.add_typer(spec_app)
 app.add_typer(status_app)
 app.add_typer(store_app)

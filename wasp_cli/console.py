@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -68,6 +68,13 @@ def waiting_aloud(text: str) -> Callable[[], bool]:
         return True
 
     return wait
+
+
+@contextmanager
+def following(name: str) -> Iterator[Callable[[float, str], None]]:
+    """A line on the terminal that says how far something is; nothing elsewhere."""
+    with err().status(name) as status:
+        yield lambda share, text: status.update(f"{name}: {100 * share:.0f} %, {text}")
 
 
 def report_error(error: WaspError) -> None:

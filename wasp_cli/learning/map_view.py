@@ -20,7 +20,7 @@ COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
 colour blindness, and unlike the things on the maps."""
 WIDEST = 4.0
 """Half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen."""
-FREE = 0.6
+FREE = 0.5
 """Share of the half side within which the robot may move before the map follows."""
 REACH, ROBOT = 0.24, 0.05
 """As shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins."""
@@ -111,9 +111,9 @@ class MapPicture:
         for x, y in self._pixels(places):
             self._draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour, edge, _SMOOTH)
 
-    def arrow(self, pose: Pose, push: Floats, colour: str, width: float) -> None:
+    def arrow(self, pose: Pose, push: Floats, colour: str, width: float, reach: float = REACH) -> None:
         """An action as (forward, left) [2] at a robot: along its nose what drives, to the side what turns."""
-        pushed = REACH * (push[0] * pose.forward + push[1] * pose.left)
+        pushed = reach * (push[0] * pose.forward + push[1] * pose.left)
         # It begins beside the robot, which would else lie under it.
         start = pose.at + ROBOT * self._half * pushed / max(float(np.hypot(*pushed)), 1e-9)
         (x0, y0), (x1, y1) = self._pixels(np.stack([start, start + self._half * pushed]))
@@ -140,14 +140,14 @@ class MapPicture:
         return self._image.reduce(_SMOOTH)
 
 
-def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: Floats, width: float) -> None:
+def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: Floats, width: float, reach: float = REACH) -> None:
     """The command and, where it was changed, what was executed, as arrows; nothing of a task that does not say how it is driven."""
     command, executed = stick(task, a_h), stick(task, a)
     if command is None or executed is None:
         return
-    picture.arrow(pose, command, COMMAND, width)
+    picture.arrow(pose, command, COMMAND, width, reach)
     if not np.array_equal(a_h, a):
-        picture.arrow(pose, executed, EXECUTED, width)
+        picture.arrow(pose, executed, EXECUTED, width, reach)
 
 
 def along(places: Sequence[Floats]) -> Floats:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wasp_cli.console import err
+from wasp_cli.console import following
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.registry import METHODS
@@ -78,7 +77,7 @@ def measure_ceiling(
     assisted: Callable[..., Outcome] = load_target("wasp_cli.learning.ceiling:assisted")
     found = []
     for config in (None, *configs):
-        with _shown("Human-only" if config is None else f"WASP {config.variant}") as progress:
+        with following("Human-only" if config is None else f"WASP {config.variant}") as progress:
             found.append(assisted(cell, config, threads, progress))
     return cell, found
 
@@ -125,10 +124,3 @@ def _training(path: Path, spec: Spec, results: Path, settings: Sequence[str]) ->
     only = ["methods=[]", "stages=[expert]", *(["variants=[full]"] if spec.variants != ("full",) else [])]
     options = [word for text in (*settings, *only) for word in ("--set", text)]
     return shlex.join(["wasp", "run", str(path), "--results", str(results), "--task", spec.tasks[0], *options])
-
-
-@contextmanager
-def _shown(name: str) -> Iterator[Callable[[float, str], None]]:
-    """A line on the terminal that says how far it is; nothing elsewhere."""
-    with err().status(name) as status:
-        yield lambda share, text: status.update(f"{name}: {100 * share:.0f} %, {text}")
