@@ -1,0 +1,90 @@
+"""A real store that is checked in gives the same report, byte for byte, on every machine and in every version.
+
+After a wanted change of a table: `WASP_GOLDEN=write pytest tests/report/test_golden_store.py`. How the store was made: golden_store.py.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.report.golden_store import STORE
+from wasp_cli.report.document import Report
+from wasp_cli.report.render import RENDERERS
+from wasp_cli.report.runs import last_runs
+from wasp_cli.report.summarize import report_run
+from wasp_cli.run.record import read_run
+from wasp_cli.spec.paper import load_paper
+from wasp_cli.store.layout import Layout
+
+EXPECTED = STORE.parent / "report"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy: reports are written into the folder that they read."""
+    return shutil.copytree(STORE, tmp_path_factory.mktemp("golden") / "results")
+
+
+@pytest.fixture(scope="module")
+def report(results: Path) -> Report:
+    layout = Layout(results)
+    runs, damaged = last_runs(layout)
+    assert not damaged
+    recorded = read_run(layout, runs["golden"])
+    return report_run(results, recorded.spec, recorded.cells, recorded.parts, load_paper(), recorded.branched)
+
+
+def texts(report: Report) -> dict[str, str]:
+    found = {f"{table.name}.{ending}": render(table) for table in report.tables for ending, render in RENDERERS.items()}
+    return {**found, "report.md": report.markdown()}
+
+
+def test_every_table_in_every_format_is_the_same_to_the_byte(report: Report) -> None:
+    found = texts(report)
+    if os.environ.get("WASP_GOLDEN") == "write":
+        shutil.rmtree(EXPECTED, ignore_errors=True)
+        EXPECTED.mkdir()
+        for name, text in found.items():
+            (EXPECTED / name).write_text(text, encoding="utf-8")
+    assert found == {path.name: path.read_text(encoding="utf-8") for path in EXPECTED.iterdir()}
+
+
+def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Report) -> None:
+    assert not report.missing
+    assert not report.damaged
+    assert {table.name for table in report.tables} >= {
+        "table1",
+        "table2",
+        "figure3",
+        "paper",
+        "statistics",
+        "severity",
+        "ladder",
+        "latency",
+    }
+    assert report.verdict is not None
+    assert {answer.outcome for judged in report.verdict.claims for answers in judged.answers for answer in answers} > {"untested"}
+
+
+def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) -> None:
+    partial = shutil.copytree(results, tmp_path / "results")
+    cell = sorted(partial.glob("store/evaluate/*/cell.parquet"))[0]
+    key = cell.parent.name
+    shutil.rmtree(cell.parent)
+    whole = run_here("report", str(results), "--no-films", "--strict")
+    assert whole.exit_code == 0
+    lenient, strict = (run_here("report", str(partial), "--no-films", *options) for options in ((), ("--strict",)))
+    assert (lenient.exit_code, strict.exit_code) == (0, 1)
+    for done in (lenient, strict):
+        assert "1 of 32 cells are missing" in done.output
+        assert "not computed yet" in done.output
+    recorded = read_run(Layout(partial), last_runs(Layout(partial))[0]["golden"])
+    (label,) = (str(one) for one, name in recorded.cells if name == key)
+    pages = [(partial / "reports" / "golden" / name).read_text(encoding="utf-8") for name in ("report.md", "report.html")]
+    assert all(f"{label}: not computed yet" in page for page in pages)
+    assert label in strict.output.partition("cells are missing:")[2]
