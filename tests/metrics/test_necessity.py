@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from wasp_cli.metrics.necessity import necessity, padded
+from wasp_cli.metrics.necessity import necessity
 
 
 def test_by_hand() -> None:
@@ -30,8 +30,3 @@ def test_rate_of_no_intervention_is_undefined() -> None:
 def test_refuses_branches_of_different_length() -> None:
     with pytest.raises(ValueError, match="same shape"):
         necessity(np.zeros((2, 15)), np.zeros((2, 14)), np.zeros((2, 15)), np.zeros((2, 15)), 0.1)
-
-
-def test_a_branch_that_ended_goes_on_with_zeros() -> None:
-    assert padded(np.array([1.0, 2.0]), 4).tolist() == [1, 2, 0, 0]
-    assert padded(np.array([1.0, 2.0]), 1).tolist() == [1]

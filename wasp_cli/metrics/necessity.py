@@ -54,10 +54,3 @@ def necessity(cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst
     delta_c = cost_cf.sum(1) - cost_asst.sum(1)
     delta_r = reward_asst.sum(1) - reward_cf.sum(1)
     return Necessity(cost_cf.mean(1), delta_c, delta_r, (delta_c <= 0.0) & (delta_r <= tau_R))
-
-
-def padded(steps: Floats, width: int) -> Floats:
-    """[W'] -> [W]: a branch that ended early, continued with zeros (or cut, when it is longer)."""
-    out = np.zeros(width)
-    out[: len(steps)] = steps[:width]
-    return out

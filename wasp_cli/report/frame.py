@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
+from wasp_cli.metrics.necessity import Necessity
 from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes
 
 Floats = NDArray[np.float64]
@@ -24,7 +25,10 @@ POOLING = ("decisions", "env_steps", "intervened", "planned")
 TIMES = ("decision_p50_ms", "decision_p95_ms")
 """Columns of which a cell has the median over its episodes."""
 
-WEIGHT_OF: dict[str, str | None] = {**WEIGHTS, "smoothness": "jumps"}
+JUDGED = ("uir", "rho", "at_risk", "delta_c", "delta_r")
+"""Columns of the counterfactual evaluation, in the cells that have one (`report.branches`)."""
+
+WEIGHT_OF: dict[str, str | None] = {**WEIGHTS, "smoothness": "jumps", **dict.fromkeys(JUDGED, "branches")}
 """The columns that are means over episodes, each with the column that weighs it; None is one weight per episode."""
 
 
@@ -43,6 +47,8 @@ class Wanted:
     """Which failed node stands in its way, where that is known."""
     refused: str | None = None
     """Why its file is not read though it may be there."""
+    branches: Wanted | None = None
+    """Its counterfactual branches, where somebody asked for them: the same of their table."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ class CellNumbers:
     identity: CellIdentity
     severity: str | None
     pooled: Mapping[str, float]
-    """By column of WEIGHT_OF or TIMES; NaN is undefined."""
+    """By column of WEIGHT_OF or TIMES; NaN is undefined. Of JUDGED only in cells whose interventions were branched."""
     episodes: Mapping[str, Floats]
     """[E] per column of WEIGHT_OF, its weights, TIMES, and `world`: the episode's seed, which is that of the same world under every
     assistant and operator of a task and seed. NaN is undefined. Views into one array for all cells of a frame: do not write."""
@@ -83,6 +89,18 @@ class CellNumbers:
         return mass * np.nan_to_num(values), mass
 
 
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What the N branched interventions of a cell were worth."""
+
+    worth: Necessity
+    episode: NDArray[np.int64]
+    """[N]"""
+    window: int
+    """W"""
+    tau_R: float
+
+
 @dataclass(frozen=True)
 class Frame:
     """What a report is made from."""
@@ -91,6 +109,10 @@ class Frame:
     missing: tuple[Missing, ...] = ()
     order: tuple[CellIdentity, ...] = ()
     """All wanted cells, as they were asked for."""
+    judged: Mapping[CellIdentity, Judged] = field(default_factory=dict)
+    """The cells whose interventions were branched."""
+    unbranched: tuple[Missing, ...] = ()
+    """The cells with rows whose interventions should have been branched, and were not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,17 +138,18 @@ class Group:
 
 def groups(frame: Frame) -> list[Group]:
     """The rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
-    rows: dict[tuple[str, str, str], list[CellNumbers]] = {_row(identity): [] for identity in frame.order}
+    rows: dict[tuple[str, str, str], list[CellNumbers]] = {row_of(identity): [] for identity in frame.order}
     for cell in frame.cells:
-        rows.setdefault(_row(cell.identity), []).append(cell)
-    absent = Counter(_row(gap.identity) for gap in frame.missing)
+        rows.setdefault(row_of(cell.identity), []).append(cell)
+    absent = Counter(row_of(gap.identity) for gap in frame.missing)
     found = [Group(*row, tuple(cells), absent[row]) for row, cells in rows.items()]
     tasks = list(dict.fromkeys(group.task for group in found))
     methods = list(dict.fromkeys(group.method for group in found))
     return sorted(found, key=lambda group: (tasks.index(group.task), methods.index(group.method)))
 
 
-def _row(identity: CellIdentity) -> tuple[str, str, str]:
+def row_of(identity: CellIdentity) -> tuple[str, str, str]:
+    """What the cells of a row have in common: task, method, ablation."""
     return identity.task, identity.method, identity.assistant_variant
 
 
@@ -140,7 +163,7 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
             missing.append(Missing(cell.identity, cell.label, cell.refused))
             continue
         if not cell.path.exists():
-            missing.append(Missing(cell.identity, cell.label, _absence(cell), cell.path.parent.name))
+            missing.append(Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name))
             continue
         try:
             with odd_tables_refused(cell.path):
@@ -167,11 +190,11 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
         raise StoreError(f"{path} is not as wasp writes it: {what}", "delete its folder and run the spec again") from error
 
 
-def _absence(cell: Wanted) -> str:
-    """Why a cell has no rows."""
-    if cell.failure:
-        return f"failed: {cell.failure}"
-    return f"blocked by {cell.blocked}" if cell.blocked else "not computed yet"
+def absence(wanted: Wanted) -> str:
+    """Why something has no rows."""
+    if wanted.failure:
+        return f"failed: {wanted.failure}"
+    return f"blocked by {wanted.blocked}" if wanted.blocked else "not computed yet"
 
 
 def pool_cells(tables: list[tuple[Wanted, pa.Table]]) -> list[CellNumbers]:

@@ -15,7 +15,6 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +24,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError
-from wasp_cli.metrics.necessity import ALONE, ASSISTED, padded
+from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.store.tables import IDENTITY, CellIdentity
 
 BRANCHES_FILE = "branches.parquet"
@@ -135,40 +134,41 @@ def read_branches(path: Path) -> Branches:
     """
     table, cell = _read(path)
     try:
-        return _paired(cell, table.to_pylist())
+        return _paired(cell, table)
     except (LookupError, TypeError, ValueError) as error:
         raise _odd(path, " ".join(str(error).split())[:200]) from error
 
 
-def _paired(cell: BranchedCell, rows: Sequence[Mapping[str, Any]]) -> Branches:
-    places = [(row["episode"], row["t"], row["branch"]) for row in rows]
-    if any(before >= after for before, after in pairwise(places)):
-        raise ValueError("its rows are not sorted, or there are two of one branch")
-    by_name = {name: [row for row in rows if row["branch"] == name] for name in (ASSISTED, ALONE)}
-    pairs = [[(row["episode"], row["t"]) for row in own] for own in by_name.values()]
-    if pairs[0] != pairs[1] or 2 * len(pairs[0]) != len(rows):
-        raise ValueError("a decision does not have both branches")
-    first = by_name[ASSISTED]
+def _paired(cell: BranchedCell, table: pa.Table) -> Branches:
+    episode, t, gate = (np.asarray(table[name], np.int64) for name in ("episode", "t", "gate"))
+    later = np.diff(episode[::2]) * (1 << 32) + np.diff(t[::2])  # both are 32 bits wide
+    alternating = table["branch"].to_pylist() == [ASSISTED, ALONE] * (len(t) // 2)
+    if not (alternating and (episode[::2] == episode[1::2]).all() and (t[::2] == t[1::2]).all() and (later > 0).all()):
+        raise ValueError("its rows are not sorted pairs of branches")
+    costs, rewards = (_steps(table, name, cell.window) for name in ("costs", "rewards"))
     return Branches(
         cell,
-        np.array([row["episode"] for row in first], np.int64),
-        np.array([row["t"] for row in first], np.int64),
-        {name: _steps(own, "costs", cell.window) for name, own in by_name.items()},
-        {name: _steps(own, "rewards", cell.window) for name, own in by_name.items()},
-        np.array([row["deviation"] for row in first], np.float64),
-        np.array([row["gate"] for row in first], np.int64),
+        episode[::2],
+        t[::2],
+        {ASSISTED: costs[::2], ALONE: costs[1::2]},
+        {ASSISTED: rewards[::2], ALONE: rewards[1::2]},
+        np.asarray(table["deviation"], np.float64)[::2],
+        gate[::2],
     )
 
 
-def _steps(rows: Sequence[Mapping[str, Any]], name: str, width: int) -> NDArray[np.float64]:
-    """[N, W]"""
-    found = np.zeros((len(rows), width))
-    for place, row in enumerate(rows):
-        if not 1 <= len(row[name]) == row["steps"] <= width:
-            raise ValueError(f"a branch of {row['steps']} steps has {len(row[name])} {name}, in a window of {width}")
-        found[place] = padded(np.asarray(row[name], np.float64), width)
-    if not np.isfinite(found).all():
+def _steps(table: pa.Table, name: str, width: int) -> NDArray[np.float64]:
+    """[rows, W], zero after the end of a branch."""
+    nested = table[name].combine_chunks()
+    lengths, steps = np.asarray(nested.value_lengths().fill_null(0), np.int64), np.asarray(table["steps"], np.int64)
+    wrong = np.flatnonzero((lengths != steps) | (steps < 1) | (steps > width))
+    if wrong.size:
+        raise ValueError(f"a branch of {steps[wrong[0]]} steps has {lengths[wrong[0]]} {name}, in a window of {width}")
+    flat = np.asarray(nested.flatten().cast(pa.float64()).fill_null(np.nan))
+    if not np.isfinite(flat).all():
         raise ValueError(f"{name} are not finite")
+    found = np.zeros((len(steps), width))
+    found[np.arange(width) < steps[:, None]] = flat
     return found
 
 
