@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from wasp_cli.options import ResultsOption, expected_errors
+from wasp_cli.options import ResultsOption, expected_errors, print_json
 
 replay_app = typer.Typer()
 
@@ -25,27 +25,59 @@ def replay(
         ),
     ],
     episode: Annotated[int, typer.Option("--episode", "-e", metavar="E", help="Which episode of the cell.", show_default=False)],
+    step: Annotated[
+        int | None,
+        typer.Option(
+            "--step",
+            "-s",
+            metavar="T",
+            help="One decision: as executed and with the command alone. (default: the episode)",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="A .gif, .png (animated) or .webp. (default: a GIF here)", show_default=False),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="A .gif, .apng or .webp; a .png is animated too, but a still with --step. (default: a GIF here)",
+            show_default=False,
+        ),
     ] = None,
     every: Annotated[
         int | None,
         typer.Option("--every", min=1, metavar="N", help="Decisions between two frames. (default: at most 125 frames)", show_default=False),
     ] = None,
     results: ResultsOption = Path("results"),
+    json: Annotated[bool, typer.Option("--json", help="With --step: the numbers for machines.")] = False,
 ) -> None:
     """Show an episode as a video: the map, both cameras, what the world model imagined, and the gates.
 
-    The cell is played again with its own models, bit for bit, and refused if it does not come out as it was recorded.
+    The cell is played again with its own models, bit for bit, and refused if it does not come out as it was recorded. With --step, two
+    branches of the real task begin at one decision: one executes what was executed, the other the command; both then follow the operator.
     """
     from wasp_cli.console import following
     from wasp_cli.console import out as stdout
+    from wasp_cli.errors import UsageError
     from wasp_cli.report.replay import replay as written
+    from wasp_cli.report.replay_step import replay_step
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.layout import Layout
 
+    if json and step is None:
+        raise UsageError("--json needs --step", "wasp explain CELL --episode E --json has the numbers of an episode")
     layout = Layout(results.absolute())
+    found = find_cell(layout, cell)
     with following("replay") as progress:
-        path, made = written(layout, find_cell(layout, cell), episode, out, every, progress)
-    stdout().print(f"{path}: {made.frames} frames", soft_wrap=True)
+        if step is None:
+            path, made = written(layout, found, episode, out, every, progress)
+        else:
+            path, verdict = replay_step(layout, found, episode, step, out, progress)
+    if step is None:
+        stdout().print(f"{path}: {made.frames} frames", markup=False, soft_wrap=True)
+    elif json:
+        print_json(verdict.as_json() | {"cell": found.label, "key": found.key, "file": str(path)})
+    else:
+        for line in (*verdict.lines(), str(path)):
+            stdout().print(line, markup=False, soft_wrap=True)

@@ -73,9 +73,7 @@ class MapView:
         at = scene.position[0, :2]
         centre = at if self._centre is None else self._centre
         self._centre = centre + (at - centre) - np.clip(at - centre, -self._free, self._free)
-        x, y = self._centre.tolist()
-        image = draw_map(self._look, scene, 0, self._size * _SMOOTH, ((x, y), self.half))
-        return MapPicture(Image.fromarray(image), self._centre, self.half)
+        return MapPicture.of(self._look, scene, self._size, self._centre, self.half)
 
 
 class MapPicture:
@@ -84,6 +82,12 @@ class MapPicture:
     def __init__(self, image: Image.Image, centre: Floats, half: float) -> None:
         self._image, self._centre, self._half = image, centre, half
         self._draw = ImageDraw.Draw(image, "RGBA")
+
+    @classmethod
+    def of(cls, look: Look, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
+        """The only row of a scene as `size` px, `half` m from `centre` [2] to each side."""
+        image = draw_map(look, scene, 0, size * _SMOOTH, ((float(centre[0]), float(centre[1])), half))
+        return cls(Image.fromarray(image), centre, half)
 
     def _pixels(self, places: Floats) -> list[tuple[float, float]]:
         scaled = (np.asarray(places, np.float64).reshape(-1, 2) - self._centre) * np.array([1.0, -1.0]) / self._half

@@ -15,10 +15,14 @@ from wasp_cli.learning.video_timeline import GATE_COLOURS
 
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}
 """Formats by file ending."""
+STILL = (".png",)
+"""Endings of a still picture, where there may be one: an animated PNG is then called .apng."""
 RARE, COMMON = 24, 72
 """Colours of the palette that all frames share (then a frame stores only what has changed): some that cover all that is seen, more for
 what there is most of. Beside them are those that mean something, which must not become others."""
 MEANT = (COMMAND, EXECUTED, COST, *GATE_COLOURS.values(), "#FFFFFF", "#F0D2E4", "#8F3F74", "#696969", "#A0A0A0", "#D0D0D0", "#F2F2F2")
+APART = 10
+"""By how much of 255 a sampled colour differs from those at least; a nearer one would be taken in their place."""
 SAMPLES = 12
 """Frames from which the palette is made."""
 _OPTIONS: dict[str, dict[str, Any]] = {
@@ -28,14 +32,20 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-def checked(path: Path) -> Path:
+def checked(path: Path, still: Sequence[str] = ()) -> Path:
     """The file to be, before any work is done for it.
+
+    Args:
+        path: as it was typed.
+        still: endings of still pictures, where there may be one.
 
     Raises:
         UsageError: its ending is that of no format, its folder is not there, it is a folder itself, or Pillow has no WebP.
     """
     if path.suffix.lower() not in ENDINGS:
-        raise UsageError(f"'{path}' does not end like a video", f"endings: {', '.join(ENDINGS)}")
+        raise UsageError(
+            f"'{path}' does not end like a video", f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
+        )
     if not path.parent.is_dir():
         raise UsageError(f"'{path}' lies in no folder", f"create the folder '{path.parent}'")
     if path.is_dir():
@@ -48,10 +58,11 @@ def checked(path: Path) -> Path:
 def palette_of(frames: Sequence[Image.Image]) -> Image.Image:
     """The colours that some frames need, as an image with a palette."""
     sheet = Image.fromarray(np.concatenate([np.asarray(frame.reduce(2)) for frame in frames]))
-    colours = [ImageColor.getrgb(colour)[:3] for colour in MEANT]
+    colours: list[tuple[int, ...]] = [ImageColor.getrgb(colour)[:3] for colour in MEANT]
     for method, count in ((Image.Quantize.MAXCOVERAGE, RARE), (Image.Quantize.MEDIANCUT, COMMON)):
         flat = sheet.quantize(count, method, dither=Image.Dither.NONE).getpalette("RGB") or []
-        colours += [tuple(flat[first : first + 3]) for first in range(0, len(flat), 3)]
+        found = [tuple(flat[first : first + 3]) for first in range(0, len(flat), 3)]
+        colours += [one for one in found if all(np.abs(np.subtract(one, meant)).max() > APART for meant in colours[: len(MEANT)])]
     palette = Image.new("P", (1, 1))
     palette.putpalette([part for colour in dict.fromkeys(colours) for part in colour])
     return palette

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 GATE_COLOURS = {GATE_SAFETY: "#0072B2", GATE_TASK: "#E69F00", GATE_METHOD: "#56B4E9"}
 GATE_NAMES = {GATE_SAFETY: "safety gate", GATE_TASK: "task gate", GATE_METHOD: "its own rule"}
 _DPI = 100
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 6, 36
+_LEFT, _RIGHT, _TOP, _BOTTOM = 88, 14, 6, 36
 """Margins in px."""
 _STYLE: dict[Any, Any] = {"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7}
 
@@ -83,6 +83,10 @@ class Timeline:
             for panel, (name, values, limit, limit_name) in zip(panels, curves, strict=False):
                 _draw_curve(panel, name, values, limit, limit_name)
             _draw_strip(panels[-1], told)
+            figure.legend(
+                handles=_marks(told), loc="lower right", bbox_to_anchor=(1 - _RIGHT / width, 0.0), ncols=4, frameon=False, fontsize=8,
+                borderaxespad=0.2, handlelength=1.0, handleheight=0.8, columnspacing=1.2,
+            )  # fmt: skip
             for panel in panels:
                 panel.set_xlim(-0.5, told.length - 0.5)
                 panel.tick_params(labelbottom=panel is panels[-1], length=2)
@@ -115,6 +119,9 @@ def _draw_curve(panel: Axes, name: str, values: Floats, limit: float | None, lim
         label = f"{limit_name} {limit:.3g}"
         panel.annotate(label, (1.0, limit), (-2, 2), ("axes fraction", "data"), "offset points", ha="right", color="#8f3f74", fontsize=8)
         panel.fill_between(decisions, limit, values, where=values > limit, color=EXECUTED, alpha=0.35, linewidth=0, interpolate=True)
+    seen = [value for value in (*values[np.isfinite(values)].tolist(), limit) if value is not None]
+    low, high = min(0.0, *seen), max(0.2, *seen)
+    panel.set_ylim(low - 0.06 * (high - low), high + 0.3 * (high - low))
     panel.set_ylabel(name, rotation=0, ha="right", va="center", labelpad=4)
     panel.locator_params(axis="y", nbins=3)
     panel.grid(axis="y", color="#e3e3e3", linewidth=0.5)
@@ -130,11 +137,11 @@ def _draw_strip(panel: Axes, told: Told) -> None:
     panel.set_ylim(0, 2)
     panel.set_yticks([0.5, 1.5], ["cost", "gate"])
     panel.tick_params(axis="y", length=0)
+
+
+def _marks(told: Told) -> list[Any]:
+    """The legend of the strip."""
     from matplotlib.patches import Patch
 
     fired = [gate for gate in GATE_COLOURS if (told.gate == gate).any()]
-    marks = [Patch(color=GATE_COLOURS[gate], label=GATE_NAMES[gate]) for gate in fired] + [Patch(color=COST, label="cost paid")]
-    panel.legend(
-        handles=marks, loc="upper right", bbox_to_anchor=(1.0, -0.55), ncols=len(marks), frameon=False, fontsize=8, borderaxespad=0.0,
-        handlelength=1.0, handleheight=0.8, columnspacing=1.2,
-    )  # fmt: skip
+    return [Patch(color=GATE_COLOURS[gate], label=GATE_NAMES[gate]) for gate in fired] + [Patch(color=COST, label="cost paid")]

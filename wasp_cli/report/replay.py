@@ -142,10 +142,5 @@ def correction(stored: Episode) -> Any:
             changed = stored.numbers["deviation"][t] > INTERVENED
             residuals.append((stored.a[t] - stored.a_h[t])[None] if changed else None)
     name = "with the plan" if planned else "executed action, then commands"
-    hold = cell_setting(stored.cell, "composition") == "hold"
+    hold = stored.cell.setting("axes", "method_config", "composition") == "hold"
     return load_target("wasp_cli.learning.video:Correction")(residuals, name, hold)
-
-
-def cell_setting(cell: FoundCell, name: str) -> Any:
-    """A value of the method's configuration; None where it is not known."""
-    return cell.setting("axes", "method_config", name)

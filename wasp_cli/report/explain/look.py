@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from wasp_cli.errors import UsageError
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.facts import Gate, Happened, Look, Planned, State
 from wasp_cli.report.explain.stored import GATES, PREDICTED, Episode, number
@@ -20,8 +19,7 @@ def look(episode: Episode, t: int) -> Look:
     Raises:
         UsageError: the episode has no such decision.
     """
-    if not 0 <= t < episode.decisions:
-        raise UsageError(f"there is no decision {t}", f"episode {episode.row['episode']} has the decisions 0 to {episode.decisions - 1}")
+    episode.require(t)
     horizon = episode.constants.horizon
     window = WINDOW if horizon is None or horizon == 1 else horizon  # `no-rollout` sees one step, but costs take longer to come
     return Look(

@@ -92,6 +92,15 @@ class Episode:
         """T"""
         return len(self.gate)
 
+    def require(self, t: int) -> None:
+        """See that there is a decision t.
+
+        Raises:
+            UsageError: there is none.
+        """
+        if not 0 <= t < self.decisions:
+            raise UsageError(f"there is no decision {t}", f"episode {self.row['episode']} has the decisions 0 to {self.decisions - 1}")
+
     @property
     def thresholds(self) -> Thresholds:
         """In force; None where the method has none."""
