@@ -230,7 +230,7 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
     monkeypatch.setattr(Report, "terminal", gone)
     with pytest.raises(BrokenPipeError):
-        _show_report(layout, loaded.spec, cells_with_keys(plan.grid), [])
+        _show_report(layout, loaded.spec, cells_with_keys(plan.grid), [], [])
     assert (layout.reports("small") / "report.md").is_file()
 
 

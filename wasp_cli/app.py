@@ -166,7 +166,7 @@ def report(
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
-                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, paper=paper, films=films)
+                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, paper=paper, films=films)
                 damaged += shown.damaged
                 incomplete += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
             except WaspError as error:  # the other specs are still worth seeing
@@ -176,7 +176,9 @@ def report(
         raise ArtifactError(f"part of the results cannot be read:\n{found}", "run the spec again: what is whole is kept")
     if strict and incomplete:
         more = f"\n  and {len(incomplete) - 10} more" if len(incomplete) > 10 else ""
-        raise CellsFailed("\n  ".join([f"{len(incomplete)} cells are missing:", *incomplete[:10]]) + more, "run the spec again")
+        raise CellsFailed(
+            "\n  ".join([f"{len(incomplete)} of the cells and their branches are missing:", *incomplete[:10]]) + more, "run the spec again"
+        )
 
 
 @app.command(epilog="[bold]wasp ablate --variant no-case2 --task goal1 --preset smoke[/]")
@@ -325,13 +327,13 @@ def _show_plan(
 
 
 def _run_and_report(loaded: Loaded, results: Path, way: Way, selection: Selection | None = None, reuse: str | None = None) -> None:
-    from wasp_cli.plan.plan import cells_with_keys, parts_with_keys
+    from wasp_cli.plan.plan import branched_with_keys, cells_with_keys, parts_with_keys
     from wasp_cli.run.session import WHOLE, run_spec
 
     session = run_spec(loaded, results, way, selection or WHOLE, reuse)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, wanted = session.plan.grid, session.plan.wanted
-    report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid))
+    report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid), branched_with_keys(grid))
     session.require_complete()
     require_cells([cell for cell in report.missing if wanted is None or cell.key in wanted], session.layout)
 
@@ -341,6 +343,7 @@ def _show_report(
     spec: Spec,
     cells: list[tuple[Cell, str]],
     parts: list[tuple[Part, str]],
+    branched: list[tuple[Cell, str]],
     *,
     paper: Path | None = None,
     films: bool = False,
@@ -349,7 +352,7 @@ def _show_report(
     from wasp_cli.report.summarize import report_run
     from wasp_cli.spec.paper import load_paper
 
-    report = report_run(layout.root, spec, cells, parts, load_paper(paper))
+    report = report_run(layout.root, spec, cells, parts, load_paper(paper), branched)
     # Written first: a terminal that goes away costs no file.
     with err().status("report") as status:
         _, page, *_ = report.write(layout.reports(spec.name), (lambda text: status.update(f"film of {text}")) if films else None)

@@ -187,7 +187,7 @@ def require_cells(missing: Sequence[Missing], layout: Layout | None = None) -> N
     if missing:
         for cell in missing:
             if cell.damaged and layout is not None:
-                condemn(layout, "evaluate", cell.key, cell.reason)
+                condemn(layout, cell.kind, cell.key, cell.reason)
         named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"

@@ -81,10 +81,10 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     lenient, strict = (run_here("report", str(partial), "--no-films", *options) for options in ((), ("--strict",)))
     assert (lenient.exit_code, strict.exit_code) == (0, 1)
     for done in (lenient, strict):
-        assert "1 of 32 cells are missing" in done.output
+        assert "1 of 32 cells is missing" in done.output
         assert "not computed yet" in done.output
     recorded = read_run(Layout(partial), last_runs(Layout(partial))[0]["golden"])
     (label,) = (str(one) for one, name in recorded.cells if name == key)
     pages = [(partial / "reports" / "golden" / name).read_text(encoding="utf-8") for name in ("report.md", "report.html")]
     assert all(f"{label}: not computed yet" in page for page in pages)
-    assert label in strict.output.partition("cells are missing:")[2]
+    assert label in strict.output.partition("branches are missing:")[2]

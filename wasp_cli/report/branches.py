@@ -18,6 +18,8 @@ from wasp_cli.report.frame import CellNumbers, Floats, Frame, Judged, Missing, W
 from wasp_cli.store.branches import Branches, read_branches
 from wasp_cli.store.tables import CellIdentity
 
+KIND = "counterfactual"
+"""Of the nodes that make branches."""
 WEIGHT = "branches"
 """The column of how many decisions of an episode were branched; it weighs the others."""
 
@@ -46,9 +48,9 @@ def _judged(wanted: Wanted, cell: CellNumbers) -> Judged | Missing:
     """What the branches of a cell say, or why they are not there."""
     key = wanted.path.parent.name
     if wanted.refused is not None:
-        return Missing(wanted.identity, wanted.label, wanted.refused)
+        return Missing(wanted.identity, wanted.label, wanted.refused, kind=KIND)
     if not wanted.path.exists():
-        return Missing(wanted.identity, wanted.label, absence(wanted), key)
+        return Missing(wanted.identity, wanted.label, absence(wanted), key, kind=KIND)
     try:
         with odd_tables_refused(wanted.path):
             stored = read_branches(wanted.path)
@@ -56,7 +58,7 @@ def _judged(wanted: Wanted, cell: CellNumbers) -> Judged | Missing:
             return judge(stored)
     except StoreError as error:
         reason = error.message + (f" ({error.hint})" if error.hint else "")
-        return Missing(wanted.identity, wanted.label, reason, key, damaged=True)
+        return Missing(wanted.identity, wanted.label, reason, key, damaged=True, kind=KIND)
 
 
 def _require_cell(stored: Branches, cell: CellNumbers) -> None:

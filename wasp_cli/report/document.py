@@ -29,8 +29,8 @@ from wasp_cli.store.tables import CellIdentity
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
 TABLES = (
-    "table1", "table2", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity", "ladder", "details",
-    "latency", "thresholds",
+    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity", "ladder",
+    "details", "latency", "thresholds",
 )  # fmt: skip
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
@@ -65,8 +65,8 @@ class Report:
 
     @property
     def missing(self) -> tuple[Missing, ...]:
-        """Cells without readable rows, each with the reason."""
-        return self.frame.missing
+        """Cells without readable rows, and branches of other cells that are not there, each with the reason."""
+        return (*self.frame.missing, *self.frame.unbranched)
 
     def terminal(self, console: Console) -> None:
         """Print the main tables and name what is missing."""
@@ -77,8 +77,7 @@ class Report:
         for fact in self.published:
             console.print(Text(fact), soft_wrap=True)
         if self.missing:
-            total = len(self.frame.cells) + len(self.missing)
-            console.print(Text(f"\n{len(self.missing)} of {total} cells are missing:", style="bold red"))
+            console.print(Text(f"\n{missing_words(self.frame)}:", style="bold red"))
             name_missing(console, self.missing)
 
     def write(self, folder: Path, tell: Callable[[str], None] | None = None) -> list[Path]:
@@ -103,7 +102,9 @@ class Report:
         parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
         if self.missing:
             lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
-            parts.append(f"## Missing cells\n\nTheir rows below are marked, and nothing stands in for them.\n\n{lines}")
+            parts.append(
+                f"## Missing cells\n\n{missing_words(self.frame)}. Their rows are marked, and nothing stands in for them.\n\n{lines}"
+            )
         if self.verdict is not None:
             parts.append(verdict_markdown(self.verdict))
         parts += [markdown(table) for table in self.tables[: self.shown]]
@@ -119,8 +120,19 @@ class Report:
         verdict = None if self.verdict is None else Markup(verdict_html(self.verdict))
         return build_page(
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
-            figures=figures, missing=self.missing, trained=self.trained, assumptions=self.assumptions, films=films,
+            figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,
+            assumptions=self.assumptions, films=films,
         )  # fmt: skip
+
+
+def missing_words(frame: Frame) -> str:
+    """How much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
+    parts = []
+    if frame.missing:
+        parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")
+    if frame.unbranched:
+        parts.append(f"{len(frame.unbranched)} of {len(frame.judged) + len(frame.unbranched)} sets of counterfactual branches")
+    return f"{' and '.join(parts)} {'is' if len(frame.missing) + len(frame.unbranched) == 1 else 'are'} missing"
 
 
 def name_missing(console: Console, missing: Sequence[Missing]) -> None:

@@ -61,6 +61,8 @@ class Missing:
     key: str = ""
     damaged: bool = False
     """Whether its rows are there and do not read."""
+    kind: str = "evaluate"
+    """Of the node that makes them."""
 
 
 @dataclass(frozen=True, eq=False)

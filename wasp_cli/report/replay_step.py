@@ -12,7 +12,7 @@ import numpy as np
 
 from wasp_cli.errors import WaspError
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity, padded
+from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.registry import load_target
 from wasp_cli.report.explain.stored import Episode, number, read_episode
 from wasp_cli.report.replay import default_name, source_of, upstream_of
@@ -118,8 +118,10 @@ def judged(stored: Episode, step: int, scale: Scale, told: dict[str, dict[str, l
     """Eq. 19-21 of one decision."""
 
     def row(branch: str, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-        # As rows of branches store it: float32.
-        return padded(np.array(told[branch][name], np.float32).astype(np.float64), scale.window)[None]
+        # As rows of branches store it: float32; what comes after the end of an episode counts as 0.
+        values = np.zeros((1, scale.window))
+        values[0, : len(told[branch][name])] = np.array(told[branch][name], np.float32)
+        return values
 
     known = scale.tau_R is not None
     tau_R = np.inf if scale.tau_R is None else scale.tau_R

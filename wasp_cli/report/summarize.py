@@ -7,10 +7,12 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.part import Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
+from wasp_cli.report.branches import with_branches
 from wasp_cli.report.comparison_table import BEST, comparison_table
 from wasp_cli.report.document import Report
 from wasp_cli.report.frame import Frame, Wanted, read_frame
@@ -18,6 +20,7 @@ from wasp_cli.report.ladder_cells import ladders_of
 from wasp_cli.report.ladder_table import judged, ladder_table
 from wasp_cli.report.latency_table import latency_table
 from wasp_cli.report.main_table import detail_table, main_table, operator_table
+from wasp_cli.report.necessity_table import necessity_table
 from wasp_cli.report.reused import Origins, absent_fact, absent_parts
 from wasp_cli.report.severity_table import severity_table
 from wasp_cli.report.table import Table
@@ -29,6 +32,8 @@ from wasp_cli.report.verdict_table import numbers_table
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
+from wasp_cli.store.branches import BRANCHES_FILE
+from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
 
@@ -39,6 +44,7 @@ def report_run(
     cells: Sequence[tuple[Cell, str]],
     parts: Sequence[tuple[Part, str]] = (),
     paper: Paper | None = None,
+    branched: Sequence[tuple[Cell, str]] = (),
 ) -> Report:
     """Summarise the cells and the trained parts of a run.
 
@@ -48,12 +54,17 @@ def report_run(
         cells: its cells, each with the key of its evaluation.
         parts: what it trains, each with the key of its artifact.
         paper: whose numbers and claims the cells are held against; None: against none.
+        branched: the cells whose interventions are judged, each with the key of its counterfactual branches.
     """
     layout = Layout(results)
-    wanted, damaged = wanted_cells(layout, spec, cells)
+    wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = read_frame(wanted)
-    roots = [*(("evaluate", key) for _, key in cells), *((part.kind, key) for part, key in parts)]
+    frame = with_branches(read_frame(wanted), wanted)
+    roots = [
+        *(("evaluate", key) for _, key in cells),
+        *((COUNTERFACTUAL, key) for _, key in branched),
+        *((part.kind, key) for part, key in parts),
+    ]
     origins = Origins()
     trained, unreadable = trained_artifacts(layout, roots, origins)
     published = list(origins.facts())
@@ -67,6 +78,9 @@ def report_run(
     ablations = ablation_table(frame)
     if ablations is not None:
         front.append(ablations)
+    necessary = necessity_table(frame)
+    if necessary is not None:
+        front.append(necessary)
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     further = (
         None if verdict is None else numbers_table(verdict),
@@ -105,13 +119,32 @@ def _ladder(spec: Spec, frame: Frame) -> Table | None:
     return judged(ladder_table(ladders, frame), ladders)
 
 
-def wanted_cells(layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]]) -> tuple[list[Wanted], list[str]]:
-    """The cells of a run with their places, and with what is known of why they are not there; and which records do not read."""
+def wanted_cells(
+    layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]], branched: Sequence[tuple[Cell, str]] = ()
+) -> tuple[list[Wanted], list[str]]:
+    """The cells of a run with their places, and with what is known of why they are not there; and which records do not read.
+
+    Args:
+        layout: the results folder.
+        spec: what the run was asked for.
+        cells: its cells, each with the key of its evaluation.
+        branched: those with counterfactual branches, each with the key of these.
+    """
     damaged: list[str] = []
-    failed = _failed(layout)
-    failures = {key: _failure(layout, key, damaged) for _, key in cells if key in failed}
-    blocked = _blocked(layout, spec, damaged)
-    return [_wanted(layout, cell, key, failures.get(key), blocked.get(key)) for cell, key in cells], damaged
+    failed, blocked = _failed(layout), _blocked(layout, spec, damaged)
+
+    def wanted(cell: Cell, key: str, kind: str, file: str, branches: Wanted | None = None) -> Wanted:
+        path, refused = layout.artifact(kind, key) / file, None
+        try:
+            layout.within(path)
+        except StoreError as error:
+            refused = error.message
+        failure = _failure(layout, key, damaged) if key in failed else None
+        label = str(cell) if kind == KIND else f"{kind} of {cell}"
+        return Wanted(identity_of(cell), label, path, cell.severity, failure, blocked.get(key), refused, branches)
+
+    judged = {cell: wanted(cell, key, COUNTERFACTUAL, BRANCHES_FILE) for cell, key in branched}
+    return [wanted(cell, key, KIND, CELL_FILE, judged.get(cell)) for cell, key in cells], damaged
 
 
 def _failed(layout: Layout) -> set[str]:
@@ -150,15 +183,6 @@ def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
 def identity_of(cell: Cell) -> CellIdentity:
     """A cell of a plan as its rows name it."""
     return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
-
-
-def _wanted(layout: Layout, cell: Cell, key: str, failure: str | None, blocked: str | None) -> Wanted:
-    path, refused = layout.artifact("evaluate", key) / CELL_FILE, None
-    try:
-        layout.within(path)
-    except StoreError as error:
-        refused = error.message
-    return Wanted(identity_of(cell), str(cell), path, cell.severity, failure, blocked, refused)
 
 
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:

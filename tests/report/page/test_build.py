@@ -56,7 +56,7 @@ def page_of(frame: Frame, folder: Path, *, verdict: Markup | None = None, word: 
     missing = [Missing(CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7), f"goal1 wasp {word}", f"failed: {word}")]
     return build_page(
         name=word, facts=("a fact", "another", f"a third: {word}"), verdict=verdict,
-        tables=(main_table(frame),), further=(detail_table(frame),), figures=figures, missing=missing,
+        tables=(main_table(frame),), further=(detail_table(frame),), figures=figures, gaps='1 of 9 cells is missing', missing=missing,
         trained=[Trained(f"expert {word}", "goal1", 0, "0123456789", 61.0, {"note": word})],
         assumptions=[("wasp.tau_c", 0.3, word)], films=(),
     )  # fmt: skip
@@ -72,7 +72,7 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
     assert outline.fetched
     assert all(source.startswith("data:image/") for source in outline.fetched)
     assert not re.search(r"@import|url\((?!data:)|<link|<iframe|https?://(?!www\.w3\.org)", page)
-    for text in ("the verdict", "SafeRL-Res", "1 cells are missing", "wasp.tau_c", "1 min 01 s"):
+    for text in ("the verdict", "SafeRL-Res", "1 of 9 cells is missing", "wasp.tau_c", "1 min 01 s"):
         assert text in page
     assert page.index("the verdict") < page.index('id="table1"')
 
@@ -92,7 +92,8 @@ def test_the_same_report_gives_the_same_page(frame: Frame, tmp_path: Path) -> No
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
     nothing: tuple[Table, ...] = ()
     page = build_page(
-        name="empty", facts=(), verdict=None, tables=nothing, further=(), figures=(), missing=(), trained=(), assumptions=(), films=()
+        name="empty", facts=(), verdict=None, tables=nothing, further=(), figures=(), gaps=None, missing=(), trained=(),
+        assumptions=(), films=(),
     )  # fmt: skip
     assert Outline(page).open == []
 

@@ -33,6 +33,7 @@ def build_page(
     tables: Sequence[Table],
     further: Sequence[Table],
     figures: Sequence[Path],
+    gaps: str | None,
     missing: Sequence[Missing],
     trained: Sequence[Trained],
     assumptions: Sequence[Assumption],
@@ -47,14 +48,15 @@ def build_page(
         tables: the main ones, which stand before the figures.
         further: the others, which stand behind them.
         figures: written files; the SVG ones are shown.
-        missing: cells without rows.
+        gaps: how much is missing, in words.
+        missing: what is.
         trained: what was trained.
         assumptions: values in force that are not the paper's.
         films: of the tasks that have any.
     """
     svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
     overview = [
-        _missing(missing),
+        _missing(gaps, missing),
         *([verdict] if verdict is not None else []),
         *(_table(table) for table in tables if table.name not in FOR_TRAINING),
         *(_figure(svgs[figure]) for figure in CAPTIONS if figure in svgs and figure not in TRAINING_FIGURES),
@@ -108,14 +110,12 @@ def _part(name: str) -> str:
     return (files("wasp_cli.report.page") / name).read_text(encoding="utf-8")
 
 
-def _missing(missing: Sequence[Missing]) -> Markup:
-    if not missing:
+def _missing(gaps: str | None, missing: Sequence[Missing]) -> Markup:
+    if gaps is None:
         return Markup("")
-    told = f"{len(missing)} cells are missing. Their rows are marked, and nothing stands in for them."
     cells = list_of(f"{cell.label}: {cell.reason}" for cell in missing)
-    return element(
-        "div", element("p", element("strong", told)), element("details", element("summary", "Which, and why"), cells), class_="warning"
-    )
+    told = element("p", element("strong", f"{gaps}."), " Their rows are marked, and nothing stands in for them.")
+    return element("div", told, element("details", element("summary", "Which, and why"), cells), class_="warning")
 
 
 def _table(table: Table) -> Markup:
