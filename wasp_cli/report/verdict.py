@@ -161,6 +161,7 @@ class _Rows:
         self.tasks = tuple(dict.fromkeys(group.task for group in found))
         self._groups = {(group.task, Who(group.method, group.assistant_variant)): group for group in found}
         self._means: dict[tuple[str, Who, str], Estimate | None] = {}
+        self._differences: dict[tuple[str, Who, Who, str], Estimate | None] = {}
 
     def group(self, task: str, who: Who) -> Group | None:
         return self._groups.get((task, who))
@@ -172,6 +173,14 @@ class _Rows:
             group = self.group(task, who)
             self._means[place] = None if group is None else mean_of(group.cells, column)
         return self._means[place]
+
+    def difference(self, task: str, left: Who, right: Who, column: str) -> Estimate | None:
+        """None where they have no condition in common."""
+        place = (task, left, right, column)
+        if place not in self._differences:
+            own, other = self.group(task, left), self.group(task, right)
+            self._differences[place] = None if own is None or other is None else difference_of(own.cells, other.cells, column)
+        return self._differences[place]
 
     def lack(self, task: str, who: Who) -> str:
         """Why a row says nothing, or not all; empty where it is complete."""
@@ -201,8 +210,7 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
     left, right = means[0], means[1] if asked.right is not None else None
     estimate = left if asked.right is None else None
     if not lacking and asked.right is not None:
-        own, other = rows.group(asked.task, asked.left), rows.group(asked.task, asked.right)
-        estimate = difference_of(own.cells, other.cells, asked.column) if own is not None and other is not None else None
+        estimate = rows.difference(asked.task, asked.left, asked.right, asked.column)
         if estimate is None:
             lacking = [f"{task_title(asked.task)} {asked.left} and {asked.right} have no operator and seed in common"]
     values = left.value if left else None, right.value if right else None
