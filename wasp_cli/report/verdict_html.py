@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from html import escape
 
 from wasp_cli.plan.reasons import few
+from wasp_cli.report.table import plain
 from wasp_cli.report.titles import task_title
 from wasp_cli.report.verdict import Answer, Judged, VerdictReport, any_of
 from wasp_cli.report.verdict_table import COLUMN_OF, title_of
@@ -77,4 +78,4 @@ def _row(answer: Answer, alternative: bool, decided: bool) -> str:
 
 
 def _cell(text: str, value: float | None = None) -> str:
-    return f"<td>{escape(text)}</td>" if value is None else f'<td data-value="{value!r}">{escape(text)}</td>'
+    return f"<td>{escape(text)}</td>" if value is None else f'<td data-value="{plain(value)}">{escape(text)}</td>'
