@@ -7,17 +7,13 @@ from dataclasses import replace
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.main_table import DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
+from wasp_cli.report.necessity_table import MEANS as NECESSITY
 from wasp_cli.report.table import UNDEFINED, Column, Row, Table, Value
 from wasp_cli.report.titles import task_title, who_title
 from wasp_cli.report.verdict import Beside, VerdictReport
 from wasp_cli.spec.paper import Printed, Who
 
-COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *DETAIL_COLUMNS)} | {
-    "uir": Column("uir", "UIR", "down", digits=3),
-    "rho": Column("rho", "Risk", digits=3),
-    "delta_c": Column("delta_c", "Delta C", "up", digits=3),
-    "delta_r": Column("delta_r", "Delta R", "up", digits=3),
-}
+COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}
 """Everything that a claim may be about (spec.paper.COLUMNS)."""
 PRINTED_DIGITS = 2
 LABELS = ("Table", "Task", "Method")

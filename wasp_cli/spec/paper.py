@@ -35,7 +35,7 @@ PACKAGED = Path(__file__).parents[1] / "paper.yaml"
 """Where a wheel has the file; pyproject.toml puts it there."""
 IN_CHECKOUT = Path(__file__).parents[2] / "specs" / "paper.yaml"
 
-COLUMNS = (*WEIGHTS, "uir", "rho", "delta_c", "delta_r")
+COLUMNS = (*WEIGHTS, "uir", "rho", "at_risk", "delta_c", "delta_r")
 """What a claim may be about: the columns of an episode, and those of the counterfactual evaluation (section 5.3)."""
 FULL = "full"
 
