@@ -14,12 +14,11 @@ import numpy as np
 
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, Necessity, necessity
+from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.report.frame import CellNumbers, Floats, Frame, Judged, Missing, Wanted, absence, odd_tables_refused
 from wasp_cli.store.branches import Branches, read_branches
 from wasp_cli.store.tables import CellIdentity
 
-KIND = "counterfactual"
-"""Of the nodes that make branches."""
 WEIGHT = "branches"
 """The column of how many decisions of an episode were branched; it weighs the others."""
 
@@ -48,17 +47,17 @@ def _judged(wanted: Wanted, cell: CellNumbers) -> Judged | Missing:
     """What the branches of a cell say, or why they are not there."""
     key = wanted.path.parent.name
     if wanted.refused is not None:
-        return Missing(wanted.identity, wanted.label, wanted.refused, kind=KIND)
+        return Missing(wanted.identity, wanted.label, wanted.refused, kind=COUNTERFACTUAL)
     if not wanted.path.exists():
-        return Missing(wanted.identity, wanted.label, absence(wanted), key, kind=KIND)
+        return Missing(wanted.identity, wanted.label, absence(wanted), key, kind=COUNTERFACTUAL)
     try:
         with odd_tables_refused(wanted.path):
             stored = read_branches(wanted.path)
             _require_cell(stored, cell)
-            return judge(stored)
+            return worth_of(stored)
     except StoreError as error:
         reason = error.message + (f" ({error.hint})" if error.hint else "")
-        return Missing(wanted.identity, wanted.label, reason, key, damaged=True, kind=KIND)
+        return Missing(wanted.identity, wanted.label, reason, key, damaged=True, kind=COUNTERFACTUAL)
 
 
 def _require_cell(stored: Branches, cell: CellNumbers) -> None:
@@ -69,7 +68,7 @@ def _require_cell(stored: Branches, cell: CellNumbers) -> None:
         raise ValueError(f"it is about {stored.cell.episodes} episodes, and the cell has {cell.count}")
 
 
-def judge(stored: Branches) -> Judged:
+def worth_of(stored: Branches) -> Judged:
     """Eq. 19-21 of the branches of a cell."""
     cost, reward = stored.cost, stored.reward
     worth = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R)

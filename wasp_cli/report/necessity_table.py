@@ -13,7 +13,7 @@ from wasp_cli.report.main_table import part_of
 from wasp_cli.report.table import UNDEFINED, Column, Row, Table, Value
 from wasp_cli.report.titles import assistant_title, task_title
 
-INTERVENTIONS = Column("interventions", "Int.", digits=0, spread=False)
+INTERVENTIONS = Column("interventions", "Int. steps", digits=0, spread=False)
 BRANCHED = Column("branched", "Branched", digits=0, spread=False)
 MEANS = (
     Column("rho", "ρ", digits=3),
@@ -42,10 +42,9 @@ def necessity_table(frame: Frame) -> Table | None:
     found = list(judged_groups(frame))
     if not found:
         return None
-    ablated = {group.method for group in found if group.assistant_variant != "full"}
     rows = [
         Row(
-            (task_title(group.task), assistant_title(group, ablation=group.method in ablated)),
+            (task_title(group.task), row_title(group)),
             (*_counts(frame, group), *(estimated(group, column) for column in MEANS)),
         )
         for group in found
@@ -61,6 +60,11 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
         cells = tuple(cell for cell in group.cells if cell.identity in frame.judged)
         if cells or gaps[group.task, group.method, group.assistant_variant]:
             yield replace(group, cells=cells, absent=group.absent + len(group.cells) - len(cells))
+
+
+def row_title(group: Group) -> str:
+    """The method of a row, with its ablation where it is one."""
+    return assistant_title(group, ablation=group.assistant_variant != "full")
 
 
 def estimated(group: Group, column: Column) -> Value:

@@ -11,12 +11,16 @@ from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.reused import Origins, is_from_published
 from wasp_cli.report.titles import task_title
+from wasp_cli.spec.names import OF_CELLS
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
 SHOWN = 24
 """Numbers of a stage that fit on a line; the manifests have all."""
+
+NOT_TRAINED = ("evaluate", *OF_CELLS)
+"""Kinds whose results are tables of their own."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ def trained_artifacts(
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
             return
         del found[key]  # so that it stands behind what it needs
-        found[key] = trained if kind != "evaluate" else None
+        found[key] = trained if kind not in NOT_TRAINED else None
 
     for kind, key in roots:
         visit(kind, key)

@@ -1,0 +1,112 @@
+"""Counterfactual branches as nodes of a run, over fake stages: order, repetition, failure, selection, publishing, cleaning up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.run.harness import Fakes, run
+from wasp_cli.plan.recorded import run_ids
+from wasp_cli.run.record import read_run
+from wasp_cli.run.runner import Summary
+from wasp_cli.store.layout import Layout
+
+KIND = "counterfactual"
+
+
+@pytest.fixture
+def judged_spec(small_spec: Path) -> Path:
+    text = small_spec.read_text(encoding="utf-8").replace("seeds: [0, 1]", "seeds: [0]")
+    small_spec.write_text(text + "stages: [diagnostics, counterfactual]\n", encoding="utf-8")
+    return small_spec
+
+
+def branches(results: Path) -> set[str]:
+    return {path.name for path in results.glob(f"store/{KIND}/*")}
+
+
+def words(summary: Summary) -> tuple[set[str], set[str]]:
+    return {failure.node.label for failure in summary.failed}, {node.label for node, _ in summary.blocked}
+
+
+def test_every_cell_that_may_intervene_is_branched_after_it_and_never_twice(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+    assert run(judged_spec, tmp_path / "results").complete
+    executed = fakes.executions()
+    judged = [line for line in executed if f" {KIND} " in line]
+    assert len(judged) == 2 * 2  # ida and wasp under two operators
+    for line in judged:
+        cell = line.replace(KIND, "evaluate")
+        assert executed.index(cell) < executed.index(line)
+    assert not any(" human " in line or " expert " in line for line in judged)
+    assert run(judged_spec, tmp_path / "results").done == 0
+    assert len(fakes.executions()) == len(executed)
+
+
+def test_what_failed_is_named_runs_again_and_blocks_nothing(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"s0 counterfactual ida": "refuse"})
+    failed, blocked = words(run(judged_spec, tmp_path / "results"))
+    assert failed == {f"goal1 s0 counterfactual ida {operator}" for operator in ("noisy=0.2", "laggy=0.7")}
+    assert blocked == set()
+    shown = run_here("show", "goal1 s0 counterfactual ida laggy=0.7", "--results", tmp_path / "results", columns=120)
+    assert "the loss is not finite" in shown.output
+    fakes.set()
+    assert run(judged_spec, tmp_path / "results").done == 2
+
+
+def test_a_cell_that_failed_blocks_its_branches(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"evaluate wasp": "refuse"})
+    failed, blocked = words(run(judged_spec, tmp_path / "results"))
+    assert failed == {"goal1 s0 wasp noisy=0.2", "goal1 s0 wasp laggy=0.7"}
+    assert blocked == {"goal1 s0 counterfactual wasp noisy=0.2", "goal1 s0 counterfactual wasp laggy=0.7"}
+
+
+def test_a_run_says_later_what_it_was_to_branch(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+    run(judged_spec, tmp_path / "results")
+    layout = Layout(tmp_path / "results")
+    recorded = read_run(layout, run_ids(layout)[0])
+    assert {key for _, key in recorded.branched} == branches(tmp_path / "results")
+    assert {(cell.method, cell.operator) for cell, _ in recorded.branched} == {
+        (method, operator) for method in ("ida", "wasp") for operator in ("noisy", "laggy")
+    }
+    plan = layout.run(recorded.run_id) / "plan.json"
+    plan.write_text(plan.read_text(encoding="utf-8").replace('"branched"', '"unknown"'), encoding="utf-8")
+    assert read_run(layout, recorded.run_id).branched == []  # a run of an older version
+
+
+def test_the_plan_counts_them_and_selectors_find_them(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+    shown = run_here("plan", judged_spec, "--results", tmp_path / "results", columns=200)
+    assert "the interventions of 4 of them are judged by counterfactual branches" in shown.output
+    assert any(line.split()[:2] == [KIND, "4"] for line in shown.output.splitlines())
+    options = ("--select", "stage=counterfactual,method=ida,operator=laggy", "-j", "0", "--results", tmp_path / "results")
+    assert "counterfactual ida laggy=0.7" in run_here("run", judged_spec, *options, columns=200).output
+    assert len(branches(tmp_path / "results")) == 1
+
+
+def test_they_are_published_taken_again_and_kept_while_a_spec_asks(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+    results, other = tmp_path / "results", tmp_path / "other"
+    run(judged_spec, results)
+    assert run_here("publish", judged_spec, "--results", results, columns=200).exit_code == 0
+    assert {path.name for path in (results / "published" / "store" / KIND).iterdir()} == branches(results)
+    other.mkdir()
+    (results / "published").rename(other / "published")
+    before = len(fakes.executions())
+    run_here("run", judged_spec, "--results", other, "--reuse", "published", "-j", "0", columns=200)
+    assert len(fakes.executions()) == before
+    assert branches(other) == branches(results)
+
+    assert run_here("gc", results, "--yes", columns=80).exit_code == 0
+    assert len(branches(results)) == 4
+    text = judged_spec.read_text(encoding="utf-8").replace(", counterfactual", "")
+    judged_spec.write_text(text, encoding="utf-8")
+    run(judged_spec, results)
+    run_here("gc", results, "--yes", columns=80)
+    assert branches(results) == set()
+
+
+def test_a_sweep_says_nothing_of_training_where_only_branches_differ(fakes: Fakes, judged_spec: Path, tmp_path: Path) -> None:
+    vary = ("--vary", "ida.vote=0.1,0.2", "-j", "0", "--results", tmp_path / "results")
+    told = run_here("sweep", judged_spec, *vary, columns=200).output
+    assert "nodes are the same for all of them" in told
+    assert "trained for each" not in told
