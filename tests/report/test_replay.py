@@ -204,7 +204,7 @@ def test_a_cell_without_a_manifest_says_what_is_missing(results: Path, tmp_path:
     shutil.copy(results / "store" / "evaluate" / CELL / "cell.parquet", tmp_path / "cell.parquet")
     done = replayed(results, tmp_path / "cell.parquet", "-e", "0", "-o", tmp_path / "a.gif")
     assert done.exit_code == 2
-    assert "does not say which models" in done.stderr
+    assert "does not say how it was evaluated" in done.stderr
     assert "--results" in done.stderr
 
 
@@ -230,6 +230,22 @@ def test_models_that_are_not_there_end_with_1(copied: Path, tmp_path: Path, harm
     assert expected in done.stderr
     assert "run the spec of the cell again" in done.stderr
     assert not (tmp_path / "a.gif").exists()
+
+
+@pytest.mark.parametrize(
+    "path", [("task",), ("seed",), ("axes", "variant"), ("axes", "value"), ("settings", "action_repeat"), ("upstream",)]
+)
+def test_a_manifest_with_something_odd_is_no_traceback(copied: Path, tmp_path: Path, path: tuple[str, ...]) -> None:
+    file = copied / "store" / "evaluate" / CELL / "manifest.json"
+    manifest = json.loads(file.read_text())
+    place = manifest
+    for name in path[:-1]:
+        place = place[name]
+    place[path[-1]] = ["odd"]
+    file.write_text(json.dumps(manifest))
+    done = replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif")
+    assert done.exit_code == 2
+    assert "does not say how it was evaluated" in done.stderr
 
 
 def test_other_states_than_the_recorded_ones_end_with_1(copied: Path, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from wasp_cli.report.explain.words import SIGNALS
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
+from wasp_cli.store.plain import printable
 from wasp_cli.store.recorded import read_recorded
 
 Progress = Callable[[float, str], None]
@@ -30,6 +31,8 @@ FRAMES = 125
 """Of a video for which nothing else is said: some megabytes."""
 MODELS = ("world_model", "policies")
 """Kinds of the artifacts that a cell is played again with."""
+SAID = {"task": str, "action_repeat": int, "seed": int, "variant": str, "value": (int, float, type(None))}
+"""What its manifest has to say, with the types."""
 
 
 def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, every: int | None, progress: Progress) -> tuple[Path, Any]:
@@ -76,6 +79,12 @@ def default_name(stored: Episode, ending: str) -> Path:
     return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['variant']}{value}_e{row['episode']}") + ending)
 
 
+def title_of(stored: Episode) -> str:
+    """What a picture of an episode is called on it."""
+    row = stored.row
+    return f"{printable(stored.cell.label or row['task'] + ' ' + row['method'])}, episode {row['episode']}"
+
+
 def source_of(layout: Layout, cell: FoundCell) -> Any:
     """`learning.retrace.Source` of a cell.
 
@@ -85,9 +94,12 @@ def source_of(layout: Layout, cell: FoundCell) -> Any:
         StoreError: the rows cannot be read.
     """
     axes, upstream = cell.setting("axes"), upstream_of(cell)
-    if not isinstance(axes, dict) or not all(kind in upstream for kind in MODELS):
+    known = {"task": cell.setting("task"), "action_repeat": cell.setting("settings", "action_repeat"), "seed": cell.setting("seed")}
+    known |= {name: axes.get(name) for name in ("variant", "value")} if isinstance(axes, dict) else {}
+    said = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
+    if not said or not all(kind in upstream for kind in MODELS):
         raise UsageError(
-            f"{cell.path} does not say which models it was evaluated with",
+            f"{cell.path} does not say how it was evaluated, and with which models",
             "name the cell by its key or its label, and its results folder with --results",
         )
     for kind in MODELS:
@@ -99,9 +111,7 @@ def source_of(layout: Layout, cell: FoundCell) -> Any:
     recorded = load_target("wasp_cli.learning.rerun:Recorded")(**read_recorded(cell.path))
     threads = cell.setting("provenance", "threads")
     return load_target("wasp_cli.learning.retrace:Source")(
-        task=str(cell.setting("task")), action_repeat=int(cell.setting("settings", "action_repeat")), seed=int(cell.setting("seed")),
-        variant=str(axes["variant"]), value=axes["value"], recorded=recorded,
-        world_model=layout.artifact("world_model", upstream["world_model"]), policies=layout.artifact("policies", upstream["policies"]),
+        **known, recorded=recorded, world_model=layout.artifact("world_model", upstream["world_model"]), policies=layout.artifact("policies", upstream["policies"]),
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
     )  # fmt: skip
 
@@ -119,7 +129,7 @@ def told(stored: Episode) -> Any:
     numbers, row = stored.numbers, stored.row
     names = ("deviation", "reward", "cost_env", "goals", "g_cost", "delta_g", "signal", "plan_cost", "alone_cost")
     return load_target("wasp_cli.learning.video_timeline:Told")(
-        title=f"{stored.cell.label or row['task'] + ' ' + row['method']}, episode {row['episode']}",
+        title=title_of(stored),
         gate=stored.gate, costly=stored.costly, a_h=stored.a_h, a=stored.a, **{name: numbers[name] for name in names},
         gated=stored.gated, tau_c=stored.thresholds.tau_c, tau_r=stored.thresholds.tau_r,
         signal_name=SIGNALS.get(row["method"], "signal"),

@@ -15,7 +15,7 @@ from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.registry import load_target
 from wasp_cli.report.explain.stored import Episode, number, read_episode
-from wasp_cli.report.replay import default_name, source_of, upstream_of
+from wasp_cli.report.replay import default_name, source_of, title_of, upstream_of
 from wasp_cli.store.artifact import published, read_manifest, read_record
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell
@@ -109,8 +109,7 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
     scale = scale_of(layout, cell)
     pair = load_target("wasp_cli.learning.branch_view:Pair")(source_of(layout, cell), episode, step, scale.window, progress)
     verdict = judged(stored, step, scale, {name: told._asdict() for name, told in pair.told.items()})
-    title = f"{stored.cell.label or stored.row['task'] + ' ' + stored.row['method']}, episode {episode}, decision {step}"
-    pair.film(title, verdict.lines(), path)
+    pair.film(f"{title_of(stored)}, decision {step}", verdict.lines(), path)
     return path, verdict
 
 
