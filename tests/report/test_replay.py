@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -246,6 +248,15 @@ def test_a_manifest_with_something_odd_is_no_traceback(copied: Path, tmp_path: P
     done = replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif")
     assert done.exit_code == 2
     assert "does not say how it was evaluated" in done.stderr
+
+
+def test_a_mujoco_that_does_not_import_is_said(results: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "wasp_cli", "replay", LABEL, "-e", "0", "-o", str(tmp_path / "a.gif"), "--results", str(results)]
+    variables = {**os.environ, "MUJOCO_GL": "nonsense", "NO_COLOR": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False, cwd=Path(__file__).parents[2])
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "MUJOCO_GL" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_other_states_than_the_recorded_ones_end_with_1(copied: Path, tmp_path: Path) -> None:

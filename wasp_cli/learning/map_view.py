@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.camera.look import Look, Scene
-from wasp_cli.tasks.camera.topdown import draw_map
+from wasp_cli.tasks.mujoco_import import require_mujoco
 
 COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
 """Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
@@ -86,6 +86,9 @@ class MapPicture:
     @classmethod
     def of(cls, look: Look, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
         """The only row of a scene as `size` px, `half` m from `centre` [2] to each side."""
+        require_mujoco()
+        from wasp_cli.tasks.camera.topdown import draw_map
+
         image = draw_map(look, scene, 0, size * _SMOOTH, ((float(centre[0]), float(centre[1])), half))
         return cls(Image.fromarray(image), centre, half)
 

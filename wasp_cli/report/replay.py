@@ -111,7 +111,7 @@ def source_of(layout: Layout, cell: FoundCell) -> Any:
     recorded = load_target("wasp_cli.learning.rerun:Recorded")(**read_recorded(cell.path))
     threads = cell.setting("provenance", "threads")
     return load_target("wasp_cli.learning.retrace:Source")(
-        **known, recorded=recorded, world_model=layout.artifact("world_model", upstream["world_model"]), policies=layout.artifact("policies", upstream["policies"]),
+        **known, recorded=recorded, **{kind: layout.artifact(kind, upstream[kind]) for kind in MODELS},
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
     )  # fmt: skip
 
