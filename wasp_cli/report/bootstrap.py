@@ -75,6 +75,10 @@ class _Clusters:
         """The index of each name."""
         return np.searchsorted(self.names, names)
 
+    def seeds(self, cells: Sequence[CellNumbers]) -> Places:
+        """[C] the index of the seed of each cell."""
+        return self.place([float(cell.identity.seed) for cell in cells])
+
     def estimate(self, value: float, statistic: Callable[[Floats], Floats]) -> Estimate:
         """A number with the interval of `statistic`: how often each cluster was drawn [R, K] -> [R], NaN where it is undefined."""
         if len(self.names) < 2:
@@ -110,7 +114,7 @@ def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     if value is None:
         return None
     clusters = _Clusters.of(cells)
-    return clusters.estimate(value, lambda counts: _mean(*_numbers(clusters, counts, cells, key)))
+    return clusters.estimate(value, lambda counts: _mean(*_by_seed(clusters, counts, cells, _pooled(clusters, counts, cells, key))))
 
 
 def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
@@ -125,7 +129,8 @@ def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     clusters = _Clusters.of(cells)
 
     def statistic(counts: Floats) -> Floats:
-        return _middle_mean(*_numbers(clusters, counts, cells, key, even=True))
+        times = counts.T[clusters.seeds(cells)] if clusters.unit == "seed" else np.ones((len(cells), len(counts)))
+        return _middle_mean(_pooled(clusters, counts, cells, key), times)
 
     return clusters.found(statistic)
 
@@ -139,8 +144,8 @@ def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
     clusters = _Clusters.of([*own, *other])
 
     def statistic(counts: Floats) -> Floats:
-        numbers, share = _numbers(clusters, counts, own, key)
-        return _mean(numbers - _numbers(clusters, counts, other, key)[0], share)
+        numbers = _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key)
+        return _mean(*_by_seed(clusters, counts, own, numbers))
 
     return clusters.estimate(value, statistic)
 
@@ -161,13 +166,13 @@ def improvement_over(
     pairs = [(sign * one.episodes[key], sign * two.episodes[key]) for one, two in zip(own, other, strict=True)]
     if clusters.unit == "seed":
         numbers = np.array([[_superiority(*pair) for pair in pairs]])
-        return clusters.found(lambda counts: _mean(numbers, _share(clusters, counts, own)))
+        return clusters.found(lambda counts: _mean(*_by_seed(clusters, counts, own, numbers)))
     places = [(clusters.place(one.episodes["world"]), clusters.place(two.episodes["world"])) for one, two in zip(own, other, strict=True)]
     won = [_by_world(*pair, *place, len(clusters.names)) for pair, place in zip(pairs, places, strict=True)]
 
     def statistic(counts: Floats) -> Floats:
         numbers = [_ratio(*(((counts @ sums) * counts).sum(1) for sums in each)) for each in won]
-        return _mean(np.stack(numbers, 1), _share(clusters, counts, own))
+        return _mean(*_by_seed(clusters, counts, own, np.stack(numbers, 1)))
 
     return clusters.found(statistic)
 
@@ -198,34 +203,24 @@ def _pairs(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: 
     return own, [by_condition[condition(cell.identity)] for cell in own]
 
 
-def _numbers(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str, even: bool = False) -> tuple[Floats, Floats]:
-    """The pooled column of every cell in every resample [R or 1, C], NaN where it is undefined, and the weight of the cell [R, C].
-
-    Args:
-        clusters: what is resampled.
-        counts: [R, K] how often each was drawn.
-        cells: C of them.
-        key: the column.
-        even: one weight for all cells, not for all seeds.
-    """
+def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str) -> Floats:
+    """The pooled column of every cell, NaN where undefined: [1, C] where seeds are drawn, which leave a cell as it is; else [R, C]."""
     if clusters.unit == "seed":
-        numbers = np.array([[cell.pooled[key] for cell in cells]])
-    else:
-        sums = np.zeros((2, len(clusters.names), len(cells)))
-        for c, cell in enumerate(cells):
-            place = clusters.place(cell.episodes["world"])
-            for each, weights in zip(sums, cell.weighted(key), strict=True):
-                each[:, c] = np.bincount(place, weights, len(clusters.names))
-        numbers = _ratio(counts @ sums[0], counts @ sums[1])
-    return numbers, _share(clusters, counts, cells, even)
+        return np.array([[cell.pooled[key] for cell in cells]])
+    sums = np.zeros((2, len(clusters.names), len(cells)))
+    for c, cell in enumerate(cells):
+        place = clusters.place(cell.episodes["world"])
+        for each, weights in zip(sums, cell.weighted(key), strict=True):
+            each[:, c] = np.bincount(place, weights, len(clusters.names))
+    return _ratio(counts @ sums[0], counts @ sums[1])
 
 
-def _share(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], even: bool = False) -> Floats:
-    """[R, C] the weight of each cell in each resample: those of one seed share the weight of the seed, unless all are to have the same."""
+def _by_seed(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> tuple[Floats, Floats]:
+    """What a mean is made of in every resample, and how often: the means [1, K] of the seeds, or the cells [R, C] of the one seed."""
     if clusters.unit == "world":
-        return np.ones((len(counts), len(cells)))
-    place = clusters.place([float(cell.identity.seed) for cell in cells])
-    return counts[:, place] / (1.0 if even else np.bincount(place)[place])
+        return numbers, np.ones(numbers.shape)
+    place = clusters.seeds(cells)
+    return (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
 
 
 def _ratio(total: Floats, mass: Floats) -> Floats:
@@ -233,19 +228,21 @@ def _ratio(total: Floats, mass: Floats) -> Floats:
     return quotient
 
 
-def _mean(numbers: Floats, share: Floats) -> Floats:
-    """[R] the mean of numbers [R or 1, C] with weights [R, C]; undefined numbers have none."""
-    share = np.where(np.isnan(numbers), 0.0, share)
-    return _ratio((np.nan_to_num(numbers) * share).sum(1), share.sum(1))
+def _mean(numbers: Floats, times: Floats) -> Floats:
+    """[R] the mean of numbers [R or 1, N] that count several times [R, N]; undefined numbers do not count."""
+    times = times * ~np.isnan(numbers)
+    return _ratio((np.nan_to_num(numbers) * times).sum(1), times.sum(1))
 
 
-def _middle_mean(numbers: Floats, share: Floats) -> Floats:
-    """[R] the mean of the middle half of numbers [R or 1, C] with weights [R, C]."""
-    order = np.argsort(numbers, axis=1, kind="stable")  # undefined ones last
-    numbers = np.take_along_axis(numbers, order, 1)
-    share = np.take_along_axis(share, np.broadcast_to(order, share.shape), 1)
-    share = np.where(np.isnan(numbers), 0.0, share)
-    upper = np.cumsum(share, 1)
-    total = upper[:, -1:]
-    kept = np.clip(upper, TRIMMED * total, (1 - TRIMMED) * total) - np.clip(upper - share, TRIMMED * total, (1 - TRIMMED) * total)
-    return _mean(numbers, kept)
+def _middle_mean(numbers: Floats, times: Floats) -> Floats:
+    """[R] the mean of the middle half of numbers [R or 1, C] that count several times [C, R]."""
+    order = np.argsort(numbers, axis=1, kind="stable").T  # undefined ones last
+    numbers = np.take_along_axis(numbers.T, order, 0)
+    times = times[order[:, 0]] if order.shape[1] == 1 else np.take_along_axis(times, order, 0)
+    if np.isnan(numbers).any():
+        times = times * ~np.isnan(numbers)
+    upper = np.cumsum(times, 0)
+    total = upper[-1]
+    kept = np.minimum(upper, (1 - TRIMMED) * total) - np.maximum(upper - times, TRIMMED * total)
+    np.maximum(kept, 0.0, out=kept)
+    return _ratio((np.nan_to_num(numbers) * kept).sum(0), (1 - 2 * TRIMMED) * total)

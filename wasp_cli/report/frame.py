@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
 from wasp_cli.metrics.necessity import Necessity
+from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes
 
 Floats = NDArray[np.float64]
@@ -24,6 +26,12 @@ POOLING = ("decisions", "env_steps", "intervened", "planned")
 
 TIMES = ("decision_p50_ms", "decision_p95_ms")
 """Columns of which a cell has the median over its episodes."""
+
+COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")
+"""What is read of a cell."""
+
+THREADS = 4
+"""That read cells side by side: a disk answers several, and unpacking a column holds up no other thread."""
 
 JUDGED = ("uir", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, in the cells that have one (`report.branches`)."""
@@ -158,26 +166,40 @@ def row_of(identity: CellIdentity) -> tuple[str, str, str]:
 def read_frame(wanted: Iterable[Wanted]) -> Frame:
     """Read the cells that exist; name those that do not, or that cannot be read."""
     wanted = tuple(wanted)
-    found: list[tuple[Wanted, pa.Table]] = []
-    missing: list[Missing] = []
-    for cell in wanted:
-        if cell.refused is not None:
-            missing.append(Missing(cell.identity, cell.label, cell.refused))
-            continue
-        if not cell.path.exists():
-            missing.append(Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name))
-            continue
-        try:
-            with odd_tables_refused(cell.path):
-                table = read_episodes([cell.path])
-                _require_identity(table, cell)
-        except StoreError as error:
-            # A report names a damaged cell and goes on; it never averages without it in silence.
-            reason = error.message + (f" ({error.hint})" if error.hint else "")
-            missing.append(Missing(cell.identity, cell.label, reason, cell.path.parent.name, damaged=True))
-        else:
-            found.append((cell, table))
-    return Frame(tuple(pool_cells(found)), tuple(missing), tuple(cell.identity for cell in wanted))
+    with ThreadPoolExecutor(THREADS) as threads:
+        found = list(threads.map(_read, wanted))
+    read = [(cell, each) for cell, each in zip(wanted, found, strict=True) if not isinstance(each, Missing)]
+    missing = tuple(each for each in found if isinstance(each, Missing))
+    return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
+
+
+def _read(cell: Wanted) -> Numbers | Missing:
+    """The rows of a cell, or why there are none."""
+    if cell.refused is not None:
+        return Missing(cell.identity, cell.label, cell.refused)
+    if not cell.path.exists():
+        return Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name)
+    try:
+        with odd_tables_refused(cell.path):
+            numbers = read_numbers(cell.path, COLUMNS) or _read_closely(cell.path)
+            if numbers.identity != cell.identity:
+                raise StoreError(f"{cell.path} holds another cell: {numbers.identity}")
+    except StoreError as error:
+        # A report names a damaged cell and goes on; it never averages without it in silence.
+        reason = error.message + (f" ({error.hint})" if error.hint else "")
+        return Missing(cell.identity, cell.label, reason, cell.path.parent.name, damaged=True)
+    return numbers
+
+
+def _read_closely(path: Path) -> Numbers:
+    """The rows of a cell of an older version; an error says what is wrong with a damaged one."""
+    table = read_episodes([path])
+    if table.num_rows == 0:
+        raise StoreError(f"{path} has no episodes")
+    row = table.slice(0, 1).to_pylist()[0]
+    identity = CellIdentity(**{name: row[name] for name in CellIdentity.__dataclass_fields__})
+    thresholds = Thresholds(**{name: row[name] for name in Thresholds.__dataclass_fields__})
+    return Numbers(identity, thresholds, table.select(COLUMNS))
 
 
 @contextmanager
@@ -199,35 +221,24 @@ def absence(wanted: Wanted) -> str:
     return f"blocked by {wanted.blocked}" if wanted.blocked else "not computed yet"
 
 
-def pool_cells(tables: list[tuple[Wanted, pa.Table]]) -> list[CellNumbers]:
+def pool_cells(found: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
     """Pool the episodes of every cell: rates are ratios of sums."""
-    if not tables:
+    if not found:
         return []
-    rows = pa.concat_tables([table for _, table in tables])
-    sizes = np.array([table.num_rows for _, table in tables])
-    columns = {name: _floats(rows, name) for name in (*WEIGHTS, *POOLING, *TIMES)}
-    columns |= {"jumps": columns["decisions"] - 1.0, "world": _floats(rows, "episode_seed")}
-    pooled = pool(columns, np.repeat(np.arange(len(tables)), sizes))
+    rows = pa.concat_tables([numbers.table for _, numbers in found])
+    sizes = np.array([numbers.table.num_rows for _, numbers in found])
+    columns = {name: _floats(rows, name) for name in COLUMNS}
+    columns |= {"jumps": columns["decisions"] - 1.0, "world": columns.pop("episode_seed")}
+    pooled = pool(columns, np.repeat(np.arange(len(found)), sizes))
     starts = np.concatenate([[0], np.cumsum(sizes)])
     cells = []
-    for i, (cell, table) in enumerate(tables):
+    for i, (cell, numbers) in enumerate(found):
         part = slice(int(starts[i]), int(starts[i + 1]))
         episodes = {name: values[part] for name, values in columns.items()}
-        numbers = {name: float(values[i]) for name, values in pooled.items()}
-        numbers |= {name: _median(episodes[name]) for name in TIMES}
-        first = {name: table[name][0].as_py() for name in ("tau_c", "tau_r", "tau_q")}
-        cells.append(CellNumbers(cell.identity, cell.severity, numbers, episodes, Thresholds(**first)))
+        of_cell = {name: float(values[i]) for name, values in pooled.items()}
+        of_cell |= {name: _median(episodes[name]) for name in TIMES}
+        cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds))
     return cells
-
-
-def _require_identity(table: pa.Table, cell: Wanted) -> None:
-    """The rows of a file are those of the cell that its place says."""
-    if table.num_rows == 0:
-        raise StoreError(f"{cell.path} has no episodes")
-    row = table.slice(0, 1).to_pylist()[0]
-    found = CellIdentity(**{name: row[name] for name in CellIdentity.__dataclass_fields__})
-    if found != cell.identity:
-        raise StoreError(f"{cell.path} holds another cell: {found}")
 
 
 def _floats(table: pa.Table, name: str) -> Floats:
@@ -236,5 +247,6 @@ def _floats(table: pa.Table, name: str) -> Floats:
 
 
 def _median(values: Floats) -> float:
-    defined = values[~np.isnan(values)]
-    return float(np.median(defined)) if len(defined) else float("nan")
+    defined = np.sort(values[~np.isnan(values)])
+    # That of NumPy takes several times as long for so few numbers.
+    return float(defined[(len(defined) - 1) // 2] + defined[len(defined) // 2]) / 2 if len(defined) else float("nan")

@@ -20,14 +20,14 @@ def severity_table(frame: Frame) -> Table | None:
     wanted = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     cells = [cell for group in wanted for cell in group.cells if cell.identity.variant != UNIMPAIRED]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
-    variants = {
-        name: {level(cell) for cell in cells if cell.identity.variant == name} for name in (cell.identity.variant for cell in cells)
-    }
-    if all(len(found) < 2 for found in variants.values()):
+    of_variant: dict[str, set[str]] = {}
+    for cell in cells:
+        of_variant.setdefault(cell.identity.variant, set()).add(level(cell))
+    if all(len(found) < 2 for found in of_variant.values()):
         return None
     rows = []
     for task in dict.fromkeys(group.task for group in wanted):
-        for variant in variants:
+        for variant in of_variant:
             for group in (group for group in wanted if group.task == task):
                 own = {name: [cell for cell in group.of_variant(variant) if level(cell) == name] for name in levels}
                 numbers = (part_of(group, own[name], measure) for measure in MEASURES for name in levels)
