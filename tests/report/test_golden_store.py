@@ -76,9 +76,9 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     cell = sorted(partial.glob("store/evaluate/*/cell.parquet"))[0]
     key = cell.parent.name
     shutil.rmtree(cell.parent)
-    whole = run_here("report", str(results), "--no-films", "--strict")
+    whole = run_here("report", results, "--no-films", "--strict", columns=120)
     assert whole.exit_code == 0
-    lenient, strict = (run_here("report", str(partial), "--no-films", *options) for options in ((), ("--strict",)))
+    lenient, strict = (run_here("report", partial, "--no-films", *options, columns=120) for options in ((), ("--strict",)))
     assert (lenient.exit_code, strict.exit_code) == (0, 1)
     for done in (lenient, strict):
         assert "1 of 32 cells is missing" in done.output
