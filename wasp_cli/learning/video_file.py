@@ -99,6 +99,8 @@ def write(
     try:
         first.save(part, format=kind, save_all=True, append_images=list(whole), duration=list(milliseconds), loop=0, **_OPTIONS[kind])
         part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise refusal(error) from error
+    except BaseException as error:
+        part.unlink(missing_ok=True)  # also of one that was interrupted
+        if isinstance(error, OSError):
+            raise refusal(error) from error
+        raise

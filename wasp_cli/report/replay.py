@@ -31,7 +31,9 @@ FRAMES = 125
 """Of a video for which nothing else is said: some megabytes."""
 MODELS = ("world_model", "policies")
 """Kinds of the artifacts that a cell is played again with."""
-SAID: dict[str, type | tuple[type, ...]] = {"task": str, "action_repeat": int, "seed": int, "variant": str, "value": (int, float, type(None))}
+SAID: dict[str, tuple[type, ...]] = {
+    "task": (str,), "action_repeat": (int,), "seed": (int,), "variant": (str,), "value": (int, float, type(None)),
+}  # fmt: skip
 """What its manifest has to say, with the types."""
 
 
