@@ -204,6 +204,15 @@ def test_a_sprite_sheet_holds_the_frames_in_order(driven: Driven) -> None:
         assert np.abs(sheet[y : y + SIZE, x : x + SIZE] - frame).mean() < 6
 
 
+def test_a_sheet_that_would_be_too_high_becomes_wider(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(films, "LONGEST", 4 * 16 + 3)
+    made = sprite_of(*driven.arguments(), every=5, size=16, columns=2)
+    width, height = Image.open(io.BytesIO(made.data)).size
+    assert len(made.decisions) > 8
+    assert (width, height <= 4 * 16) == (16 * made.columns, True)
+    assert 4 * (made.columns - 1) < len(made.decisions), "no wider than it has to be"
+
+
 def test_a_sheet_is_made_smaller_until_it_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (4, 64, 64, 3), np.uint8)
     fine, _ = sprite(list(noise), 2)

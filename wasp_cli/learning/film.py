@@ -22,6 +22,8 @@ Array = NDArray[Any]
 
 LIMIT = 250_000
 """Bytes that a sprite sheet should not exceed; a page holds many."""
+LONGEST = 16_000
+"""Px of a side of a sheet at most: WebP ends a little above."""
 _QUALITIES = (80, 65, 50, 35, 20)
 _TOLERANCE = 1e-4
 """Of a reward, absolute and relative: a film that differs by less shows the same."""
@@ -182,7 +184,11 @@ def _saved(image: Image.Image, **options: Any) -> bytes:
 def sprite_of(
     task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, columns: int = 10
 ) -> Sprite:
-    """The film of an episode as a sprite sheet; see `film` for arguments and errors."""
+    """The film of an episode as a sprite sheet of `columns` frames beside each other, or more where it would become too high.
+
+    See `film` for the other arguments and the errors.
+    """
     found = film(task, action_repeat, layout_seed, a, a_h, reward, every, size)
+    columns = max(columns, -(-len(found.frames) // (LONGEST // size)))
     data, mime = sprite(found.frames, columns)
     return Sprite(data, mime, columns, size, found.decisions)
