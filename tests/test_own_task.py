@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from wasp_cli.store.branches import read_branches
 from wasp_cli.store.tables import read_episodes
 
 ROOT = Path(__file__).parents[1]
@@ -32,7 +33,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
     for name in ("puddle.py", "puddle.yaml"):
         shutil.copy(EXAMPLES / name, folder)
-    small = ("preset=smoke", "episodes=2", "expert.interactions=1000")
+    small = ("preset=smoke", "episodes=2", "expert.interactions=1000", "stages=[diagnostics, counterfactual]")
     done = wasp(folder, "run", "puddle.yaml", "-j", "2", *(part for setting in small for part in ("--set", setting)))
     assert done.returncode == 0, done.stderr
     (folder / "printed.txt").write_text(done.stdout, encoding="utf-8")
@@ -50,6 +51,13 @@ def test_a_run_prints_the_tables_of_ones_own_task(home: Path) -> None:
     for word in ("Puddle-v0", "Human-only", "WASP", "Expert"):
         assert word in printed
     assert (home / "results" / "reports" / "puddle" / "cost_return.png").is_file()
+
+
+def test_its_snapshots_serve_to_judge_interventions(home: Path) -> None:
+    found = [read_branches(path) for path in (home / "results" / "store" / "counterfactual").glob("*/branches.parquet")]
+    assert {branches.cell.identity.method for branches in found} == {"wasp"}
+    assert sum(len(branches.t) for branches in found) > 0
+    assert "Were the interventions necessary?" in (home / "printed.txt").read_text(encoding="utf-8")
 
 
 def test_its_costs_and_episodes_are_its_own(home: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.report.frame import Wanted
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, write_branches
-from wasp_cli.store.tables import read_episodes, read_steps
+from wasp_cli.store.tables import CellIdentity, read_episodes, read_steps
 
 WINDOW, TAU_R = 4, 0.25
 WORTH = {"ida": 2, "diffusion": 5, "saferl": 4, "wasp": 1}
@@ -24,18 +25,23 @@ def with_invented_branches(wanted: Sequence[Wanted], stride: int = 1) -> list[Wa
 
 
 def _branched(cell: Wanted, stride: int) -> Wanted:
-    steps = [step for step in read_steps(cell.path).to_pylist() if step["deviation"] > 0][::stride]
+    folder = cell.path.with_suffix("")
+    path = invent_branches(cell.path, cell.identity, folder, stride)
+    return replace(cell, branches=Wanted(cell.identity, f"{cell.label}, counterfactual branches", path))
+
+
+def invent_branches(cell: Path, identity: CellIdentity, folder: Path, stride: int = 1) -> Path:
+    """The table of branches of the cell at `cell`, in a new folder."""
+    steps = [step for step in read_steps(cell).to_pylist() if step["deviation"] > 0][::stride]
     rows: list[BranchRow] = []
     for number, step in enumerate(steps):
         length = WINDOW - (number % 11 == 10)
-        helped = number % WORTH[cell.identity.method] == 0
-        costs = np.arange(length) < (number + cell.identity.seed) % 3 + helped
+        helped = number % WORTH[identity.method] == 0
+        costs = np.arange(length) < (number + identity.seed) % 3 + helped
         gained = (number % 5) / 8
         for name, cost, reward in ((ASSISTED, costs & (not helped), gained), (ALONE, costs, 0.25)):
             values = (step["episode"], step["t"], name, cost, 2 * cost, np.full(length, reward), step["deviation"], step["gate"])
             rows.append(BranchRow(*values))
-    folder = cell.path.with_suffix("")
-    folder.mkdir()
-    episodes = read_episodes([cell.path]).num_rows
-    write_branches(folder / BRANCHES_FILE, BranchedCell(cell.identity, WINDOW, stride, TAU_R, episodes), rows)
-    return replace(cell, branches=Wanted(cell.identity, f"{cell.label}, counterfactual branches", folder / BRANCHES_FILE))
+    folder.mkdir(parents=True)
+    write_branches(folder / BRANCHES_FILE, BranchedCell(identity, WINDOW, stride, TAU_R, read_episodes([cell]).num_rows), rows)
+    return folder / BRANCHES_FILE

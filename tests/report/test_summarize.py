@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from tests.report.branched import invent_branches
 from tests.report.invented import SKILL, invent, write
 from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import source_hashes
@@ -20,11 +21,12 @@ from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.document import TABLES, Report
 from wasp_cli.report.frame import Frame
-from wasp_cli.report.summarize import report_run
+from wasp_cli.report.summarize import identity_of, report_run
 from wasp_cli.report.trained_table import duration, numbers_text, trained_artifacts
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
+from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
 
@@ -228,11 +230,48 @@ def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells,
     assert not (out / "cost_return.png").exists()
 
 
+def branched(layout: Layout, cells: Cells) -> Cells:
+    """The cells of WASP with invented branches, each with the key of these."""
+    judged = [(cell, own, key("counterfactual", number)) for number, (cell, own) in enumerate(cells) if cell.method == "wasp"]
+    for cell, own, name in judged:
+        folder = layout.artifact("counterfactual", name)
+        invent_branches(layout.artifact("evaluate", own) / CELL_FILE, identity_of(cell), folder)
+        manifest(layout, "counterfactual", name, cell.seed, {"evaluate": own}, {"method": "wasp"})
+    return [(cell, name) for cell, _, name in judged]
+
+
+def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_judge(spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    layout = Layout(tmp_path)
+    judged = branched(layout, cells)
+    whole = report_run(tmp_path, spec, cells, branched=judged)
+    assert not whole.unread
+    assert [artifact.stage for artifact in whole.trained] == [artifact.stage for artifact in report_run(tmp_path, spec, cells).trained]
+    names = {path.name for path in whole.write(tmp_path / "out")}
+    assert {"figure3.png", "figure3.svg", "figure3.md", "figure3.csv", "figure3.tex", "figure3.html"} <= names
+    for page in ("report.md", "report.html"):
+        assert "Were the interventions necessary?" in (tmp_path / "out" / page).read_text(encoding="utf-8")
+
+    first, second, *_ = (name for _, name in judged)
+    layout.artifact("counterfactual", first).joinpath(BRANCHES_FILE).unlink()
+    layout.artifact("counterfactual", second).joinpath(BRANCHES_FILE).unlink()
+    record = {"label": "goal1 s1 counterfactual wasp noisy=0.2", "message": "no room", "log": "x.log"}
+    write_record(layout.failure(second), record)
+    report = report_run(tmp_path, spec, cells, branched=judged)
+    assert not report.missing
+    assert [gap.key for gap in report.unread] == [first, second]
+    told = terminal(report)
+    assert "2 of 4 cells have no counterfactual branches:" in told
+    assert "counterfactual branches: failed: no room (log: x.log)" in told
+    assert "WASP [2 of 4 cells]" in told
+    assert "counterfactual branches: not computed yet" in report.markdown()
+
+
 def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, tmp_path: Path, frame: Frame) -> None:
     ablations = ablation_table(frame)
     assert ablations is not None
-    tables = report_run(tmp_path, spec, cells, parts(spec), load_paper()).tables
-    names = {table.name for table in tables} | {ablations.name, "figure3"}  # branches are in test_golden_store.py
+    judged = branched(Layout(tmp_path), cells)
+    tables = report_run(tmp_path, spec, cells, parts(spec), load_paper(), judged).tables
+    names = {table.name for table in tables} | {ablations.name}
     assert names == set(TABLES)
 
 
