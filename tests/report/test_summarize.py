@@ -244,7 +244,7 @@ def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_ju
     layout = Layout(tmp_path)
     judged = branched(layout, cells)
     whole = report_run(tmp_path, spec, cells, branched=judged)
-    assert not whole.unread
+    assert not whole.missing
     assert [artifact.stage for artifact in whole.trained] == [artifact.stage for artifact in report_run(tmp_path, spec, cells).trained]
     names = {path.name for path in whole.write(tmp_path / "out")}
     assert {"figure3.png", "figure3.svg", "figure3.md", "figure3.csv", "figure3.tex", "figure3.html"} <= names
@@ -257,13 +257,13 @@ def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_ju
     record = {"label": "goal1 s1 counterfactual wasp noisy=0.2", "message": "no room", "log": "x.log"}
     write_record(layout.failure(second), record)
     report = report_run(tmp_path, spec, cells, branched=judged)
-    assert not report.missing
-    assert [gap.key for gap in report.unread] == [first, second]
+    assert not report.frame.missing
+    assert [gap.key for gap in report.missing] == [first, second]
     told = terminal(report)
-    assert "2 of 4 cells have no counterfactual branches:" in told
-    assert "counterfactual branches: failed: no room (log: x.log)" in told
+    assert "2 of 4 sets of counterfactual branches are missing:" in told
+    assert "counterfactual of goal1 wasp noisy=0.2 seed 1: failed: no room (log: x.log)" in told
     assert "WASP [2 of 4 cells]" in told
-    assert "counterfactual branches: not computed yet" in report.markdown()
+    assert "counterfactual of goal1 wasp noisy=0.2 seed 0: not computed yet" in report.markdown()
 
 
 def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, tmp_path: Path, frame: Frame) -> None:
