@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from safetensors.numpy import load_file
 
@@ -24,7 +25,7 @@ from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.store.artifact import publish, staging_folder
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import CELL_FILE, SCHEMA, CellIdentity
 
 
 def fake_wasp(*arguments: str | Path | int) -> subprocess.CompletedProcess[str]:
@@ -163,8 +164,7 @@ def test_a_wall_clock_that_jumps_back_changes_nothing(
 
 
 def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A flipped bit in a cell keeps its size, so only who reads the rows can see it."""
-
+    """A flipped bit in a cell keeps its size, so only who reads the numbers can see it."""
     spec = tmp_path / "small.yaml"
     spec.write_text(SMALL, encoding="utf-8")
     loaded, layout, plan = prepared(spec, tmp_path / "results")
@@ -174,7 +174,8 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path: Path, m
     write(folder, identity, [invent(3, 2, 0.0, 0.1)]).path.rename(folder / CELL_FILE)
     publish(layout, node.kind, node.key, folder, {"key": node.key, "kind": node.kind})
     path = layout.artifact(node.kind, node.key) / CELL_FILE
-    flip(path, 40)
+    column = pq.read_metadata(path).row_group(0).column(SCHEMA.get_field_index("return"))
+    flip(path, column.dictionary_page_offset + column.total_compressed_size - 1)
     wanted, _ = wanted_cells(layout, loaded.spec, [(cell, node.key)])
     frame = read_frame(wanted)
     assert [gap.damaged for gap in frame.missing] == [True]

@@ -180,7 +180,8 @@ def improvement_over(
 def _superiority(x: Floats, y: Floats) -> float:
     """The share of the pairs (x, y) in which x is larger, ties one half."""
     x, y = x[~np.isnan(x)], np.sort(y[~np.isnan(y)])
-    return float((np.searchsorted(y, x, "left") + np.searchsorted(y, x, "right")).mean() / 2 / len(y))
+    won = int(np.searchsorted(y, x, "left").sum() + np.searchsorted(y, x, "right").sum())
+    return won / (2 * len(x) * len(y))
 
 
 def _by_world(x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: int) -> tuple[Floats, Floats]:
