@@ -73,7 +73,7 @@ def specs(session: nox.Session) -> None:
 
 @nox.session(venv_backend="none", requires=["project"])
 def smoke(session: nox.Session) -> None:
-    """The main job end to end in a fresh folder; a second run must compute nothing; then the other tasks, and the report."""
+    """The main job end to end in a fresh folder; a second run must compute nothing; then the other tasks, and what shows results."""
     results = Path(session.create_tmp()).resolve() / "results"
     shutil.rmtree(results, ignore_errors=True)
     run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
@@ -83,7 +83,11 @@ def smoke(session: nox.Session) -> None:
         session.error("the second run of specs/smoke.yaml touched artifacts of the first one")
     others = ("--set", "name=smoke-cars", "--set", "tasks=[race1, formula1]", "--set", "operators={laggy: {severe: 0.85}}")
     run(session, "wasp", "run", "specs/smoke.yaml", *others, "--results", str(results))
-    run(session, "wasp", "report", str(results))
+    run(session, "wasp", "report", str(results), "--strict")
+    run(session, "wasp", "compare", str(results), str(results), "--spec", "smoke", "--strict")
+    for step in ((), ("--step", "3")):
+        video = str(results.parent / f"replay{len(step)}.webp")
+        run(session, "wasp", "replay", "goal1 s0 wasp laggy=0.7", "--episode", "0", *step, "--results", str(results), "--out", video)
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
