@@ -13,6 +13,7 @@ import pytest
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.branches import read_branches
 from wasp_cli.store.tables import read_episodes, read_steps
 
 SPEC = """
@@ -23,7 +24,7 @@ methods: [human, ida, diffusion, saferl, filter, wasp, expert]
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
-stages: [diagnostics, gate_signals]
+stages: [diagnostics, gate_signals, counterfactual]
 seeds: [4]
 episodes: 2
 wasp: {tau_c: 0.05, tau_r: 0.0}      # untrained models see little: gates that fire all the same
@@ -77,6 +78,22 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
     assert rates["expert"] == 0
     for name in ("ida", "diffusion", "saferl", "filter", "wasp"):
         assert rates[name] > 0, f"{name} never acted"
+
+
+def branches(results: Path) -> dict[str, Path]:
+    return {path.parent.name: path for path in (results / "store" / "counterfactual").glob("*/branches.parquet")}
+
+
+def test_the_interventions_of_every_method_that_acts_are_branched(results: Path) -> None:
+    found = {(b.cell.identity.method, b.cell.identity.assistant_variant): b for b in map(read_branches, branches(results).values())}
+    assert set(found) == {name for name in cells(results) if name[0] not in ("human", "expert")}
+    for name, judged in found.items():
+        steps = read_steps(cells(results)[name]).to_pylist()
+        interventions = [(step["episode"], step["t"]) for step in steps if step["deviation"] > 0]
+        assert list(zip(judged.episode.tolist(), judged.t.tolist(), strict=True)) == interventions[:: judged.cell.stride]
+        assert 0 < len(judged.t) <= 3
+    report = (results / "reports" / "chain" / "figure3.md").read_text(encoding="utf-8")
+    assert all(METHODS[method].title in report for method, _ in found)
 
 
 def of_round(results: Path, kind: str, number: int) -> Path:
@@ -157,14 +174,16 @@ def test_report_needs_the_results_folder_alone(results: Path) -> None:
 def test_one_worker_gives_the_same_rows_as_two(results: Path, tmp_path: Path) -> None:
     from wasp_cli.store.tables import same_rows
 
-    # What judges the models has no part in the rows.
-    done = wasp("run", str(results.parent / "chain.yaml"), "--results", str(tmp_path), "-j", "1", "--set", "stages=[]")
+    # What judges the models and the interventions has no part in the rows.
+    done = wasp("run", str(results.parent / "chain.yaml"), "--results", str(tmp_path), "-j", "1", "--set", "stages=[counterfactual]")
     assert done.returncode == 0, done.stderr
     mine, theirs = cells(results), cells(tmp_path)
     assert set(mine) == set(theirs)
     for name in mine:
         assert mine[name].parent.name == theirs[name].parent.name, "the same content has the same key"
         assert same_rows(mine[name], theirs[name]), name
+    judged, again = branches(results), branches(tmp_path)
+    assert {key: path.read_bytes() for key, path in judged.items()} == {key: path.read_bytes() for key, path in again.items()}
 
 
 def test_published_results_give_the_same_tables_on_a_fresh_machine(results: Path, tmp_path: Path) -> None:
