@@ -91,15 +91,19 @@ def _over_conditions(panel: Axes, group: Group, conditions: dict[Condition, str]
     """One method: a line over the severities of each operator; methods stand beside each other, so that none hides another."""
     colour, marker = STYLES.get(group.method, (PALETTE[0], "o"))
     places = {condition: i for i, condition in enumerate(conditions)}
-    for variant, own in groupby(conditions, key=lambda condition: condition[0]):
-        x, y, sd = [], [], []
+    x, y, sd = [], [], []
+    for _, own in groupby(conditions, key=lambda condition: condition[0]):
         for condition in own:
             value = summarise(_under(group, condition), column.key)
             x.append(places[condition] + shift)
             y.append(math.nan if value.mean is None else value.mean)
             sd.append(value.sd or 0.0)
-        label = METHODS[group.method].title if variant == next(iter(conditions))[0] else None
-        panel.errorbar(x, y, yerr=sd, fmt=marker, linestyle="-", color=colour, markersize=4, linewidth=0.9, elinewidth=0.8, label=label)
+        # A gap between operators, so that one line serves for all: each further one takes as long to draw as this one.
+        x, y, sd = [*x, math.nan], [*y, math.nan], [*sd, 0.0]
+    panel.errorbar(
+        x, y, yerr=sd if any(sd) else None, fmt=marker, linestyle="-", color=colour, markersize=4, linewidth=0.9, elinewidth=0.8,
+        label=METHODS[group.method].title,
+    )  # fmt: skip
 
 
 def _under(group: Group, condition: Condition) -> Sequence[CellNumbers]:
