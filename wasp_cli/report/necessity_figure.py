@@ -102,8 +102,10 @@ def _points(panel: Axes, own: Sequence[Group], column: Column) -> None:
             panel.plot([value.interval.low, value.interval.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
         panel.plot(value.mean, y, marker, color=colour, markersize=8, markeredgecolor="white")
     if column.key == "uir":
-        panel.set_xlim(0.0, 1.0)
+        panel.set_xlim(-0.05, 1.05)  # so that a mark at an end is whole
+        panel.set_xticks([0.0, 0.5, 1.0])
     else:
+        panel.locator_params(axis="x", nbins=4)
         panel.axvline(0.0, color="black", linewidth=0.8)
     panel.spines["left"].set_visible(False)
     panel.grid(axis="x", color="#dddddd", linewidth=0.6)
