@@ -37,7 +37,7 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
     if not tasks or len(conditions) < 2:
         return []
     with drawn((max(7.5, 2.2 + 0.9 * len(conditions)), 0.6 + 2.9 * len(tasks))) as figure:
-        panels = figure.subplots(len(tasks), len(MEASURES), squeeze=False)
+        panels = figure.subplots(len(tasks), len(MEASURES), squeeze=False, sharex=True)
         for row, task in zip(panels, tasks, strict=True):
             for panel, column in zip(row, MEASURES, strict=True):
                 own = [group for group in found if group.task == task]

@@ -13,7 +13,7 @@ from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.branches import with_branches
-from wasp_cli.report.comparison_table import BEST, comparison_table
+from wasp_cli.report.comparison_table import comparison_tables
 from wasp_cli.report.document import Report
 from wasp_cli.report.frame import Frame, Wanted, read_frame
 from wasp_cli.report.ladder_cells import ladders_of
@@ -84,8 +84,7 @@ def report_run(
     front += training_tables(parts, trained, {key: f"failed: {text}" for key, text in failures.items()})
     further = (
         None if verdict is None else numbers_table(verdict),
-        comparison_table(frame),
-        comparison_table(frame, BEST),
+        *comparison_tables(frame),
         operator_table(frame),
         severity_table(frame),
         _ladder(spec, frame),
