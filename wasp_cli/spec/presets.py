@@ -69,7 +69,7 @@ _QUICK: Document = {
     "denoiser": {"updates": 3000, "batch": 256},
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
-    "counterfactual": {"most": 60},
+    "counterfactual": {"most": 30},
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32},
 }  # fmt: skip
 
