@@ -6,6 +6,7 @@ After a wanted change of a table: `WASP_GOLDEN=write pytest tests/report/test_go
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -88,3 +89,16 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     pages = [(partial / "reports" / "golden" / name).read_text(encoding="utf-8") for name in ("report.md", "report.html")]
     assert all(f"{label}: not computed yet" in page for page in pages)
     assert label in strict.output.partition("branches are missing:")[2]
+
+
+def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(results, tmp_path / "results")
+    done = run_here("report", folder, columns=120)
+    assert done.exit_code == 0, done.output
+    page = (folder / "reports" / "golden" / "report.html").read_text(encoding="utf-8")
+    films = re.findall(r'<figure class="film".*?</figure>', page, re.DOTALL)
+    assert [re.findall(r"<strong>(.*?)</strong>", film) for film in films] == [["Human-only"], ["IDA"], ["Diffusion"], ["WASP"], ["Expert"]]
+    assert all("url(data:image/webp;base64," in film and "No film" not in film for film in films)
+    assert "under the operator Noisy 0.2" in page  # the first operator has no severity named moderate
+    assert "Of 21 claims" in page
+    assert page.index("Of 21 claims") < page.index('id="table1"')
