@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from wasp_cli.run.session import Selection, Way
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
+    from wasp_cli.spec.paper import Paper
     from wasp_cli.store.layout import Layout
 
 app = typer.Typer(
@@ -135,7 +136,7 @@ def plan(
 
 @app.command(
     epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1 --strict[/]\n\n"
-    "Exit codes: 0 done, 1 part of the results cannot be read (with --strict also: something is missing), 2 usage."
+    "Exit codes: 0 done, 1 part of the results cannot be read (with --strict also: something is missing), 2 usage, 3 invalid paper."
 )
 @expected_errors
 def report(
@@ -147,38 +148,40 @@ def report(
         Path | None,
         typer.Option("--paper", metavar="FILE", help="Another paper's numbers and claims. (default: specs/paper.yaml)", show_default=False),
     ] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="End with 1 when cells are missing.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="End with 1 when cells, or branches of them, are missing.")] = False,
     films: Annotated[bool, typer.Option("--films/--no-films", help="Films of one episode of each task under every method.")] = True,
 ) -> None:
     """Print the tables of what has run, and write them, the figures and one HTML page, from the results folder alone."""
     from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
+    from wasp_cli.report.document import missing_words
     from wasp_cli.report.runs import last_runs
     from wasp_cli.run.record import read_run, results_of
+    from wasp_cli.spec.paper import load_paper
 
-    layout = results_of(folder)
+    claimed, layout = load_paper(paper), results_of(folder)
     runs, damaged = last_runs(layout)
     if not runs and not damaged:
         raise StoreError(f"no results in '{folder}': it holds no runs", "wasp run SPEC --results DIR writes there")
     if spec is not None and runs and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
-    incomplete: list[str] = []
+    gaps: list[str] = []
+    missing: list[str] = []
     for name, run_id in runs.items():
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
-                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, paper=paper, films=films)
+                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, claimed, films=films)
                 damaged += shown.damaged
-                incomplete += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
+                gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
+                missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
     if damaged:
         found = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
         raise ArtifactError(f"part of the results cannot be read:\n{found}", "run the spec again: what is whole is kept")
-    if strict and incomplete:
-        more = f"\n  and {len(incomplete) - 10} more" if len(incomplete) > 10 else ""
-        raise CellsFailed(
-            "\n  ".join([f"{len(incomplete)} of the cells and their branches are missing:", *incomplete[:10]]) + more, "run the spec again"
-        )
+    if strict and missing:
+        more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
+        raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
 
 
 @app.command(epilog="[bold]wasp ablate --variant no-case2 --task goal1 --preset smoke[/]")
@@ -329,11 +332,13 @@ def _show_plan(
 def _run_and_report(loaded: Loaded, results: Path, way: Way, selection: Selection | None = None, reuse: str | None = None) -> None:
     from wasp_cli.plan.plan import branched_with_keys, cells_with_keys, parts_with_keys
     from wasp_cli.run.session import WHOLE, run_spec
+    from wasp_cli.spec.paper import load_paper
 
+    paper = load_paper()  # a mistake in it is told before anything runs
     session = run_spec(loaded, results, way, selection or WHOLE, reuse)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, wanted = session.plan.grid, session.plan.wanted
-    report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid), branched_with_keys(grid))
+    report = _show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid), branched_with_keys(grid), paper)
     session.require_complete()
     require_cells([cell for cell in report.missing if wanted is None or cell.key in wanted], session.layout)
 
@@ -344,15 +349,14 @@ def _show_report(
     cells: list[tuple[Cell, str]],
     parts: list[tuple[Part, str]],
     branched: list[tuple[Cell, str]],
+    paper: Paper,
     *,
-    paper: Path | None = None,
     films: bool = False,
 ) -> Report:
     from wasp_cli.console import err, out
     from wasp_cli.report.summarize import report_run
-    from wasp_cli.spec.paper import load_paper
 
-    report = report_run(layout.root, spec, cells, parts, load_paper(paper), branched)
+    report = report_run(layout.root, spec, cells, parts, paper, branched)
     # Written first: a terminal that goes away costs no file.
     with err().status("report") as status:
         _, page, *_ = report.write(layout.reports(spec.name), (lambda text: status.update(f"film of {text}")) if films else None)

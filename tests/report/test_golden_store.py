@@ -88,7 +88,7 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     (label,) = (str(one) for one, name in recorded.cells if name == key)
     pages = [(partial / "reports" / "golden" / name).read_text(encoding="utf-8") for name in ("report.md", "report.html")]
     assert all(f"{label}: not computed yet" in page for page in pages)
-    assert label in strict.output.partition("branches are missing:")[2]
+    assert label in strict.output.partition("error: golden: 1 of 32 cells is missing:")[2]
 
 
 def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: Path) -> None:
