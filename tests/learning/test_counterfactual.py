@@ -71,7 +71,7 @@ class Script(HumanOnly):
 def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention_give(cell: Evaluated) -> None:
     recorded = Recorded(**read_recorded(cell.path))
     intervened = [np.flatnonzero((a != a_h).any(1)) for a, a_h in zip(recorded.a, recorded.a_h, strict=True)]
-    chosen = [intervened[0][[1]].tolist(), [], intervened[2][[3, 6]].tolist()]
+    chosen = [intervened[0][[1]].tolist(), [], intervened[2][[0, -1]].tolist()]  # how many there are depends on the machine
     found = branched(cell, chosen)
     assert [(b.episode, b.t, b.name) for b in found] == [
         (e, t, name) for e, steps in enumerate(chosen) for t in steps for name in (ASSISTED, ALONE)
