@@ -135,7 +135,7 @@ def told(stored: Episode) -> Any:
         gate=stored.gate, costly=stored.costly, a_h=stored.a_h, a=stored.a, **{name: numbers[name] for name in names},
         gated=stored.gated, tau_c=stored.thresholds.tau_c, tau_r=stored.thresholds.tau_r,
         signal_name=SIGNALS.get(row["method"], "signal"),
-        signal_limit=stored.constants.vote if row["method"] == "ida" else stored.thresholds.tau_c,
+        signal_limit=stored.signal_limit,
         decision_seconds=stored.constants.decision_seconds or 0.1,
     )  # fmt: skip
 

@@ -106,6 +106,11 @@ class Episode:
         """In force; None where the method has none."""
         return Thresholds(*(number(self.row[name]) for name in ("tau_c", "tau_r", "tau_q")))
 
+    @property
+    def signal_limit(self) -> float | None:
+        """Above which the method's own signal calls for a correction; None where nothing says it."""
+        return self.thresholds.tau_c if self.constants.vote is None else self.constants.vote
+
     def at(self, name: str, t: int) -> float | None:
         """A number of decision t; None where it is undefined."""
         return number(float(self.numbers[name][t]))
@@ -155,6 +160,9 @@ def _read(cell: FoundCell, episode: int) -> Episode:
     place = numbers.index(episode)
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
+    a_h, a = (np.asarray(mine[name].to_pylist(), np.float64).reshape(mine.num_rows, -1) for name in ("a_h", "a"))
+    if not a.size or a.shape != a_h.shape:
+        raise ValueError("its commands and actions do not have the same numbers, or none")
     row = {name: printable(value) if isinstance(value, str) else value for name, value in rows.slice(place, 1).to_pylist()[0].items()}
     return Episode(
         cell=cell,
@@ -164,8 +172,8 @@ def _read(cell: FoundCell, episode: int) -> Episode:
         # A value that this version does not know can only be a rule of some method.
         gate=np.array([gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64),
         costly=np.asarray(mine["cost"].to_pylist(), bool),
-        a_h=np.asarray(mine["a_h"].to_pylist(), np.float64).reshape(mine.num_rows, -1),
-        a=np.asarray(mine["a"].to_pylist(), np.float64).reshape(mine.num_rows, -1),
+        a_h=a_h,
+        a=a,
         numbers={name: _floats(mine[name].to_pylist()) for name in NUMBERS + PREDICTED},
         safe=_lists(mine["safe"].to_pylist()),
         case2=_lists(mine["case2"].to_pylist()),

@@ -50,7 +50,7 @@ def _curves(episode: Episode) -> list[tuple[str, Floats, float | None]]:
     if episode.gated:
         return [("Ḡᶜ", numbers["g_cost"], limits.tau_c), ("ΔG", numbers["delta_g"], limits.tau_r)]
     if np.isfinite(numbers["signal"]).any():
-        return [("signal", numbers["signal"], limits.tau_q if limits.tau_q is not None else limits.tau_c)]
+        return [("signal", numbers["signal"], episode.signal_limit)]
     return [("|a−aᴴ|", numbers["deviation"], None)] if episode.intervened.any() else []
 
 
