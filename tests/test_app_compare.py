@@ -74,6 +74,7 @@ def test_out_writes_every_table_in_every_format(folder: Path, tmp_path: Path) ->
         (("one", "other", "--spec-a", "tiny", "--spec-b", "mein"), "did you mean 'mine'?"),
         (("one", "other", "--spec", "tiny", "--spec-b", "mine"), "belong together"),
         (("one", ""), "the name of the folder is empty"),
+        (("one", "two", "--out", __file__), "is no folder"),
     ],
 )
 def test_what_cannot_be_compared_ends_with_2(folder: Path, arguments: tuple[str, ...], what: str) -> None:

@@ -46,10 +46,12 @@ def compare(
     The last run of each spec counts. From the stored rows alone; nothing is executed.
     """
     from wasp_cli.console import out as console
-    from wasp_cli.errors import NotAccepted
+    from wasp_cli.errors import NotAccepted, UsageError
     from wasp_cli.report.compare import compare as compared_runs
     from wasp_cli.report.compare_text import as_json, show, write
 
+    if out is not None and out.exists() and not out.is_dir():
+        raise UsageError(f"'{out}' is no folder", "--out names a folder, which is made where there is none")
     found: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
     paths = [] if out is None else write(found, out)
     if json:

@@ -153,7 +153,7 @@ def test_few_episodes_cannot_show_a_difference_in_one_cell_among_many(first: Sid
     assert (len(compared.having("differs")), compared.beyond) == (8, [])
     table, summary = cells_table(compared), summary_table(compared)
     assert table is not None
-    assert table.notes[0].startswith("8 of 8 cells have too few episodes to differ by more than noise")
+    assert table.notes[0].startswith("Too few episodes in 8 of 8 cells to differ by more than noise")
     assert summary is not None
     cost = [each for row in summary.rows for column, each in zip(summary.columns, row.values, strict=True) if column.key == "cost"]
     assert all(each.interval is not None and each.interval.low > 0 for each in cost)

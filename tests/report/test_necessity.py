@@ -77,7 +77,7 @@ def test_rows_without_all_branches_are_partial_and_never_best(grid: Grid) -> Non
     partial = table_of(frame_of(wanted))
     assert "WASP [7 of 8 cells]" in {row.labels[1] for row in partial.rows}
     assert not any(partial.rows[r].labels[1].startswith("WASP") for r, _ in partial.marks)
-    assert any(note.startswith("INCOMPLETE: 1 cells have no counterfactual branches") for note in partial.notes)
+    assert any(note.startswith("INCOMPLETE: 1 cell has no counterfactual branches") for note in partial.notes)
 
 
 def test_where_all_branches_are_missing_the_rows_say_so(grid: Grid) -> None:

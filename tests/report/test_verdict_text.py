@@ -137,5 +137,5 @@ def test_a_missing_cell_leaves_its_claims_untested(grid: Callable[..., list[Want
     about = [answer for answer in answers if "wasp" in {side.method for side in (answer.asked.left, answer.asked.right) if side}]
     assert {answer.outcome for answer in about} == {"untested"}
     assert {answer.outcome for answer in answers if answer not in about} <= {"holds", "fails", "undecided"}
-    assert "1 of 63 cells are missing; claims about their rows are not tested." in " ".join(verdict.notes)
+    assert "1 of 63 cells is missing; claims about the rows of such cells are not tested." in " ".join(verdict.notes)
     assert "Not tested: Goal1 wasp has 11 of 12 cells." in verdict_markdown(verdict)

@@ -48,7 +48,7 @@ def headline(compared: Compared) -> str:
     counts = [(words, len(compared.having(state))) for state, words in STATES.items()]
     told = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
     beyond = len(compared.beyond)
-    return f"{len(compared.cells)} cells: {told}; {beyond or 'none'} {'differs' if beyond == 1 else 'differ'} by more than noise."
+    return f"{_cells(len(compared.cells))}: {told}; {beyond or 'none'} {'differs' if beyond == 1 else 'differ'} by more than noise."
 
 
 def cells_table(compared: Compared) -> Table | None:
@@ -98,15 +98,15 @@ def _unable(compared: Compared) -> tuple[str, ...]:
     notes = []
     unpaired = sum(each.worlds == 0 for each in found)
     if unpaired:
-        notes.append(f"{unpaired} cells have no world in common: their episodes are compared unpaired, by permuting which is whose.")
+        notes.append(f"{_cells(unpaired)} without a world in common: their episodes are compared unpaired, by permuting which is whose.")
     partly = sum(0 < each.worlds < max(each.episodes) for each in found)
     if partly:
-        notes.append(f"{partly} cells have other worlds too; those in common are compared.")
+        notes.append(f"{_cells(partly)} with other worlds too: those in common are compared.")
     weak = sum(each.least * len(found) > LEVEL for each in found)
     if weak:
         notes.append(
-            f"{weak} of {len(found)} cells have too few episodes to differ by more than noise among so many cells, whatever the "
-            "difference: look at the difference of each assistant."
+            f"Too few episodes in {weak} of {_cells(len(found))} to differ by more than noise among so many, whatever the difference: look "
+            "at the difference of each assistant."
         )
     return tuple(notes)
 
@@ -124,13 +124,17 @@ def told(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
     if compared.causes:
         yield "What differs behind the cells:"
         for cause, count in compared.causes[:shown]:
-            yield f"  {cause} ({count} cell{'s' if count != 1 else ''})"
+            yield f"  {cause} ({_cells(count)})"
         if shown is not None and len(compared.causes) > shown:
             yield f"  and {len(compared.causes) - shown} more"
     odd = [cell for cell in compared.having("differs") if cell.keys[0] == cell.keys[1]]
     if odd:
         what = "cell has other rows" if len(odd) == 1 else "cells have other rows"
         yield f"{len(odd)} {what} under the same key: computed on another machine, or the file was changed since: {odd[0].label}"
+
+
+def _cells(count: int) -> str:
+    return "1 cell" if count == 1 else f"{count} cells"
 
 
 def _named(side: Side) -> str:
@@ -146,7 +150,7 @@ def show(compared: Compared, console: Console) -> None:
             rows = table.rows[:SHOWN] if table.name == "cells" else table.rows
             console.print(terminal(replace(table, rows=rows), console.width))
             if len(rows) < len(table.rows):
-                console.print(Text(f"and {len(table.rows) - len(rows)} more cells; --out FOLDER writes all"), soft_wrap=True)
+                console.print(Text(f"and {len(table.rows) - len(rows)} more; --out DIR writes all"), soft_wrap=True)
 
 
 def page(compared: Sequence[Compared]) -> str:

@@ -99,8 +99,9 @@ def _notes(frame: Frame) -> Iterator[str]:
         if few:
             yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: hardly more than examples."
     if frame.unbranched:
+        have = "cell has" if len(frame.unbranched) == 1 else "cells have"
         yield (
-            f"INCOMPLETE: {len(frame.unbranched)} cells have no counterfactual branches. "
+            f"INCOMPLETE: {len(frame.unbranched)} {have} no counterfactual branches. "
             "Rows with [x of y cells] are partial and never marked best."
         )
 

@@ -276,5 +276,6 @@ def _notes(frame: Frame, absent: list[str], seeds: int, spec: Spec | None) -> It
     if spec is not None and spec.preset != "paper":
         yield f"Preset `{spec.preset}` has smaller models and budgets than the paper: what does not hold here may hold there."
     if frame.missing:
-        yield f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells are missing; claims about their rows are not tested."
+        are = "is" if len(frame.missing) == 1 else "are"
+        yield f"{len(frame.missing)} of {len(frame.order)} cells {are} missing; claims about the rows of such cells are not tested."
     yield "Intervals are of 95 % each, without a correction for the number of comparisons. The margins are ours: the paper states none."
