@@ -56,6 +56,8 @@ def replay(
 
     The cell is played again with its own models, bit for bit, and refused if it does not come out as it was recorded. With --step, two
     branches of the real task begin at one decision: one executes what was executed, the other the command; both then follow the operator.
+
+    This runs the task: of a cell on a gymnasium environment it imports the module that the cell names. Only do so where you trust it.
     """
     from wasp_cli.console import following
     from wasp_cli.console import out as stdout

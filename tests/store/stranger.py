@@ -88,8 +88,21 @@ class Stranger:
         table = pq.read_table(path)
         for name, values in columns.items():
             index = table.schema.get_field_index(name)
-            table = table.remove_column(index) if values is None else table.set_column(index, name, pa.array(values))
+            table = (
+                table.remove_column(index)
+                if values is None
+                else table.set_column(index, name, values if isinstance(values, pa.Array) else pa.array(values))
+            )
         pq.write_table(table, path)
+
+    def played(self, action_repeat: int) -> None:
+        """The manifest says what is needed to play the cell again."""
+        self.manifest(settings={"action_repeat": action_repeat}, axes={"method": "human", "variant": "noisy", "value": 0.2})
+
+    def steps(self, **numbers: Any) -> None:
+        """Rewrite fields of every decision of the cell."""
+        steps = pq.read_table(self.artifact / CELL_FILE)["steps"]
+        self.rows(steps=pa.array([[step | numbers for step in episode] for episode in steps.to_pylist()], steps.type))
 
 
 def upstream_of(node: Node) -> dict[str, tuple[str, str]]:

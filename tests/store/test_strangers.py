@@ -10,6 +10,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.store.attacks import ATTACKS
+from tests.store.attacks_on_pictures import SCRIPT
 from tests.store.stranger import LABEL, Stranger
 from wasp_cli.store.tables import CELL_FILE
 
@@ -20,6 +21,8 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("show", "{label}", "--results", "{results}"), ("show", "{key}", "--json", "--results", "{results}"),
     ("explain", "{key}", "-e", "0", "--results", "{results}"), ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"),
     ("compare", "{results}", "{results}"), ("compare", "{results}", "{results}", "--json"),
+    ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"),
+    ("replay", "{key}", "-e", "0", "-s", "0", "--json", "--results", "{results}", "--out", "{results}/made.png"),
     ("gc", "{results}", "--dry-run"), ("gc", "{results}", "--runs", "--yes"),
 )  # fmt: skip
 
@@ -59,5 +62,8 @@ def test_nothing_is_obeyed(name: str, outside: Path, tmp_path: Path) -> None:
         assert SECRET not in done.output, arguments
         codes[command[:2]] = done.exit_code
     assert not (outside / "imported").exists()
+    for page in it.layout.root.glob("reports/*/report.html"):
+        assert SCRIPT not in page.read_text(encoding="utf-8")
     if name == "nothing_at_all":
-        assert set(codes.values()) == {0}
+        # There are rows, and no models to play them again with.
+        assert codes == {command[:2]: 2 if command[0] == "replay" else 0 for command in COMMANDS}

@@ -111,13 +111,16 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
         size: side of a frame in px.
 
     Raises:
-        ArtifactError: as `play`.
+        ArtifactError: as `play`, or the actions are none of this task.
         UnknownName: no such task.
         TaskError: the module of the task does not import.
     """
     made = make_task(task, 1, action_repeat=action_repeat, observe=())
     if not isinstance(made, HasScene):
         made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
+    for actions in (a, a_h):
+        if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
+            raise ArtifactError(f"the rows do not have {made.action_size} finite numbers for every action", "run the spec again")
     view = MapView(made.look(), size) if isinstance(made, HasScene) else None
     frames: list[Pixels] = []
     decisions: list[int] = []

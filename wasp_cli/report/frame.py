@@ -187,6 +187,7 @@ def _read(cell: Wanted) -> Numbers | Missing:
             numbers = read_numbers(cell.path, COLUMNS) or _read_closely(cell.path)
             if numbers.identity != cell.identity:
                 raise StoreError(f"{cell.path} holds another cell: {numbers.identity}")
+            numbers.table["episode_seed"].cast(pa.float64())  # an error where two worlds would become one number
     except StoreError as error:
         # A report names a damaged cell and goes on; it never averages without it in silence.
         reason = error.message + (f" ({error.hint})" if error.hint else "")
@@ -212,7 +213,7 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
         if not path.is_file():  # a pipe would hold the reader for ever
             raise StoreError(f"{path} is no plain file")
         yield
-    except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+    except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
         what = " ".join(str(error).split())[:200]
         raise StoreError(f"{path} is not as wasp writes it: {what}", "delete its folder and run the spec again") from error
 

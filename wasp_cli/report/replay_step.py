@@ -13,8 +13,11 @@ import numpy as np
 from wasp_cli.errors import WaspError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.registry import load_target
 from wasp_cli.report.explain.stored import Episode, number, read_episode
+from wasp_cli.report.frame import odd_tables_refused
+from wasp_cli.report.node import mapping
 from wasp_cli.report.replay import default_name, source_of, title_of, upstream_of
 from wasp_cli.store.artifact import published, read_manifest, read_record
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
@@ -136,17 +139,19 @@ def judged(stored: Episode, step: int, scale: Scale, told: dict[str, dict[str, l
 
 def scale_of(layout: Layout, cell: FoundCell) -> Scale:
     """W and tau_R of a cell's own branches; else of its calibration; else the paper's W and no tau_R."""
-    for key in sorted(filter(is_key, published(layout, "counterfactual"))) if cell.key else ():
+    for key in sorted(filter(is_key, published(layout, COUNTERFACTUAL))) if cell.key else ():
         with suppress(WaspError):
-            if cell.key in dict(read_manifest(layout, "counterfactual", key).get("upstream", {})).values():
-                mine = read_branches(layout.artifact("counterfactual", key) / BRANCHES_FILE).cell
+            if cell.key in mapping(read_manifest(layout, COUNTERFACTUAL, key).get("upstream")).values():
+                path = layout.within(layout.artifact(COUNTERFACTUAL, key) / BRANCHES_FILE)
+                with odd_tables_refused(path):
+                    mine = read_branches(path).cell
                 return Scale(mine.window, mine.tau_R, "the counterfactual branches of the cell")
     calibration = upstream_of(cell).get("calibration")
     if calibration is not None:
         with suppress(WaspError):
-            found = read_record(layout.artifact("calibration", calibration) / "calibration.json") or {}
-            window = read_manifest(layout, "calibration", calibration).get("config", {}).get("window")
+            found = read_record(layout.within(layout.artifact("calibration", calibration) / "calibration.json")) or {}
+            window = mapping(read_manifest(layout, "calibration", calibration).get("config")).get("window")
             tau_R = found.get("tau_R")
-            if isinstance(tau_R, float) and number(tau_R) is not None and isinstance(window, int):
+            if isinstance(tau_R, float) and number(tau_R) is not None and type(window) is int and window > 0:
                 return Scale(window, tau_R, "the calibration of the method")
     return Scale(WINDOW, None, "nothing in the results folder says what τ_R is")

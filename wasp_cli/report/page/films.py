@@ -128,7 +128,7 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int) -> Meth
         return None
     every = max(1, math.ceil(episode.decisions / FRAMES))
     repeat = episode.constants.action_repeat
-    if repeat is None:
+    if repeat is None or repeat > TASKS[identity.task].env_steps:  # a stranger's decision might last for hours here
         return MethodFilm(identity.method, episode, None, every, "its manifest does not say how long a decision is")
     draw: Callable[..., Sprite] = load_target("wasp_cli.learning.film:sprite_of")  # by import string: it needs MuJoCo
     seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
