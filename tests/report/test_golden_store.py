@@ -72,6 +72,13 @@ def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Re
     assert {answer.outcome for judged in report.verdict.claims for answers in judged.answers for answer in answers} > {"untested"}
 
 
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take most of the time of a report, and other tests look at them."""
+    monkeypatch.setattr("wasp_cli.report.document.draw_figures", lambda *_: [])
+
+
+@pytest.mark.usefixtures("without_figures")
 def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) -> None:
     partial = shutil.copytree(results, tmp_path / "results")
     cell = sorted(partial.glob("store/evaluate/*/cell.parquet"))[0]
@@ -102,3 +109,36 @@ def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: P
     assert "under the operator Noisy 0.2" in page  # the first operator has no severity named moderate
     assert "Of 21 claims" in page
     assert page.index("Of 21 claims") < page.index('id="table1"')
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (None, "no such file"),
+        ("claims: [\n", "not valid YAML"),
+        ("title: x\ntables: []\nclaims: 7\n", "claims"),
+        ("name: x\npreset: smoke\n", "missing key 'title'"),
+    ],
+)
+@pytest.mark.usefixtures("without_figures")
+def test_a_wrong_paper_is_named_and_is_no_damage_of_the_results(results: Path, tmp_path: Path, text: str | None, what: str) -> None:
+    paper = tmp_path / "mine.yaml"
+    if text is not None:
+        paper.write_text(text)
+    done = run_here("report", results, "--no-films", "--paper", paper, columns=200)
+    assert done.exit_code == 3
+    assert f"{paper}:" in done.stderr
+    assert what in done.stderr
+    assert "cannot be read" not in done.stderr
+    assert done.stdout == ""
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_a_paper_of_ones_own_is_the_one_that_is_judged(results: Path, tmp_path: Path) -> None:
+    paper = tmp_path / "mine.yaml"
+    statement = "{tasks: [goal1], left: [human], relation: at_most, columns: [int_rate], bound: 0.5}"
+    paper.write_text(f"title: Mine\ntables: []\nclaims:\n- id: alone\n  section: '1'\n  says: Nobody helps\n  statements: [{statement}]\n")
+    done = run_here("report", results, "--no-films", "--paper", paper, columns=200)
+    assert done.exit_code == 0
+    assert "Of 1 claims 1 holds" in done.stdout
+    assert "Nobody helps (1)" in done.stdout
