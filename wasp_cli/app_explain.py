@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from wasp_cli.options import ResultsOption, expected_errors, print_json
+from wasp_cli.options import EpisodeOption, ResultsOption, StoredCellArgument, expected_errors, print_json
 
 explain_app = typer.Typer()
 
@@ -22,13 +22,8 @@ WIDTH = 140
 )
 @expected_errors
 def explain(
-    cell: Annotated[
-        str,
-        typer.Argument(
-            metavar="CELL", help="The beginning of a key, a label ('goal1 s0 wasp laggy=0.7'), or a cell.parquet.", show_default=False
-        ),
-    ],
-    episode: Annotated[int, typer.Option("--episode", "-e", metavar="E", help="Which episode of the cell.", show_default=False)],
+    cell: StoredCellArgument,
+    episode: EpisodeOption,
     step: Annotated[
         int | None,
         typer.Option("--step", "-s", metavar="T", help="One decision, with its plan. (default: the whole episode)", show_default=False),

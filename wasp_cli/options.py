@@ -46,6 +46,13 @@ NodeArgument = Annotated[
     str,
     typer.Argument(metavar="CELL", help="The beginning of a key, or a label ('goal1 s0 wasp laggy=0.7').", show_default=False),
 ]
+StoredCellArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="CELL", help="The beginning of a key, a label ('goal1 s0 wasp laggy=0.7'), or a cell.parquet.", show_default=False
+    ),
+]
+EpisodeOption = Annotated[int, typer.Option("--episode", "-e", metavar="E", help="Which episode of the cell.", show_default=False)]
 TaskOption = Annotated[
     str | None,
     typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False, autocompletion=complete.tasks),

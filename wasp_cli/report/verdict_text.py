@@ -44,7 +44,8 @@ def headline(verdict: VerdictReport) -> str:
         parts.append(f"{tested} {'is' if tested == 1 else 'are'} tested in part ({', '.join(partly)})")
     if rest["untested"]:
         parts.append(_counted(rest["untested"], "untested", verdict))
-    return f"Of {len(verdict.claims)} claims {'; '.join(parts)}."
+    total = f"{len(verdict.claims)} claim{'s' if len(verdict.claims) != 1 else ''}"
+    return f"Of {total} {'; '.join(parts)}."
 
 
 def _counted(count: int, outcome: Outcome, verdict: VerdictReport) -> str:
