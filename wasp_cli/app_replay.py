@@ -64,6 +64,8 @@ def replay(
 
     if json and step is None:
         raise UsageError("--json needs --step", "wasp explain CELL --episode E --json has the numbers of an episode")
+    if every is not None and step is not None:
+        raise UsageError("--every has no meaning with --step", "both branches of a decision are short: every decision of them is a frame")
     layout = Layout(results.absolute())
     found = find_cell(layout, cell)
     with following("replay") as progress:
