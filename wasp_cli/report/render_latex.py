@@ -67,7 +67,8 @@ def _lines(table: Table) -> Iterator[str]:
     yield rf"\begin{{{environment}}}"
     yield r"\centering\small"
     marks = ["Best values are bold."] * bool(table.marks) + ["Second best values are underlined."] * bool(table.seconds)
-    yield rf"\caption{{{escaped(' '.join([table.title.rstrip('.') + '.', *marks, *table.notes]))}}}"
+    title = table.title if table.title.endswith((".", "?")) else f"{table.title}."
+    yield rf"\caption{{{escaped(' '.join([title, *marks, *table.notes]))}}}"
     yield rf"\label{{tab:{_name(table.name)}}}"
     yield rf"\begin{{tabular}}{{{'l' * len(table.labels)}{'r' * len(shown)}}}"
     yield r"\toprule"
