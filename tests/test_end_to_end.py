@@ -91,7 +91,9 @@ def test_the_interventions_of_every_method_that_acts_are_branched(results: Path)
         steps = read_steps(cells(results)[name]).to_pylist()
         interventions = [(step["episode"], step["t"]) for step in steps if step["deviation"] > 0]
         assert list(zip(judged.episode.tolist(), judged.t.tolist(), strict=True)) == interventions[:: judged.cell.stride]
-        assert 0 < len(judged.t) <= 3
+        assert len(judged.t) <= 3
+    # How often an untrained method acts depends on the machine, but Diffusion always does.
+    assert len(found["diffusion", "full"].t) > 0
     report = (results / "reports" / "chain" / "figure3.md").read_text(encoding="utf-8")
     assert all(METHODS[method].title in report for method, _ in found)
 
