@@ -222,6 +222,7 @@ def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, sma
 def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from wasp_cli.app import _show_report
     from wasp_cli.report.document import Report
+    from wasp_cli.spec.paper import load_paper
 
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
 
@@ -230,7 +231,7 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
     monkeypatch.setattr(Report, "terminal", gone)
     with pytest.raises(BrokenPipeError):
-        _show_report(layout, loaded.spec, cells_with_keys(plan.grid), [], [])
+        _show_report(layout, loaded.spec, cells_with_keys(plan.grid), [], [], load_paper())
     assert (layout.reports("small") / "report.md").is_file()
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.artifacts import tiny_artifacts
 from tests.cells import Evaluated, evaluated
 from tests.learning.test_counterfactual import branched
 from tests.learning.test_video import source_of
@@ -22,16 +21,6 @@ from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.store.recorded import read_recorded
 
 EPISODE, WINDOW = 1, 5
-
-
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
-
-
-@pytest.fixture(scope="module")
-def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
-    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})
 
 
 def intervened(cell: Evaluated, wanted: bool) -> int:

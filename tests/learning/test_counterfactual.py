@@ -12,7 +12,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.artifacts import tiny_artifacts
 from tests.cells import Evaluated, evaluated
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampled
@@ -29,11 +28,6 @@ IDA = {"vote": 0.0}
 """On untrained models it intervenes at some decisions, and not at others."""
 VALUES = {"limited-skill": 0.25, "reaction-time": 0.8}
 WINDOW = 6
-
-
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
 from tests.cells import REPEAT, Evaluated, evaluated
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError
@@ -25,11 +24,6 @@ from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.seeds import layout_seed, method_seed
 from wasp_cli.store.recorded import read_recorded
-
-
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import pytest
 import torch
 from PIL import Image, ImageColor
 
-from tests.artifacts import tiny_artifacts
 from tests.cells import REPEAT, Evaluated, evaluated
 from tests.learning.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
@@ -32,16 +31,6 @@ from wasp_cli.tasks.base import HasScene
 
 EPISODE, HORIZON = 1, 4
 assert Meter  # registers an environment without a map
-
-
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
-
-
-@pytest.fixture(scope="module")
-def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
-    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", {"vote": 0.0})
 
 
 def source_of(cell: Evaluated, **changes: Any) -> Source:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from tests.artifacts import tiny_artifacts
 from tests.worlds import NoCritics
 from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.draws import generator, gumbel
@@ -27,11 +26,6 @@ from wasp_cli.operators.noise import EpisodeNoise
 HORIZON, ROWS, ROW, T = 6, 3, 1, 9
 GAMMA = 0.9
 PLAN = np.array([[0.4, -0.7], [-0.3, 0.2]], np.float32)
-
-
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
 
 
 @pytest.fixture(params=[("laggy", 0.7), ("noisy", 0.5), ("reaction-time", 0.24), ("none", None)], ids=lambda each: each[0])

@@ -15,7 +15,7 @@ if __name__ == "__main__":
 
     fake_stages.install()
 
-    def show_cells(layout: object, spec: object, cells: list[object], parts: object, branched: object) -> SimpleNamespace:
+    def show_cells(layout: object, spec: object, cells: list[object], *more: object) -> SimpleNamespace:
         out().print(f"{len(cells)} cells")
         return SimpleNamespace(missing=())
 
