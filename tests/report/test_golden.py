@@ -30,11 +30,12 @@ TABLES: tuple[Callable[[Frame], Table | None], ...] = (
 )  # fmt: skip
 
 
-def compare(name: str, text: str) -> None:
+def golden(name: str, text: str) -> str:
+    """What a file should say; with WASP_GOLDEN=write it says `text` from now on."""
     path = GOLDEN / name
     if os.environ.get("WASP_GOLDEN") == "write":
         path.write_text(text, encoding="utf-8")
-    assert text == path.read_text(encoding="utf-8")
+    return path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("ending", RENDERERS)
@@ -42,7 +43,8 @@ def compare(name: str, text: str) -> None:
 def test_tables(frame: Frame, make: Callable[[Frame], Table | None], ending: str) -> None:
     table = make(frame)
     assert table is not None
-    compare(f"{table.name}.{ending}", RENDERERS[ending](table))
+    text = RENDERERS[ending](table)
+    assert text == golden(f"{table.name}.{ending}", text)
 
 
 def test_incomplete_grid(grid: Callable[..., list[Wanted]]) -> None:
@@ -52,7 +54,8 @@ def test_incomplete_grid(grid: Callable[..., list[Wanted]]) -> None:
     frame = read_frame(wanted)
     texts = [RENDERERS["md"](table) for table in (main_table(frame), ablation_table(frame)) if table is not None]
     assert all("INCOMPLETE: 6 of 25 cells are missing" in text for text in texts)
-    compare("incomplete.md", "\n".join(texts))
+    text = "\n".join(texts)
+    assert text == golden("incomplete.md", text)
 
 
 def test_grid_without_ablations_has_no_such_table(grid: Callable[..., list[Wanted]]) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 
 from tests.report.branched import with_invented_branches
 from tests.report.invented import write_grid
-from tests.report.test_golden import compare
+from tests.report.test_golden import golden
 from wasp_cli.report.branches import with_branches
 from wasp_cli.report.frame import Frame, Wanted, read_frame
 from wasp_cli.report.necessity_figure import necessity_figure
@@ -45,7 +45,8 @@ def row(table: Table, method: str) -> dict[str, float | None]:
 @pytest.mark.parametrize("ending", RENDERERS)
 def test_the_table(judged: Frame, ending: str) -> None:
     table = table_of(judged)
-    compare(f"{table.name}.{ending}", RENDERERS[ending](table))
+    text = RENDERERS[ending](table)
+    assert text == golden(f"{table.name}.{ending}", text)
 
 
 def test_a_row_is_the_mean_over_seeds_of_its_cells(judged: Frame) -> None:
