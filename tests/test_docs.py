@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import typer
 
-from wasp_cli.app import app
+from wasp_cli.cli.app import app
 from wasp_cli.spec.ablation import ablation
 from wasp_cli.spec.load import load
 from wasp_cli.spec.sweep import read_sweep

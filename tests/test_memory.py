@@ -11,7 +11,7 @@ import pytest
 COUNT = """\
 import resource
 import torch
-from wasp_cli.learning.planner_bench import Setup
+from wasp_cli.studies.planner_timing import Setup
 from wasp_cli.memory import keep_memory
 from wasp_cli.spec.bench import bench_configs
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scene_worlds import PointWorld
 from torch import Tensor
 
-from wasp_cli.learning.simulator import NoCritics
 from wasp_cli.methods.base import Assistant
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.human import HumanOnly
@@ -25,6 +24,7 @@ from wasp_cli.metrics.episode import GATE_NONE, INTERVENED
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.studies.simulator import NoCritics
 
 Array = NDArray[Any]
 

@@ -14,11 +14,11 @@ from tests.cells import Evaluated, evaluated
 from tests.learning.test_counterfactual import branched
 from tests.learning.test_video import source_of
 from wasp_cli.errors import TaskError, UsageError
-from wasp_cli.learning.branch_view import Pair
-from wasp_cli.learning.film import film
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.store.recorded import read_recorded
+from wasp_cli.video.branches import Pair
+from wasp_cli.video.sprite import film
 
 EPISODE, WINDOW = 1, 5
 

@@ -11,12 +11,12 @@ import pytest
 from PIL import Image, ImageColor
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.learning import film as films
-from wasp_cli.learning.film import film, play, sprite, sprite_of
-from wasp_cli.learning.map_view import COMMAND, COST, EXECUTED, FREE, MapView, Pose, stick
 from wasp_cli.tasks.base import HasScene
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.make import make_task
+from wasp_cli.video import sprite as films
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, FREE, MapView, Pose, stick
+from wasp_cli.video.sprite import film, play, sprite, sprite_of
 
 SIZE = 96
 ORANGE = np.array(ImageColor.getrgb(COST))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.learning.readout import displacements, fit, integrated
+from wasp_cli.video.readout import displacements, fit, integrated
 
 FEATURES = 12
 

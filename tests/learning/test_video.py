@@ -14,20 +14,20 @@ from PIL import Image, ImageColor
 from tests.cells import REPEAT, Evaluated, evaluated
 from tests.learning.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
-from wasp_cli.learning import video_file
-from wasp_cli.learning.film import film
-from wasp_cli.learning.map_view import COST, Pose
-from wasp_cli.learning.readout import displacements
 from wasp_cli.learning.rerun import Recorded
-from wasp_cli.learning.retrace import Retraced, Source, retrace
-from wasp_cli.learning.video import Correction, film_episode
-from wasp_cli.learning.video_file import MEANT, checked, palette_of, write
-from wasp_cli.learning.video_frame import HEIGHT, TIMELINE, WIDTH
-from wasp_cli.learning.video_timeline import GATE_COLOURS, Timeline, Told
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.report.figure import PALETTE
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.base import HasScene
+from wasp_cli.video import encode as video_file
+from wasp_cli.video.encode import MEANT, checked, palette_of, write
+from wasp_cli.video.film import Correction, film_episode
+from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH
+from wasp_cli.video.map import COST, Pose
+from wasp_cli.video.readout import displacements
+from wasp_cli.video.sprite import film
+from wasp_cli.video.timeline import GATE_COLOURS, Timeline, Told
+from wasp_cli.video.trace import Retraced, Source, retrace
 
 EPISODE, HORIZON = 1, 4
 assert Meter  # registers an environment without a map

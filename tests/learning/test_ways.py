@@ -15,13 +15,13 @@ from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.policies import load_skills
 from wasp_cli.learning.trained import load_world_model
-from wasp_cli.learning.ways import ROLLOUTS, Outset, imagined, outset
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.video.imagined import ROLLOUTS, Outset, imagined, outset
 
 HORIZON, ROWS, ROW, T = 6, 3, 1, 9
 GAMMA = 0.9

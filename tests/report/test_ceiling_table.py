@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wasp_cli.learning.ceiling import Cell, Outcome
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory, episode_metrics
-from wasp_cli.report.ceiling_table import ceiling_table
 from wasp_cli.report.table import markdown
+from wasp_cli.studies.oracle import Cell, Outcome
+from wasp_cli.studies.oracle_table import ceiling_table
 
 CELL = Cell("goal1", 0, "laggy", 0.7, 2, 4, 0.99, 0.95, 7, 25.0, Path())
 

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from tests.report.two_runs import episodes, write_results
-from wasp_cli.report.compare import Compared, Side, State, compare
-from wasp_cli.report.compare_text import as_json, cells_table, headline, page, summary_table, tables, told
-from wasp_cli.report.paired import MEASURES
+from wasp_cli.compare.paired import MEASURES
+from wasp_cli.compare.runs import Compared, Side, State, compare
+from wasp_cli.compare.text import as_json, cells_table, headline, page, summary_table, tables, told
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_episodes
 

@@ -77,7 +77,7 @@ def test_rows_that_cannot_be_read_end_with_1(results: Path, tmp_path: Path) -> N
 
 def test_explaining_imports_neither_torch_nor_mujoco(results: Path) -> None:
     code = (
-        "import sys\nfrom wasp_cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
+        "import sys\nfrom wasp_cli.cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
         "try: main()\nexcept SystemExit: pass\n"
         "print('IMPORTED', [name for name in ('torch', 'mujoco', 'joblib', 'gymnasium') if name in sys.modules])"
     )

@@ -22,13 +22,13 @@ from tests.report.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
 from wasp_cli.metrics.episode import GATE_SAFETY
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.report.explain.stored import read_episode
-from wasp_cli.report.replay import correction, default_name, told
-from wasp_cli.report.replay_step import Scale, judged, scale_of
 from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, write_branches
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds
+from wasp_cli.video.replay import correction, default_name, told
+from wasp_cli.video.replay_step import Scale, judged, scale_of
 
 LABEL = "race1 s0 wasp noisy=0.4"
 
@@ -98,7 +98,7 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
 
 
 def test_the_words_of_the_rows_reach_the_frames(tmp_path: Path) -> None:
-    from wasp_cli.learning.video_text import numbers
+    from wasp_cli.video.text import numbers
 
     made = Invented()
     made.fire(2, GATE_SAFETY)
@@ -197,7 +197,7 @@ def test_tau_R_comes_from_the_cells_own_branches_before_the_calibration(copied: 
 def test_wrong_usage_ends_with_2_before_anything_is_played(
     arguments: list[str], expected: str, results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("wasp_cli.learning.retrace.Source.world", lambda self: pytest.fail("played"))
+    monkeypatch.setattr("wasp_cli.video.trace.Source.world", lambda self: pytest.fail("played"))
     done = replayed(results, *arguments)
     assert (done.exit_code, done.stdout) == (2, "")
     assert expected in done.stderr

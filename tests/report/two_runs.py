@@ -9,11 +9,11 @@ from typing import Any
 from tests.report.invented import invent
 from tests.report.invented import write as write_cell
 from tests.store.stranger import write_run_of
+from wasp_cli.compare.runs import Side
 from wasp_cli.metrics.episode import Trajectory
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.report.compare import Side
 from wasp_cli.report.summarize import identity_of
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.model import validate

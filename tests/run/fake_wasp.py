@@ -9,7 +9,7 @@ from types import SimpleNamespace
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-    import wasp_cli.app
+    import wasp_cli.cli.app
     from tests.run import fake_stages
     from wasp_cli.console import out
 
@@ -19,5 +19,5 @@ if __name__ == "__main__":
         out().print(f"{len(cells)} cells")
         return SimpleNamespace(missing=())
 
-    wasp_cli.app._show_report = show_cells  # type: ignore[assignment]
-    wasp_cli.app.main()
+    wasp_cli.cli.app._show_report = show_cells  # type: ignore[assignment]
+    wasp_cli.cli.app.main()

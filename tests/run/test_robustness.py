@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.run.harness import ROOT, Fakes, prepared, run
-from wasp_cli import doctor
+from wasp_cli.cli import doctor
 from wasp_cli.errors import StoreError, WaspError, refusal
 from wasp_cli.plan.waves import waves
 from wasp_cli.registry import Registry
@@ -61,7 +61,7 @@ def test_doctor_looks_and_creates_nothing(tmp_path: Path, monkeypatch: pytest.Mo
         assert doctor._writable(tmp_path / place).state == "ok"
     for place in ("file", "file/below", "link"):
         assert doctor._writable(tmp_path / place).state == "missing"
-    monkeypatch.setattr("wasp_cli.doctor.os.access", lambda path, mode: False)
+    monkeypatch.setattr("wasp_cli.cli.doctor.os.access", lambda path, mode: False)
     finding = doctor._writable(tmp_path / "absent")
     assert (finding.state, finding.found) == ("missing", f"cannot write to '{tmp_path}'")
     with pytest.raises(WaspError, match="no run is possible here yet: results"):

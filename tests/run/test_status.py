@@ -173,7 +173,7 @@ def test_who_looks_imports_nothing_heavy(command: str, layout: Layout) -> None:
     layout.log(RUN, "a", key(1)).write_text("log\n")
     manifest = {"label": "a", "config": {"updates": 7}, "axes": {"method": "wasp", "method_config": {"horizon": 7}}, "files": {}}
     write_record(layout.manifest("world_model", key(1)), manifest)
-    code = "import sys\nfrom wasp_cli.app import main\ntry: main()\nexcept SystemExit as end: code = end.code\n"
+    code = "import sys\nfrom wasp_cli.cli.app import main\ntry: main()\nexcept SystemExit as end: code = end.code\n"
     code += "print(code, [name for name in ('torch', 'mujoco', 'joblib', 'matplotlib', 'gymnasium') if name in sys.modules])"
     arguments = command.format(layout.root).split()
     done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -15,7 +15,7 @@ from wasp_cli.report.figure import ENDINGS
 from wasp_cli.report.figures import CAPTIONS, draw_figures
 from wasp_cli.report.frame import Frame, Missing
 from wasp_cli.report.page.build import build_page
-from wasp_cli.report.page.films import TaskFilms, films_of
+from wasp_cli.report.page.films import Draw, TaskFilms, films_of
 from wasp_cli.report.page.markup import Markup
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.table import Table, markdown, terminal
@@ -80,16 +80,17 @@ class Report:
             console.print(Text(f"\n{missing_words(self.frame)}:", style="bold red"))
             name_missing(console, self.missing)
 
-    def write(self, folder: Path, tell: Callable[[str], None] | None = None) -> list[Path]:
+    def write(self, folder: Path, draw: Draw | None = None, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
         """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
 
         Args:
             folder: where they go.
-            tell: told which film is being drawn; None draws none.
+            draw: draws the film of an episode; None: without films.
+            tell: told which film is being drawn.
         """
         make_own(folder)
         figures = draw_figures(self.layout, self.frame, self.trained, folder)
-        films = () if tell is None else tuple(films_of(self.layout, self.frame, dict(self.keys), tell))
+        films = () if draw is None else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
         texts = {"report.md": self.markdown([path.name for path in figures]), "report.html": self.html(figures, films)}
         pages = write_pages(folder, texts, self.tables)
         # What an earlier report had and this one has not would pass for a part of it.

@@ -10,14 +10,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.registry import load_target
 from wasp_cli.report.explain.stored import Episode, read_episode
 from wasp_cli.report.frame import CellNumbers, Frame
 from wasp_cli.report.ladder import MODERATE
@@ -27,11 +26,24 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.registry import TASKS
 
-if TYPE_CHECKING:
-    from wasp_cli.learning.film import Sprite
-
 FRAMES, SIZE = 90, 176
 """Frames of a film at most (about), and their side in px."""
+
+
+class Sprite(NamedTuple):
+    """A film as one image: frames from left to right, then downwards."""
+
+    data: bytes
+    mime: str
+    columns: int
+    size: int
+    """side of a frame in px"""
+    decisions: list[int]
+    """how many decisions had been made at each frame: 0, every, 2 every, ..., T"""
+
+
+Draw = Callable[..., Sprite]
+"""Draws an episode: `video.sprite.sprite_of`, which needs MuJoCo and is handed over by who has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +85,24 @@ class TaskFilms:
         return next((film.episode.constants.decision_seconds for film in self.films), None)
 
 
-def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], tell: Callable[[str], None]) -> Iterator[TaskFilms]:
+def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]) -> Iterator[TaskFilms]:
     """The films of every task of which a map can be drawn.
 
     Args:
         layout: the results folder.
         frame: the cells of the report.
         keys: of their evaluations.
+        draw: draws an episode.
         tell: told what is being drawn.
     """
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
         # Nothing else is drawn: its environment would be imported, and the results may be a stranger's.
-        if task in TASKS and (found := _of_task(layout, task, frame.cells, keys, tell)) is not None:
+        if task in TASKS and (found := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:
             yield found
 
 
 def _of_task(
-    layout: Layout, task: str, cells: Sequence[CellNumbers], keys: dict[CellIdentity, str], tell: Callable[[str], None]
+    layout: Layout, task: str, cells: Sequence[CellNumbers], keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]
 ) -> TaskFilms | None:
     full = [cell for cell in cells if cell.identity.task == task and cell.identity.assistant_variant == "full"]
     impaired = [cell for cell in full if METHODS[cell.identity.method].impaired and cell.identity.variant != UNIMPAIRED]
@@ -105,7 +118,7 @@ def _of_task(
     films = []
     for cell in chosen:
         tell(f"{task}: {METHODS[cell.identity.method].title}")
-        film = _film(layout, cell.identity, keys[cell.identity], number)
+        film = _film(layout, cell.identity, keys[cell.identity], number, draw)
         if film is not None:
             films.append(film)
     if not films:
@@ -119,7 +132,7 @@ def _median_episode(costs: Any) -> int:
     return int(np.flatnonzero(costs == wanted)[0])
 
 
-def _film(layout: Layout, identity: CellIdentity, key: str, number: int) -> MethodFilm | None:
+def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw) -> MethodFilm | None:
     """None where the rows cannot be read again."""
     try:
         path: Path = layout.within(layout.artifact(KIND, key) / "cell.parquet")
@@ -130,7 +143,6 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int) -> Meth
     repeat = episode.constants.action_repeat
     if repeat is None or repeat > TASKS[identity.task].env_steps:  # a stranger's decision might last for hours here
         return MethodFilm(identity.method, episode, None, every, "its manifest does not say how long a decision is")
-    draw: Callable[..., Sprite] = load_target("wasp_cli.learning.film:sprite_of")  # by import string: it needs MuJoCo
     seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
     try:
         sprite = draw(identity.task, repeat, seed, episode.a, episode.a_h, rewards, every, SIZE)

@@ -1,0 +1,296 @@
+"""The command line from outside: exit codes, messages, what goes to which stream, what is imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, fakes, prepared, small_spec
+from wasp_cli import __version__
+from wasp_cli.errors import CellsFailed
+from wasp_cli.plan.plan import cells_with_keys
+from wasp_cli.run.record import new_run
+from wasp_cli.spec.load import load
+
+__all__ = ["fakes", "small_spec"]
+
+ROOT = Path(__file__).parents[2]
+SMOKE = "specs/smoke.yaml"
+
+
+def wasp(*arguments: str | Path, fake: bool = False, **environment: str) -> subprocess.CompletedProcess[str]:
+    program = ["tests/run/fake_wasp.py"] if fake else ["-m", "wasp_cli"]
+    variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", **environment}
+    command = [sys.executable, *program, *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=variables, check=False)
+
+
+def spec_with(tmp_path: Path, old: str, new: str) -> Path:
+    text = (ROOT / SMOKE).read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "spec.yaml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return path
+
+
+def test_help_names_every_command_and_an_example() -> None:
+    done = wasp("--help")
+    assert done.returncode == 0
+    for word in (
+        "run",
+        "plan",
+        "check",
+        "schema",
+        "report",
+        "ablate",
+        "operators",
+        "sweep",
+        "explain",
+        "bench",
+        "tasks",
+        "doctor",
+        "wasp run specs/quickstart.yaml",
+    ):
+        assert word in done.stdout
+
+
+@pytest.mark.parametrize(
+    "command", ["run", "plan", "check", "schema", "report", "ablate", "operators", "sweep", "explain", "bench", "tasks", "doctor"]
+)
+def test_every_command_has_help(command: str) -> None:
+    done = wasp(command, "--help")
+    assert done.returncode == 0
+    assert f"{command} [OPTIONS]" in done.stdout
+
+
+def test_version() -> None:
+    assert wasp("--version").stdout == f"wasp {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--help"],
+        ["plan", "specs/table1.yaml", "--results", "/nowhere"],
+        ["check", "specs/table1.yaml"],
+        ["schema"],
+        ["run", "INVALID", "--results", "RESULTS"],
+        ["report", "/nowhere"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_light_commands_import_nothing_heavy(arguments: list[str], tmp_path: Path) -> None:
+    places = {"INVALID": str(spec_with(tmp_path, "episodes: 2", "episode: 2")), "RESULTS": str(tmp_path / "results")}
+    arguments = [places.get(argument, argument) for argument in arguments]
+    heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium"]
+    if "--help" in arguments:
+        heavy += ["pydantic", "ruamel.yaml", "numpy"]
+    code = (
+        "import sys\nfrom wasp_cli.cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        f"print('IMPORTED', [name for name in {heavy} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "wasp", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == "IMPORTED []", done.stderr
+
+
+def test_plan_lays_table_1_out_in_full() -> None:
+    done = wasp("plan", "specs/table1.yaml", "--results", "/nowhere")
+    assert done.returncode == 0
+    assert "756 grid points, 657 cells to evaluate" in done.stdout
+
+
+def test_plan_as_json_is_json_alone() -> None:
+    record = json.loads(wasp("plan", SMOKE, "--json", "--results", "/nowhere").stdout)
+    assert record["spec"] == "smoke"
+    assert {node["state"] for node in record["nodes"]} == {"missing"}
+
+
+def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fakes, tmp_path: Path) -> None:
+    spec, results = spec_with(tmp_path, "methods: [human, ida, diffusion, saferl, filter, wasp, expert]", "methods: []"), tmp_path / "out"
+    spec.write_text(spec.read_text(encoding="utf-8").replace("[diagnostics, gate_signals, counterfactual]", "[critics]"), encoding="utf-8")
+    assert wasp("check", spec).stdout == f"{spec}: ok, training only\n"
+    assert "nothing to evaluate" in wasp("plan", spec, "--results", results).stdout
+    done = wasp("run", spec, "--results", results, "-j", "0", fake=True)
+    assert (done.returncode, "11 computed" in done.stderr) == (0, True), done.stderr
+    shown = wasp("report", results)
+    assert shown.returncode == 0, shown.stderr
+    assert "Main results" not in shown.stdout
+    page = (results / "reports" / "smoke" / "report.md").read_text(encoding="utf-8")
+    assert "- Training only: the spec lists no methods." in page
+    assert page.count("| Goal1 | 0 | ") == 11
+    assert "| world_model, round 2 | " in page
+    assert not (results / "reports" / "smoke" / "table1.md").exists()
+
+
+def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
+    bad = spec_with(tmp_path, "[goal1]", "[goal7]")
+    done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
+    assert done.returncode == 3
+    assert "specs/table1.yaml: ok, 657 cells" in done.stdout
+    assert f"{bad}:5:9: unknown task 'goal7'" in done.stderr
+    assert "absent.yaml:1:1: no such file" in done.stderr
+    assert wasp("check", SMOKE).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("episodes: 2", "episode: 2", "unknown key 'episode'"),
+        ("episodes: 2", "episodes: two", ":13:11: should be an integer, not 'two'"),
+        ("[goal1]", "[gaol1]", "did you mean 'goal1'?"),
+        ("name: smoke", "name: [", "not valid YAML"),
+    ],
+)
+def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    path = spec_with(tmp_path, old, new)
+    for command in ("run", "plan", "check"):
+        done = wasp(command, path, *([] if command == "check" else ["--results", tmp_path / "results"]))
+        assert done.returncode == 3
+        assert expected in done.stderr
+        assert f"error: {path}:" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["run"], "Missing argument"),
+        (["runn"], "No such command"),
+        (["run", SMOKE, "-j", "-1"], "Invalid value for '--jobs'"),
+        (["run", SMOKE, "--task", "goal7"], "unknown task of this spec 'goal7'"),
+        (["plan", SMOKE, "--set", "seeds"], "--set #1: 'seeds' is not of the form key=value"),
+        (["ablate", "--variant", "no-case"], "did you mean 'no-case2'?"),
+        (["ablate", "--variant", "no-case2", "--task", "goal"], "did you mean 'goal0', 'goal1' or 'goal2'?"),
+        (["ablate", "--variant", "no-case2", "--preset", "smok"], "did you mean 'smoke'?"),
+    ],
+)
+def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: Path) -> None:
+    done = wasp(*arguments, *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]))
+    assert done.returncode == 2
+    assert expected in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/results")):
+        done = wasp("run", SMOKE, "--results", place)
+        assert done.returncode == 1
+        assert done.stderr.startswith(f"error: cannot write results to '{place}'")
+        assert "--results DIR" in done.stderr
+
+
+def test_report_without_results_says_so(tmp_path: Path) -> None:
+    done = wasp("report", tmp_path)
+    assert done.returncode == 1
+    assert f"error: no results in '{tmp_path}': it holds no runs" in done.stderr
+
+
+def test_report_without_any_run_says_so(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    done = wasp("report", tmp_path)
+    assert done.returncode == 1
+    assert f"error: no results in '{tmp_path}': it holds no runs" in done.stderr
+
+
+@pytest.mark.parametrize("record", ["plan.json", "spec.json"])
+def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    other = tmp_path / "other.yaml"
+    other.write_text(small_spec.read_text(encoding="utf-8").replace("name: small", "name: other"), encoding="utf-8")
+    for path in (small_spec, other):
+        loaded, layout, plan = prepared(path, results)
+        new_run(layout, loaded, plan)
+    (damaged,) = layout.runs.glob(f"*-small-*/{record}")
+    damaged.write_text("{", encoding="utf-8")
+    done = wasp("report", results)
+    assert done.returncode == 1
+    assert damaged.parent.name in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Human-only" in done.stdout
+    assert (results / "reports" / "other" / "report.md").is_file()
+
+
+def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from wasp_cli.cli.app import _show_report
+    from wasp_cli.report.document import Report
+    from wasp_cli.spec.paper import load_paper
+
+    loaded, layout, plan = prepared(small_spec, tmp_path / "results")
+
+    def gone(self: Report, console: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(Report, "terminal", gone)
+    with pytest.raises(BrokenPipeError):
+        _show_report(layout, loaded.spec, cells_with_keys(plan.grid), [], [], load_paper())
+    assert (layout.reports("small") / "report.md").is_file()
+
+
+def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    from wasp_cli.cli.app import _run_and_report
+    from wasp_cli.run.session import Way
+
+    # The fake stages end well, and write no cell.
+    with pytest.raises(CellsFailed, match="14 cells cannot be read") as caught:
+        _run_and_report(load(small_spec), tmp_path / "results", Way(jobs=0))
+    assert "goal1 human noisy=0.2 seed 0" in caught.value.message
+
+
+def test_debug_shows_the_traceback() -> None:
+    for done in (wasp("--debug", "check", "/nowhere.yaml"), wasp("check", "/nowhere.yaml", WASP_DEBUG="1")):
+        assert "Traceback" in done.stderr
+        assert done.returncode == 1
+
+
+def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"s1 critics": "refuse"})
+    results = tmp_path / "results"
+    done = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
+    assert done.returncode == 1
+    assert "1 failed:\n  goal1 s1 critics: the loss is not finite\n      lower the learning rate\n      log: " in done.stderr
+    assert "goal1 s1 wasp noisy=0.2 (needs goal1 s1 critics)" in done.stderr
+    log = done.stderr.partition("log: ")[2].split()[0]
+    assert "the loss is not finite" in Path(log).read_text(encoding="utf-8")
+    assert done.stdout == "14 cells\n"
+    fakes.set()
+    again = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
+    assert again.returncode == 0
+    assert "4 computed, 30 computed before" in again.stderr
+
+
+def test_a_second_run_computes_nothing(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    first = wasp("run", small_spec, "--results", tmp_path / "results", "-j", "0", fake=True)
+    assert (first.returncode, "34 computed" in first.stderr) == (0, True), first.stderr
+    assert "[34/34] done" in first.stderr
+    start = time.perf_counter()
+    second = wasp("run", small_spec, "--results", tmp_path / "results", fake=True)
+    assert time.perf_counter() - start < 10
+    assert "0 computed, 34 computed before" in second.stderr
+    assert len(fakes.executions()) == 34
+
+
+def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Path) -> None:
+    options = ["--variant", "no-case2", "--task", "goal1", "--preset", "smoke", "--set", "seeds=[0]", "-j", "0"]
+    done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "24 cells\n"
+    evaluations = [line for line in fakes.executions() if "evaluate" in line]
+    assert sum("no-case2" in line for line in evaluations) == 12
+    assert sum("'full'" in line for line in evaluations) == 12
+
+
+def test_doctor_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
+    done = wasp("doctor", "--results", tmp_path / "results")
+    assert done.returncode == 0
+    for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "OpenGL", "results"):
+        assert word in done.stdout
+    assert not (tmp_path / "results").exists()

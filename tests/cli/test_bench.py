@@ -1,0 +1,56 @@
+"""`wasp bench planner`, on models of smoke size."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.commands import run_here
+from wasp_cli.studies.planner_table import TABLE1
+from wasp_cli.studies.planner_timing import matrix_rate
+
+KINDS = ["gate", "quiet", "safety", "task"]
+
+
+def invoke(*arguments: str) -> str:
+    outcome = run_here("bench", "planner", *arguments, columns=120)
+    assert outcome.exit_code == 0, outcome.output
+    return outcome.output
+
+
+def test_every_kind_of_decision_is_timed_under_both_planners() -> None:
+    found = json.loads(invoke("specs/smoke.yaml", "--threads", "1", "--repeats", "2", "--json"))
+    assert list(found) == ["paper", "smoke"]
+    for bench in found.values():
+        timings = {timing["kind"]: timing for timing in bench["timings"]}
+        assert list(timings) == KINDS
+        assert all(0 < timing["ms"] <= timing["ms_p50"] for timing in timings.values())
+        # A task decision is the gate, the probe as first iteration, and the rest of the search; the sizes decide what they multiply.
+        assert timings["gate"]["gflop"] < timings["quiet"]["gflop"] < timings["task"]["gflop"]
+        assert timings["gate"]["gflop"] < timings["safety"]["gflop"]
+        for timing in timings.values():
+            assert timing["ratio"] == pytest.approx(timing["ms"] / 1000 * bench["roof"] / timing["gflop"])
+        assert sum(bench["shares"].values()) == pytest.approx(1.0)
+        assert "addmm" in bench["shares"]
+    # Both planners gate alike; 300 candidates in 6 iterations against 8 in 2 are 112.5 times the rows of the search.
+    paper, smoke = ({timing["kind"]: timing["gflop"] for timing in found[name]["timings"]} for name in found)
+    assert paper["gate"] == smoke["gate"]
+    assert paper["safety"] > 20 * smoke["safety"]
+
+
+def test_the_table_says_what_is_timed_and_the_mean_decision() -> None:
+    text = invoke("specs/smoke.yaml", "--threads", "1", "--repeats", "1", "--batch", "2")
+    assert "2 episodes side by side, 1 thread" in text
+    assert all(kind in text for kind in KINDS)
+    assert all(f"mean decision at Int. {rate:.2f} ({task})" in text for task, rate in TABLE1.items())
+
+
+def test_a_setting_without_a_spec_is_refused() -> None:
+    outcome = run_here("bench", "planner", "--set", "wasp.candidates=64", columns=120)
+    assert outcome.exit_code == 2
+    assert "none is given" in outcome.output
+
+
+def test_the_roof_is_the_fastest_of_its_shapes() -> None:
+    assert matrix_rate(((64, 64, 64),), repeats=3) > 0

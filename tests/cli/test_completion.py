@@ -1,0 +1,98 @@
+"""What a shell offers behind TAB, asked as a shell asks: through environment variables, in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from wasp_cli.cli import completion as complete
+from wasp_cli.errors import WaspError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.spec.settings import settings
+from wasp_cli.tasks.registry import TASKS
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium", "pyarrow", "matplotlib"]
+WASP = (
+    "import atexit, sys\n"
+    "sys.argv[0] = 'wasp'\n"
+    f"atexit.register(lambda: print('HEAVY', [name for name in {HEAVY} if name in sys.modules], file=sys.stderr))\n"
+    "from wasp_cli.cli.app import main\n"
+    "main()\n"
+)
+
+
+def offered(line: str, folder: Path = ROOT) -> list[str]:
+    """What bash is offered for the last word of a line, which may be empty."""
+    words = line.split(" ")
+    asked = {"_WASP_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", WASP]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False, env={**os.environ, **asked})
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == "HEAVY []\n"
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        ("wasp run --task g", ["goal0", "goal1", "goal2"]),
+        ("wasp run specs/smoke.yaml -t ", list(TASKS)),
+        ("wasp plan specs/smoke.yaml --task race", ["race0", "race1"]),
+        ("wasp tasks show formula", ["formula0", "formula1"]),
+        ("wasp sweep specs/smoke.yaml --method ", list(METHODS)),
+        ("wasp ablate --variant no", ["no-case2", "no-rollout"]),
+        ("wasp bench ceiling specs/smoke.yaml --variant s", ["safety-only"]),
+        ("wasp ablate --preset ", ["smoke", "quick", "cpu", "gpu", "paper"]),
+        ("wasp run specs/smoke.yaml --set wasp.ca", ["wasp.candidates=", "wasp.case2_memory="]),
+        ("wasp run specs/smoke.yaml --set pre", ["preset="]),
+        ("wasp sweep specs/smoke.yaml --vary diffusion.r", ["diffusion.ratio="]),
+        ("wasp check specs/table", ["specs/table1.yaml", "specs/table2.yaml"]),
+        ("wasp ablate --spec specs/q", ["specs/quickstart.yaml"]),
+        ("wasp bench planner specs/q", ["specs/quickstart.yaml"]),
+        ("wasp run ./specs/q", ["./specs/quickstart.yaml"]),
+        ("wasp run nowhere/", []),
+        ("wasp run specs/smoke.yaml --task zzz", []),
+    ],
+)
+def test_what_is_offered(line: str, names: list[str]) -> None:
+    assert sorted(offered(line)) == sorted(names)
+
+
+def test_specs_are_offered_from_here_and_from_their_folder(tmp_path: Path) -> None:
+    for name in ("mine.yaml", "notes.txt", "specs/quick.yaml", "specs/deep/far.yaml"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    assert offered("wasp run ", tmp_path) == ["mine.yaml", "specs/quick.yaml"]
+    assert offered("wasp check mine.yaml s", tmp_path) == ["specs/quick.yaml"]
+    assert offered("wasp operators specs/deep/", tmp_path) == ["specs/deep/far.yaml"]
+    assert offered(f"wasp plan {tmp_path}/m", tmp_path) == [f"{tmp_path}/mine.yaml"]
+
+
+def test_every_setting_of_a_spec_is_offered() -> None:
+    assert offered("wasp run specs/smoke.yaml --set ") == [f"{name}=" for name in settings()]
+
+
+def test_tab_is_quick() -> None:
+    def seconds() -> float:
+        start = time.perf_counter()
+        offered("wasp run specs/smoke.yaml --set wasp.")
+        return time.perf_counter() - start
+
+    # It takes 0.3 s alone; tests share the machine.
+    assert min(seconds() for _ in range(3)) < 1.5
+
+
+def test_a_plugin_that_does_not_load_offers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: object) -> None:
+        raise WaspError("plugin 'x' does not load")
+
+    monkeypatch.setattr("wasp_cli.registry.Registry._entries", broken)
+    monkeypatch.setattr("wasp_cli.spec.settings.settings", lambda: broken(OPERATORS))
+    assert complete.tasks() == complete.methods() == complete.variants() == complete.settings() == []

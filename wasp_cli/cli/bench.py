@@ -1,0 +1,109 @@
+"""The commands under `wasp bench`: what the planner costs, and what it reaches with a perfect model."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wasp_cli.cli import completion as complete
+from wasp_cli.cli.options import ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, print_json
+
+bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its speed, and its ceiling with a perfect model.")
+
+
+@bench_app.command(
+    epilog="[bold]wasp bench planner[/]   ·   [bold]wasp bench planner specs/quickstart.yaml --threads 1 --batch 10 --json[/]\n\n"
+    "Run it on an idle machine: its ratios are taken in one run, but a busy neighbour still takes cores away."
+)
+@expected_errors
+def planner(
+    spec: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[SPEC]", help="Whose sizes. (default: those of the preset cpu)", show_default=False, autocompletion=complete.specs
+        ),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option("--threads", min=1, metavar="N", help="Threads. (default: all cores)", show_default=False)
+    ] = None,
+    batch: Annotated[int, typer.Option("--batch", min=1, metavar="B", help="Episodes decided side by side.")] = 1,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, metavar="N", help="Decisions of each kind.")] = 5,
+    json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    set_: SetOption = None,
+) -> None:
+    """Time a decision: the gate alone, both gates silent, and the planner after either gate, beside plain matrix products.
+
+    Two planners on the same models: the paper's sizes with one rollout per candidate, and those of the spec.
+    """
+    from wasp_cli import console
+    from wasp_cli.report.table import terminal
+    from wasp_cli.run.session import cores
+    from wasp_cli.spec.bench import bench_configs
+    from wasp_cli.studies.planner_table import bench_table, notes
+
+    # Read when torch is loaded. Threads that wait too long for one that a busy neighbour delays take its core too.
+    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
+    from wasp_cli.studies.planner_timing import bench_planner
+
+    found = {
+        name: bench_planner(*configs, batch=batch, threads=cores() if threads is None else threads, repeats=repeats)
+        for name, configs in bench_configs(spec, set_ or ()).items()
+    }
+    if json:
+        print_json({name: bench.as_json() for name, bench in found.items()})
+        return
+    console.out().print(terminal(bench_table(found), console.out().width))
+    for name, bench in found.items():
+        for line in notes(name, bench):
+            console.out().print(line, markup=False, soft_wrap=True)
+
+
+@bench_app.command(
+    epilog="[bold]wasp bench ceiling specs/quickstart.yaml --operator laggy=0.7[/]   ·   "
+    "[bold]wasp bench ceiling specs/table1.yaml --task goal1 --operator noisy=0.4 --variant full --variant safety-only --json[/]\n\n"
+    "Minutes for eight episodes: every imagined step is one of the simulator. Nothing is written to the results folder."
+)
+@expected_errors
+def ceiling(
+    spec: SpecArgument,
+    operator: Annotated[str, typer.Option("--operator", metavar="NAME=VALUE", help="Whom to assist: laggy=0.7.", show_default=False)],
+    task: TaskOption = None,
+    episodes: Annotated[int, typer.Option("--episodes", min=1, metavar="N", help="Episodes of each.")] = 8,
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--variant", metavar="NAME", help="Of WASP. Repeatable. (default: full)", show_default=False, autocompletion=complete.variants
+        ),
+    ] = None,
+    tau_r: Annotated[
+        float, typer.Option("--tau-r", min=0.0, metavar="GAIN", help="Threshold of the task gate; nothing is calibrated.")
+    ] = 0.3,
+    threads: Annotated[
+        int | None, typer.Option("--threads", min=1, metavar="N", help="Threads of the simulator. (default: all cores)", show_default=False)
+    ] = None,
+    results: ResultsOption = Path("results"),
+    json: Annotated[bool, typer.Option("--json", help="Every episode, for machines.")] = False,
+    set_: SetOption = None,
+) -> None:
+    """Run WASP on the true simulator as its world model, beside Human-only: what it reaches when the model makes no mistakes.
+
+    The planner is the spec's; operator and imagination use the expert that a run of this spec has trained.
+    """
+    from wasp_cli import console
+    from wasp_cli.report.table import terminal
+    from wasp_cli.run.session import cores
+    from wasp_cli.studies.oracle_run import measure_ceiling
+    from wasp_cli.studies.oracle_table import ceiling_table
+
+    cell, found = measure_ceiling(
+        spec, task, operator, variant or ["full"],
+        episodes=episodes, tau_r=tau_r, threads=cores() if threads is None else threads, results=results, settings=set_ or (),
+    )  # fmt: skip
+    if json:
+        print_json({"task": cell.task, "operator": cell.variant, "value": cell.value, "seed": cell.seed, "tau_r": tau_r,
+                    "rows": [outcome.as_json() for outcome in found]})  # fmt: skip
+        return
+    console.out().print(terminal(ceiling_table(cell, found), console.out().width))

@@ -1,0 +1,84 @@
+"""`wasp check` and `wasp schema`: what is wrong with a spec, and what editors need to complete one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from wasp_cli.cli import completion as complete
+from wasp_cli.cli.options import SetOption, expected_errors, print_json
+
+if TYPE_CHECKING:
+    from wasp_cli.spec.problem import Problem
+
+spec_app = typer.Typer()
+
+
+@spec_app.command(
+    epilog="[bold]wasp check specs/*.yaml[/]   ·   [bold]wasp check specs/table1.yaml --json | jq '.[].problems'[/]\n\n"
+    "Exit codes: 0 all are valid, 2 usage, 3 one is not."
+)
+@expected_errors
+def check(
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False, autocompletion=complete.specs)],
+    set_: SetOption = None,
+    json: Annotated[bool, typer.Option("--json", help="Every file with its problems, for machines.")] = False,
+) -> None:
+    """Validate specs, and papers such as specs/paper.yaml: every mistake at once, with file, line and column."""
+    from wasp_cli.console import out
+    from wasp_cli.errors import SpecError
+    from wasp_cli.spec.problem import InvalidSpec
+
+    found: list[dict[str, Any]] = []
+    refused: dict[Problem, None] = {}  # two specs may extend the same wrong one
+    for path in specs:
+        try:
+            cells, what = _what_it_has(path, set_ or ())
+        except InvalidSpec as error:
+            refused |= dict.fromkeys(error.problems)
+            problems = [problem.as_json() for problem in error.problems]
+            found.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
+            continue
+        found.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
+        if not json:
+            out().print(f"{path}: ok, {what}", markup=False, soft_wrap=True)
+    if json:
+        print_json(found)
+    if refused and json:
+        raise typer.Exit(SpecError.exit_code)  # all is said
+    if refused:
+        raise SpecError("\n".join(map(str, refused)))
+
+
+def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
+    """How many cells a valid spec has (None for a paper, which `--set` does not change), and the words for it."""
+    from wasp_cli.plan.grid import cells_of
+    from wasp_cli.spec.load import load
+    from wasp_cli.spec.paper import is_paper, paper_of
+    from wasp_cli.spec.read import read
+
+    source = read(path)
+    if is_paper(source):
+        paper = paper_of(source)
+        rows = sum(len(table.rows[task]) for table in paper.tables for task in table.rows)
+        return None, f"{rows} printed rows, {len(paper.claims)} claims"
+    spec = load(path, settings).spec
+    cells = len(list(cells_of(spec)))
+    return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
+
+
+@spec_app.command(epilog="[bold]wasp schema > specs/wasp.schema.json[/]   ·   [bold]wasp schema --plugins > mine.schema.json[/]")
+@expected_errors
+def schema(
+    plugins: Annotated[bool, typer.Option("--plugins", help="Also the names that installed plugins add.")] = False,
+) -> None:
+    """Print the JSON Schema of a spec, with which editors complete specs and mark mistakes.
+
+    A spec refers to it in its first line: `# yaml-language-server: $schema=wasp.schema.json`.
+    """
+    from wasp_cli.spec.schema import spec_schema
+
+    print_json(spec_schema(plugins=plugins))

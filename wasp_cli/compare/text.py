@@ -1,0 +1,192 @@
+"""Two runs side by side in words: for the terminal, as Markdown with its tables, and for machines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from wasp_cli.compare.paired import LEVEL, MEASURES
+from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
+from wasp_cli.report.bootstrap import Estimate
+from wasp_cli.report.explain.facts import plain_values
+from wasp_cli.report.main_table import PAPER_COLUMNS
+from wasp_cli.report.render import RENDERERS
+from wasp_cli.report.table import UNDEFINED, Row, Table, Value, markdown, terminal
+from wasp_cli.report.titles import task_title
+from wasp_cli.report.verdict_table import title_of
+from wasp_cli.spec.paper import Who
+
+SHOWN = 12
+"""Cells that a terminal names of each kind."""
+OPTIONAL = ("viol", "int_rate")
+COLUMNS = tuple(
+    replace(next(column for column in PAPER_COLUMNS if column.key == name), better=None, signed=True, optional=name in OPTIONAL)
+    for name in MEASURES
+)
+STATES: dict[State, str] = {
+    "same": "the same",
+    "same rows": "the same rows under another key",
+    "differs": "other rows",
+    "not compared": "not compared",
+    "only first": "in the first only",
+    "only second": "in the second only",
+}
+MEANINGS = (
+    "Differences are second minus first, as means over the episodes, with 95 % intervals over worlds.",
+    f"More than noise: p at most {LEVEL:g}, from flipping the signs of the worlds' differences, corrected for the number of measures and "
+    "of cells that differ. Noise is chance over worlds: what another training of the same spec would move is not in it.",
+)
+
+
+def headline(compared: Compared) -> str:
+    """How many cells are how."""
+    counts = [(words, len(compared.having(state))) for state, words in STATES.items()]
+    told = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
+    beyond = len(compared.beyond)
+    return f"{_cells(len(compared.cells))}: {told}; {beyond or 'none'} {'differs' if beyond == 1 else 'differ'} by more than noise."
+
+
+def cells_table(compared: Compared) -> Table | None:
+    """Every cell that differs, those with the smallest p-values first; None where none does."""
+    found = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
+    rows = [Row((cell.label, ", ".join(map(_title, cell.beyond)) or "-"), _differences(cell)) for cell in found]
+    notes = _unable(compared)
+    return Table(
+        "cells", "Cells that differ", ("Cell", "More than noise"), COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False
+    ) if rows else None  # fmt: skip
+
+
+def summary_table(compared: Compared) -> Table | None:
+    """Every assistant of which some cell differs, over all cells that both have; None where no cell differs."""
+    rows = []
+    for each in compared.summary:
+        if each.differing:
+            name = title_of(Who(each.method, each.variant))
+            labels = (task_title(each.task), name, f"{each.differing} of {each.cells}")
+            rows.append(Row(labels, tuple(_value(each.estimates[column.key]) for column in COLUMNS)))
+    meanings = (
+        "Second minus first over all cells that both have, with 95 % intervals over seeds, or over worlds where there is one seed.",
+    )
+    return Table(
+        "summary", "Difference of each assistant", ("Task", "Method", "Cells"), COLUMNS, tuple(rows), (), meanings, ranked=False
+    ) if rows else None  # fmt: skip
+
+
+def _title(measure: str) -> str:
+    return next(column.title for column in COLUMNS if column.key == measure)
+
+
+def _differences(cell: ComparedCell) -> tuple[Value, ...]:
+    if cell.paired is None:
+        return (UNDEFINED,) * len(COLUMNS)
+    found = [cell.paired.differences[column.key] for column in COLUMNS]
+    return tuple(Value(each.value, n=1, ranked=False, interval=each.interval) for each in found)
+
+
+def _value(estimate: Estimate | None) -> Value:
+    return UNDEFINED if estimate is None else Value(estimate.value, ranked=False, interval=estimate.interval)
+
+
+def _unable(compared: Compared) -> tuple[str, ...]:
+    """What the number of episodes does not allow to be said."""
+    found = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
+    notes = []
+    unpaired = sum(each.worlds == 0 for each in found)
+    if unpaired:
+        notes.append(f"{_cells(unpaired)} without a world in common: their episodes are compared unpaired, by permuting which is whose.")
+    partly = sum(0 < each.worlds < max(each.episodes) for each in found)
+    if partly:
+        notes.append(f"{_cells(partly)} with other worlds too: those in common are compared.")
+    weak = sum(each.least * len(found) > LEVEL for each in found)
+    if weak:
+        notes.append(
+            f"Too few episodes in {weak} of {_cells(len(found))} to differ by more than noise among so many, whatever the difference: look "
+            "at the difference of each assistant."
+        )
+    return tuple(notes)
+
+
+def told(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
+    """What stands before and behind the tables, a line each."""
+    yield f"{_named(compared.first)} and {_named(compared.second)}"
+    yield headline(compared)
+    for state in ("only first", "only second", "not compared"):
+        found = compared.having(state)
+        for cell in found[:shown]:
+            yield f"  {STATES[state]}: {cell.label}{f' ({cell.reason})' if cell.reason else ''}"
+        if shown is not None and len(found) > shown:
+            yield f"  {STATES[state]}: {len(found) - shown} more"
+    if compared.causes:
+        yield "What differs behind the cells:"
+        for cause, count in compared.causes[:shown]:
+            yield f"  {cause} ({_cells(count)})"
+        if shown is not None and len(compared.causes) > shown:
+            yield f"  and {len(compared.causes) - shown} more"
+    odd = [cell for cell in compared.having("differs") if cell.keys[0] == cell.keys[1]]
+    if odd:
+        what = "cell has other rows" if len(odd) == 1 else "cells have other rows"
+        yield f"{len(odd)} {what} under the same key: computed on another machine, or the file was changed since: {odd[0].label}"
+
+
+def _cells(count: int) -> str:
+    return "1 cell" if count == 1 else f"{count} cells"
+
+
+def _named(side: Side) -> str:
+    return f"{side.spec.name} in {side.layout.root} (run {side.run_id})"
+
+
+def show(compared: Compared, console: Console) -> None:
+    """Print the comparison; of many cells the ones with the smallest p-values."""
+    for line in told(compared):
+        console.print(Text(line), soft_wrap=True)
+    for table in (cells_table(compared), summary_table(compared)):
+        if table is not None:
+            rows = table.rows[:SHOWN] if table.name == "cells" else table.rows
+            console.print(terminal(replace(table, rows=rows), console.width))
+            if len(rows) < len(table.rows):
+                console.print(Text(f"and {len(table.rows) - len(rows)} more; --out DIR writes all"), soft_wrap=True)
+
+
+def page(compared: Sequence[Compared]) -> str:
+    """All comparisons as one page of Markdown."""
+    parts = ["# Comparison\n"]
+    for each in compared:
+        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {line.strip()}\n" for line in told(each, shown=None)))
+        parts += [markdown(replace(table, title=f"{each.first.spec.name}: {table.title}")) for table in tables(each)]
+    return "\n".join(parts)
+
+
+def tables(compared: Compared) -> list[Table]:
+    """The tables that a comparison has, under names with the spec."""
+    found = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
+    return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in found]
+
+
+def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
+    """Write `compare.md` and every table in every format; returns the files, `compare.md` first."""
+    texts = {"compare.md": page(compared)}
+    texts |= {
+        f"{table.name}.{ending}": render(table) for each in compared for table in tables(each) for ending, render in RENDERERS.items()
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
+
+
+def as_json(compared: Compared) -> dict[str, Any]:
+    """Everything as plain values; what is undefined is null."""
+    sides = {
+        name: {"folder": str(side.layout.root), "spec": side.spec.name, "run": side.run_id}
+        for name, side in (("first", compared.first), ("second", compared.second))
+    }
+    cells = [{**asdict(cell), "beyond": list(cell.beyond)} for cell in compared.cells]
+    facts = {**sides, "alike": compared.alike, "causes": dict(compared.causes), "cells": cells, "summary": [*map(asdict, compared.summary)]}
+    plain: dict[str, Any] = plain_values(facts)
+    return plain

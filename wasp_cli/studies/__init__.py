@@ -1,0 +1,1 @@
+"""What judges single parts: the time of a decision, and the planner on the true dynamics."""

@@ -1,0 +1,174 @@
+"""The frames of a video of an episode.
+
+Left the map, right what the cameras saw and what the world model made of it: decoded from the filtered latent, and from imagined ones under
+the commands alone (upper block) and under the correction (lower block); below, the course of the whole episode.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from wasp_cli.tasks.base import Floats
+from wasp_cli.video.imagined import Ways, imagined
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions
+from wasp_cli.video.readout import integrated
+from wasp_cli.video.text import font, numbers
+from wasp_cli.video.timeline import Timeline, Told
+from wasp_cli.video.trace import Instant, Retraced
+
+WIDTH, HEIGHT = 976, 704
+GAP, HEADER, TITLE = 12, 34, 18
+"""In px: between panels, height of the first line and of a title."""
+MAP, SIDE, BETWEEN = 436, 98, 4
+"""Sides of the map and of a camera image, and between images."""
+TIMELINE = 178
+ARROW = 0.15
+"""Length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for imagined ways."""
+_RIGHT = GAP + MAP + 16
+_TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
+"""Of the two blocks of images, below a line for what they imagine and a line for the columns."""
+POOR = 0.5
+"""R2 below which a readout is said to be poor."""
+_INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
+_SEQUENCES = (COMMAND, EXECUTED)
+
+
+class Painter:
+    """Paints the frames of one episode."""
+
+    def __init__(self, found: Retraced, told: Told, horizon: int, *, hold: bool, corrected: str) -> None:
+        """`corrected` names what the lower block imagines."""
+        self._found, self._told, self._horizon, self._hold, self._corrected = found, told, horizon, hold, corrected
+        self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
+        self._timeline = Timeline(told, WIDTH, TIMELINE)
+        self._view = None if found.look is None else MapView(found.look, MAP)
+
+    def frame(self, instant: Instant) -> Image.Image:
+        """RGB of WIDTH x HEIGHT."""
+        ways = imagined(self._found.model, instant.outset, self._horizon, self.shown, hold=self._hold)
+        image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
+        draw = ImageDraw.Draw(image)
+        t = instant.outset.t
+        self._head(draw, t)
+        self._overview(image, draw, instant, ways)
+        self._images(image, draw, instant, ways)
+        draw.multiline_text(
+            (_RIGHT, HEADER + 2 * TITLE + 2 * SIDE + BETWEEN + 22), "\n".join(numbers(self._told, t)), _INK, font(12), spacing=5
+        )
+        top = HEIGHT - TIMELINE
+        image.paste(self._timeline.image, (0, top))
+        x = self._timeline.cursor(t)
+        draw.line((x, top + 4, x, HEIGHT - 34), _GREY, 2)
+        return image
+
+    def _head(self, draw: ImageDraw.ImageDraw, t: int) -> None:
+        draw.text((GAP, 9), self._told.title, _INK, font(15, True))
+        time = f"decision {t} of {self._told.length}    {t * self._told.decision_seconds:.2f} s"
+        draw.text((WIDTH - GAP - font(15).getlength(time), 9), time, _INK, font(15))
+
+    # -- map --------------------------------------------------------------------------------------------------------------------
+
+    def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, instant: Instant, ways: Ways) -> None:
+        where = (GAP, HEADER + TITLE)
+        if self._view is None or instant.scene is None or self._found.look is None or instant.pose is None:
+            draw.text((GAP, HEADER), "front camera (this task has no map)", _GREY, font(12))
+            image.paste(_camera(instant.pixels, 0, MAP), where)
+            return
+        draw.text((GAP, HEADER), "from above", _GREY, font(12))
+        t = instant.outset.t
+        picture = self._view.picture(instant.scene)
+        picture.trail(self._found.places[: t + 1], 1.2)
+        picture.dots(self._found.places[: t + 1][self._told.costly[: t + 1]], COST, 3.5)
+        pose = Pose(self._found.look, instant.scene)
+        draw_actions(picture, self._found.world, pose, self._told.a_h[t], self._told.a[t], 4, ARROW)
+        self._futures(picture, instant.pose, ways)
+        if self._told.costly[t]:
+            picture.edge(COST, 4)
+        image.paste(picture.finished(), where)
+        self._legend(draw)
+
+    def _futures(self, picture: MapPicture, pose: Floats, ways: Ways) -> None:
+        """All rollouts thin, the decoded one thick with a dot at each decoded step."""
+        if self._found.readout is None:
+            return
+        for sequence, colour in zip(ways.features, _SEQUENCES, strict=False):
+            dash = 0 if colour == EXECUTED else 1
+            for number, places in reversed(list(enumerate(integrated(pose, self._found.readout(sequence))))):
+                if number == 0:
+                    picture.line(places, "#FFFFFFB0", 4.0)
+                picture.line(places, colour, 2.2 if number == 0 else 0.8, dash)
+                if number == 0:
+                    picture.dots(places[list(self.shown)], colour, 3.2, "#FFFFFF")
+
+    def _readout_note(self) -> str:
+        if self._found.readout is None:
+            return "no imagined ways: they are read out of latents by a fit to the cell's other episodes"
+        names = ("forward", "left", "turn")
+        r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(names, self._found.explained, strict=True))
+        poor = " (poor: a hint only)" if np.nanmin(self._found.explained) < POOR else ""
+        return f"imagined ways are read out of latents by a linear fit, R² {r2}{poor}"
+
+    def _legend(self, draw: ImageDraw.ImageDraw) -> None:
+        """Below the map."""
+        x, y = float(GAP), HEADER + TITLE + MAP + 5
+        for text, colour, kind in (
+            ("command", COMMAND, "arrow"), ("executed instead", EXECUTED, "arrow"), ("imagined: alone", COMMAND, "dash"),
+            ("corrected", EXECUTED, "line"), ("cost", COST, "dot"),
+        ):  # fmt: skip
+            x = _legend_entry(draw, x, y, text, colour, kind)
+        draw.text((GAP, y + 17), self._readout_note(), _GREY, font(10))
+
+    # -- cameras ----------------------------------------------------------------------------------------------------------------
+
+    def _images(self, image: Image.Image, draw: ImageDraw.ImageDraw, instant: Instant, ways: Ways) -> None:
+        rows = range(self._found.cameras)
+        columns = [_RIGHT + column * (SIDE + BETWEEN) for column in range(2 + len(self.shown))]
+        for column, name, images in ((columns[0], "cameras", instant.pixels), (columns[1], "decoded", _bytes(instant.decoded))):
+            draw.text((column, HEADER + TITLE), name, _GREY, font(11))
+            for row in rows:
+                image.paste(_camera(images, row, SIDE), (column, _TOPS[0] + row * (SIDE + BETWEEN)))
+        for block, (top, name, colour) in enumerate(zip(_TOPS, ("commands alone", self._corrected), _SEQUENCES, strict=True)):
+            there = block < len(ways.features)
+            what = f"imagined: {name}" if there else "no correction at this decision"
+            draw.rectangle((columns[2], top - 2 * TITLE + 4, columns[2] + 10, top - 2 * TITLE + 14), colour if there else _NOTHING)
+            draw.text((columns[2] + 16, top - 2 * TITLE + 2), what, _INK if there else _GREY, font(12))
+            for column, step in zip(columns[2:], self.shown, strict=True):
+                text = f"+{step}  ĉ {ways.cost[block, step - 1]:.2f}" if there else ""
+                draw.text((column, top - TITLE + 2), text, _GREY, font(11))
+                for row in rows:
+                    x, y = column, top + row * (SIDE + BETWEEN)
+                    if there:
+                        image.paste(_camera(_bytes(ways.images[step][block]), row, SIDE), (x, y))
+                    else:
+                        draw.rectangle((x, y, x + SIDE - 1, y + SIDE - 1), _NOTHING)
+
+
+def _legend_entry(draw: ImageDraw.ImageDraw, x: float, y: float, text: str, colour: str, kind: str) -> float:
+    """A sample and its name at (x, y); returns where the next one begins."""
+    middle = y + 8
+    if kind == "dot":
+        draw.ellipse((x + 6, middle - 4, x + 14, middle + 4), colour)
+    elif kind == "dash":
+        draw.line((x, middle, x + 8, middle), colour, 3)
+        draw.line((x + 13, middle, x + 20, middle), colour, 3)
+    else:
+        draw.line((x, middle, x + (14 if kind == "arrow" else 20), middle), colour, 3)
+    if kind == "arrow":
+        draw.polygon([(x + 20, middle), (x + 11, middle - 5), (x + 11, middle + 5)], colour)
+    draw.text((x + 25, y + 1), text, _INK, font(11))
+    return x + 25 + font(11).getlength(text) + 12
+
+
+def _camera(images: NDArray[Any], camera: int, side: int) -> Image.Image:
+    """One camera of uint8 [6, 64, 64]."""
+    shown = Image.fromarray(np.ascontiguousarray(np.moveaxis(images[3 * camera : 3 * camera + 3], 0, -1)))
+    return shown.resize((side, side), Image.Resampling.BICUBIC)
+
+
+def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """From [0, 1] to uint8."""
+    return (image * 255).round().clip(0, 255).astype(np.uint8)

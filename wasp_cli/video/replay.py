@@ -1,0 +1,172 @@
+"""`wasp replay`: a stored episode as a video. What the rows say goes in plain values to code that plays the cell again.
+
+That code needs torch and MuJoCo and is imported when it is called: a wrong cell or step is refused before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.errors import ArtifactError, UsageError
+from wasp_cli.metrics.episode import INTERVENED
+from wasp_cli.report.explain.stored import Episode, read_episode
+from wasp_cli.report.explain.words import SIGNALS
+from wasp_cli.store.artifact import corruption
+from wasp_cli.store.find import FoundCell
+from wasp_cli.store.layout import Layout, slug
+from wasp_cli.store.plain import printable
+from wasp_cli.store.recorded import read_recorded
+
+Progress = Callable[[float, str], None]
+
+HORIZON = 15
+"""Imagined steps of a method that has no horizon of its own: the paper's H."""
+FRAMES = 125
+"""Of a video for which nothing else is said: some megabytes."""
+MODELS = ("world_model", "policies")
+"""Kinds of the artifacts that a cell is played again with."""
+SAID: dict[str, tuple[type, ...]] = {
+    "task": (str,), "action_repeat": (int,), "seed": (int,), "variant": (str,), "value": (int, float, type(None)),
+}  # fmt: skip
+"""What its manifest has to say, with the types."""
+
+
+def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, every: int | None, progress: Progress) -> tuple[Path, Any]:
+    """Write the video of an episode.
+
+    Args:
+        layout: the results folder, which has the models of the cell.
+        cell: the cell.
+        episode: which of its episodes.
+        out: the file; None: `<task>_<method>_<operator>_e<episode>.gif` in the current folder.
+        every: decisions between two frames; None: so many that there are at most FRAMES.
+        progress: told the share that is done.
+
+    Returns:
+        The written file, and `video.film.Made`.
+
+    Raises:
+        UsageError: no such episode, the file cannot be one, or the cell has no manifest.
+        ArtifactError: a model is missing or damaged, or played again, the cell is not the recorded one.
+        StoreError: the rows cannot be read.
+        TaskError: the task cannot be imported.
+    """
+    from wasp_cli.video.encode import checked
+    from wasp_cli.video.film import film_episode
+
+    stored = read_episode(cell, episode)
+    path = checked(default_name(stored, ".gif") if out is None else out)
+    source = source_of(layout, cell)
+    found = film_episode(
+        source,
+        told(stored),
+        episode,
+        correction(stored),
+        stored.constants.horizon or HORIZON,
+        every or -(-stored.decisions // FRAMES),
+        path,
+        progress,
+    )
+    return path, found
+
+
+def default_name(stored: Episode, ending: str) -> Path:
+    """What a picture of an episode is called in the current folder."""
+    row = stored.row
+    value = "" if row["value"] is None else f"-{row['value']:g}"
+    variant = "" if row["assistant_variant"] == "full" else f"-{row['assistant_variant']}"
+    return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['variant']}{value}_e{row['episode']}") + ending)
+
+
+def title_of(stored: Episode) -> str:
+    """What a picture of an episode is called on it."""
+    row = stored.row
+    return f"{printable(stored.cell.label or row['task'] + ' ' + row['method'])}, episode {row['episode']}"
+
+
+def source_of(layout: Layout, cell: FoundCell) -> Any:
+    """`video.trace.Source` of a cell.
+
+    Raises:
+        UsageError: the cell has no manifest that names its models.
+        ArtifactError: a model is missing or damaged.
+        StoreError: the rows cannot be read.
+    """
+    from wasp_cli.learning.rerun import Recorded
+    from wasp_cli.video.trace import Source
+
+    axes, upstream = cell.setting("axes"), upstream_of(cell)
+    known: dict[str, Any] = {
+        "task": cell.setting("task"),
+        "action_repeat": cell.setting("settings", "action_repeat"),
+        "seed": cell.setting("seed"),
+    }
+    known |= {name: axes.get(name) for name in ("variant", "value")} if isinstance(axes, dict) else {}
+    said = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
+    if not said or not all(kind in upstream for kind in MODELS):
+        raise UsageError(
+            f"{cell.path} does not say how it was evaluated, and with which models",
+            "name the cell by its key or its label, and its results folder with --results",
+        )
+    for kind in MODELS:
+        if (wrong := corruption(layout, kind, upstream[kind])) is not None:
+            raise ArtifactError(
+                f"the {kind.replace('_', ' ')} of this cell cannot be used: {wrong}",
+                "run the spec of the cell again on this results folder: what is missing or damaged is computed again",
+            )
+    recorded = Recorded(**read_recorded(cell.path))
+    threads = cell.setting("provenance", "threads")
+    return Source(
+        **known, recorded=recorded, world_model=layout.artifact("world_model", upstream["world_model"]),
+        policies=layout.artifact("policies", upstream["policies"]),
+        threads=threads if isinstance(threads, int) and threads > 0 else 1,
+    )  # fmt: skip
+
+
+def upstream_of(cell: FoundCell) -> dict[str, str]:
+    """Keys of what a cell was computed from, by kind."""
+    keys, kinds = cell.setting("upstream"), cell.setting("upstream_kinds")
+    if not isinstance(keys, dict) or not isinstance(kinds, dict):
+        return {}
+    return {str(kinds[role]): str(key) for role, key in keys.items() if role in kinds}
+
+
+def told(stored: Episode) -> Any:
+    """`video.timeline.Told`: what the rows say."""
+    from wasp_cli.video.timeline import Told
+
+    numbers, row = stored.numbers, stored.row
+    names = ("deviation", "reward", "cost_env", "goals", "g_cost", "delta_g", "signal", "plan_cost", "alone_cost")
+    return Told(
+        title=title_of(stored),
+        gate=stored.gate, costly=stored.costly, a_h=stored.a_h, a=stored.a, **{name: numbers[name] for name in names},
+        gated=stored.gated, tau_c=stored.thresholds.tau_c, tau_r=stored.thresholds.tau_r,
+        signal_name=SIGNALS.get(row["method"], "signal"),
+        signal_limit=stored.signal_limit,
+        decision_seconds=stored.constants.decision_seconds or 0.1,
+    )  # fmt: skip
+
+
+def correction(stored: Episode) -> Any:
+    """`video.film.Correction`: the stored plan, or of a method without plans its one changed action."""
+    from wasp_cli.video.film import Correction
+
+    planned = any(plan is not None for plan in stored.plan)
+    actions = stored.a.shape[1]
+    residuals: list[NDArray[np.float64] | None] = []
+    for t, plan in enumerate(stored.plan):
+        if planned:
+            chosen = None if plan is None else np.array(plan).reshape(-1, actions)
+            # Where the command stood after a second look, the plan is zero.
+            residuals.append(chosen if chosen is not None and np.abs(chosen).max() > 0.0 else None)
+        else:
+            changed = stored.numbers["deviation"][t] > INTERVENED
+            residuals.append((stored.a[t] - stored.a_h[t])[None] if changed else None)
+    name = "with the plan" if planned else "executed action, then commands"
+    hold = stored.cell.setting("axes", "method_config", "composition") == "hold"
+    return Correction(residuals, name, hold)

@@ -1,0 +1,186 @@
+"""Small films of stored episodes: the actions of the rows are carried out again, which takes the physics alone.
+
+T = decisions of the episode, A = action size.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, features
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.report.page.films import Sprite
+from wasp_cli.tasks.base import Floats, HasScene, Pixels, Step, VectorTask
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video.map import COST, MapView, Pose, along, draw_actions
+
+Array = NDArray[Any]
+
+LIMIT = 250_000
+"""Bytes that a sprite sheet should not exceed; a page holds many."""
+LONGEST = 16_000
+"""Px of a side of a sheet at most: WebP ends a little above."""
+_QUALITIES = (80, 65, 50, 35, 20)
+_TOLERANCE = 1e-4
+"""Of a reward, absolute and relative: a film that differs by less shows the same."""
+
+
+class Film(NamedTuple):
+    """Moments of an episode."""
+
+    frames: list[Pixels]
+    """uint8 [size, size, 3] each"""
+    decisions: list[int]
+    """how many decisions had been made at each frame: 0, every, 2 every, ..., T"""
+    positions: Floats
+    """[T + 1, 2] of the robot in m; NaN of a task that does not say where it is"""
+
+
+class Moment(NamedTuple):
+    """An episode before decision t; after the last one when t is T."""
+
+    t: int
+    task: VectorTask
+    """one row, in this state"""
+    pixels: Pixels | None
+    """[6, 64, 64]"""
+    last: Step | None
+    """what decision t - 1 led to"""
+
+
+def play(task: VectorTask, layout_seed: int, a: Array, reward: Array) -> Iterator[Moment]:
+    """Carry stored actions out again: T + 1 moments.
+
+    Args:
+        task: of one row.
+        layout_seed: of the world.
+        a: [T, A] executed actions.
+        reward: [T] what they were rewarded with.
+
+    Raises:
+        ArtifactError: they are rewarded otherwise here, or the episode has another length: what is seen would not be what was recorded.
+    """
+    seen, step = task.reset([layout_seed]), None
+    for t in range(len(a)):
+        if step is not None and step.ended[0]:
+            raise _other_world(f"the episode ends after {t} decisions here, after {len(a)} in the rows")
+        yield Moment(t, task, None if seen.pixels is None else seen.pixels[0], step)
+        step = task.step(np.asarray(a[t])[None])
+        seen = step.observation
+        if not np.isclose(step.reward[0], reward[t], _TOLERANCE, _TOLERANCE):
+            raise _other_world(f"decision {t} is rewarded with {step.reward[0]:.6g} here, with {reward[t]:.6g} in the rows")
+    if step is not None and not step.ended[0]:
+        raise _other_world(f"the episode goes on after {len(a)} decisions, which are all that the rows have")
+    yield Moment(len(a), task, None if seen.pixels is None else seen.pixels[0], step)
+
+
+def _other_world(what: str) -> ArtifactError:
+    hint = "show it where it was computed, with the library versions in its manifest, or run the spec again here"
+    return ArtifactError(f"the same actions lead elsewhere: {what}", hint)
+
+
+def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int) -> Film:
+    """The map of an episode with trail, commands and costs; of a task without a map, what its front camera sees.
+
+    A frame has an orange edge when cost was paid since the frame before. Arrows: see `map_view.stick`.
+
+    Args:
+        task: its name.
+        action_repeat: env steps per decision.
+        layout_seed: of the world.
+        a: [T, A] executed actions.
+        a_h: [T, A] commands.
+        reward: [T]
+        every: decisions between two frames.
+        size: side of a frame in px.
+
+    Raises:
+        ArtifactError: as `play`, or the actions are none of this task.
+        UnknownName: no such task.
+        TaskError: the module of the task does not import.
+    """
+    made = make_task(task, 1, action_repeat=action_repeat, observe=())
+    if not isinstance(made, HasScene):
+        made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
+    for actions in (a, a_h):
+        if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
+            raise ArtifactError(f"the rows do not have {made.action_size} finite numbers for every action", "run the spec again")
+    view = MapView(made.look(), size) if isinstance(made, HasScene) else None
+    frames: list[Pixels] = []
+    decisions: list[int] = []
+    positions: list[Floats] = []
+    paid: list[Floats] = []
+    costly = False
+    for moment in play(made, layout_seed, a, reward):
+        now = bool(moment.last is not None and moment.last.cost[0])
+        costly |= now
+        scene = made.scene(np.array([0])) if isinstance(made, HasScene) else None
+        if scene is not None:
+            positions.append(scene.position[0, :2].copy())
+            paid += [positions[-1]] if now else []
+        if moment.t % every and moment.t < len(a):
+            continue
+        if isinstance(made, HasScene) and view is not None and scene is not None:
+            picture = view.picture(scene)
+            picture.trail(along(positions), size / 160)
+            picture.dots(along(paid), COST, size / 90)
+            if moment.t < len(a):
+                draw_actions(picture, made, Pose(made.look(), scene), a_h[moment.t], a[moment.t], size / 70)
+            if costly:
+                picture.edge(COST, size / 50)
+            frames.append(np.asarray(picture.finished()))
+        else:
+            frames.append(_camera(moment, size, costly))
+        decisions.append(moment.t)
+        costly = False
+    return Film(frames, decisions, along(positions) if positions else np.full((len(a) + 1, 2), np.nan))
+
+
+def _camera(moment: Moment, size: int, costly: bool) -> Pixels:
+    assert moment.pixels is not None
+    image = Image.fromarray(np.ascontiguousarray(np.moveaxis(moment.pixels[:3], 0, -1))).resize((size, size), Image.Resampling.NEAREST)
+    if costly:
+        edge = max(1, size // 50)
+        image.paste(COST, (0, 0, size, edge))
+        image.paste(COST, (0, size - edge, size, size))
+    return np.asarray(image)
+
+
+def sprite(frames: list[Pixels], columns: int) -> tuple[bytes, str]:
+    """Frames as one image and its MIME type: WebP of the best quality that stays below LIMIT; PNG where Pillow has no WebP."""
+    size = len(frames[0])
+    sheet = Image.new("RGB", (columns * size, -(-len(frames) // columns) * size))
+    for index, frame in enumerate(frames):
+        sheet.paste(Image.fromarray(frame), (index % columns * size, index // columns * size))
+    if not features.check("webp"):
+        return _saved(sheet.quantize(64, dither=Image.Dither.NONE), format="PNG", optimize=True), "image/png"
+    data = b""
+    for quality in _QUALITIES:
+        data = _saved(sheet, format="WEBP", quality=quality, method=4)
+        if len(data) <= LIMIT:
+            break
+    return data, "image/webp"
+
+
+def _saved(image: Image.Image, **options: Any) -> bytes:
+    file = io.BytesIO()
+    image.save(file, **options)
+    return file.getvalue()
+
+
+def sprite_of(
+    task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, columns: int = 10
+) -> Sprite:
+    """The film of an episode as a sprite sheet of `columns` frames beside each other, or more where it would become too high.
+
+    See `film` for the other arguments and the errors.
+    """
+    found = film(task, action_repeat, layout_seed, a, a_h, reward, every, size)
+    columns = max(columns, -(-len(found.frames) // (LONGEST // size)))
+    data, mime = sprite(found.frames, columns)
+    return Sprite(data, mime, columns, size, found.decisions)

@@ -1,0 +1,147 @@
+"""An episode as curves over its decisions, to stand under a video with a cursor. T = decisions."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
+from wasp_cli.video.map import COMMAND, COST, EXECUTED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+
+GATE_COLOURS = {GATE_SAFETY: "#0072B2", GATE_TASK: "#E69F00", GATE_METHOD: "#56B4E9"}
+GATE_NAMES = {GATE_SAFETY: "safety gate", GATE_TASK: "task gate", GATE_METHOD: "its own rule"}
+_DPI = 100
+_LEFT, _RIGHT, _TOP, _BOTTOM = 88, 14, 6, 36
+"""Margins in px."""
+_STYLE: dict[Any, Any] = {"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7}
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What the rows say of an episode; arrays are [T], NaN is undefined."""
+
+    title: str
+    gate: NDArray[np.int64]
+    costly: NDArray[np.bool_]
+    a_h: Floats
+    """[T, A]"""
+    a: Floats
+    """[T, A]"""
+    deviation: Floats
+    reward: Floats
+    cost_env: Floats
+    goals: Floats
+    g_cost: Floats
+    delta_g: Floats
+    signal: Floats
+    plan_cost: Floats
+    alone_cost: Floats
+    gated: bool
+    """whether the method has WASP's gates"""
+    tau_c: float | None
+    tau_r: float | None
+    signal_name: str
+    signal_limit: float | None
+    decision_seconds: float
+
+    @property
+    def length(self) -> int:
+        """T"""
+        return len(self.gate)
+
+
+class Timeline:
+    """The drawn curves, and where the cursor is."""
+
+    def __init__(self, told: Told, width: int, height: int) -> None:
+        """Draw them once, as an image of `width` x `height` px."""
+        # Imported here: matplotlib takes most of a second.
+        from matplotlib import rc_context
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        self._told, self._width = told, width
+        curves = _curves(told)
+        with rc_context(_STYLE):
+            figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
+            FigureCanvasAgg(figure)
+            grid = figure.add_gridspec(
+                len(curves) + 1, 1, height_ratios=[*[2.2] * len(curves), 1.0], hspace=0.16,
+                left=_LEFT / width, right=1 - _RIGHT / width, top=1 - _TOP / height, bottom=_BOTTOM / height,
+            )  # fmt: skip
+            panels = [figure.add_subplot(grid[i]) for i in range(len(curves) + 1)]
+            for panel, (name, values, limit, limit_name) in zip(panels, curves, strict=False):
+                _draw_curve(panel, name, values, limit, limit_name)
+            _draw_strip(panels[-1], told)
+            figure.legend(
+                handles=_marks(told), loc="lower right", bbox_to_anchor=(1 - _RIGHT / width, 0.0), ncols=4, frameon=False, fontsize=8,
+                borderaxespad=0.2, handlelength=1.0, handleheight=0.8, columnspacing=1.2,
+            )  # fmt: skip
+            for panel in panels:
+                panel.set_xlim(-0.5, told.length - 0.5)
+                panel.tick_params(labelbottom=panel is panels[-1], length=2)
+            panels[-1].set_xlabel("decision", labelpad=1)
+            file = io.BytesIO()
+            figure.savefig(file, format="png", dpi=_DPI)
+        self.image = Image.open(file).convert("RGB")
+
+    def cursor(self, t: int) -> float:
+        """Column of decision t in px."""
+        return _LEFT + (t + 0.5) / self._told.length * (self._width - _LEFT - _RIGHT)
+
+
+def _curves(told: Told) -> list[tuple[str, Floats, float | None, str]]:
+    """Name, values, limit and its name of every panel."""
+    if told.gated:
+        found = [("$\\bar{G}^c$", told.g_cost, told.tau_c, "$\\tau_c$"), ("$\\Delta G$", told.delta_g, told.tau_r, "$\\tau_r$")]
+        return [curve for curve in found if np.isfinite(curve[1]).any()] or found[:1]
+    found = [("$\\|a-a^H\\|$", told.deviation, None, "")]
+    if np.isfinite(told.signal).any():
+        found.append((told.signal_name, told.signal, told.signal_limit, "threshold"))
+    return found
+
+
+def _draw_curve(panel: Axes, name: str, values: Floats, limit: float | None, limit_name: str) -> None:
+    decisions = np.arange(len(values))
+    panel.plot(decisions, values, color=COMMAND, linewidth=0.9, marker=".", markersize=2.2)
+    if limit is not None:
+        panel.axhline(limit, color=EXECUTED, linewidth=1.1, linestyle="--")
+        label = f"{limit_name} {limit:.3g}"
+        panel.annotate(label, (1.0, limit), (-2, 2), ("axes fraction", "data"), "offset points", ha="right", color="#8f3f74", fontsize=8)
+        panel.fill_between(decisions, limit, values, where=values > limit, color=EXECUTED, alpha=0.35, linewidth=0, interpolate=True)
+    seen = [value for value in (*values[np.isfinite(values)].tolist(), limit) if value is not None]
+    low, high = min(0.0, *seen), max(0.2, *seen)
+    panel.set_ylim(low - 0.06 * (high - low), high + 0.3 * (high - low))
+    panel.set_ylabel(name, rotation=0, ha="right", va="center", labelpad=4)
+    panel.locator_params(axis="y", nbins=3)
+    panel.grid(axis="y", color="#e3e3e3", linewidth=0.5)
+    panel.set_axisbelow(True)
+
+
+def _draw_strip(panel: Axes, told: Told) -> None:
+    """Interventions by gate above, costs below."""
+    for gate, colour in GATE_COLOURS.items():
+        where = np.flatnonzero(told.gate == gate)
+        panel.broken_barh([(t - 0.5, 1) for t in where.tolist()], (1.1, 0.8), facecolors=colour, linewidth=0)
+    panel.broken_barh([(t - 0.5, 1) for t in np.flatnonzero(told.costly).tolist()], (0.1, 0.8), facecolors=COST, linewidth=0)
+    panel.set_ylim(0, 2)
+    panel.set_yticks([0.5, 1.5], ["cost", "gate"])
+    panel.tick_params(axis="y", length=0)
+
+
+def _marks(told: Told) -> list[Any]:
+    """The legend of the strip."""
+    from matplotlib.patches import Patch
+
+    fired = [gate for gate in GATE_COLOURS if (told.gate == gate).any()]
+    return [Patch(color=GATE_COLOURS[gate], label=GATE_NAMES[gate]) for gate in fired] + [Patch(color=COST, label="cost paid")]

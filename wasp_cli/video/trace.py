@@ -1,0 +1,176 @@
+"""What a video of a stored episode shows, gathered while its cell is played again: scenes, images, latents, and outsets for imagination.
+
+B = episodes of the cell, T = decisions of the episode, A = action size, F = features, L = residual steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from wasp_cli import seeds
+from wasp_cli.learning.closed_loop import human
+from wasp_cli.learning.policies import load_skills
+from wasp_cli.learning.rerun import Recorded, Rerun
+from wasp_cli.learning.trained import load_world_model
+from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.operators.base import Operator
+from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.tasks.base import Floats, HasScene, Pixels, VectorTask
+from wasp_cli.tasks.camera.look import Look, Scene
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video.imagined import Outset, outset
+from wasp_cli.video.readout import Readout, displacements, fit
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A stored cell and the models that it was evaluated with."""
+
+    task: str
+    action_repeat: int
+    seed: int
+    variant: str
+    """of the operator"""
+    value: float | None
+    """its severity"""
+    recorded: Recorded
+    world_model: Path
+    policies: Path
+    threads: int = 1
+    """of matrix products when it was evaluated: rounding may depend on them"""
+
+    def world(self) -> VectorTask:
+        """The task as the cell was evaluated in."""
+        return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=("pixels",), threads=self.threads)
+
+    def operator(self, world: VectorTask) -> Operator:
+        """The operator of the cell, fresh."""
+        batch = len(self.recorded.a)
+        mistakes = [seeds.operator_seed(self.task, self.variant, self.value, self.seed, e) for e in range(batch)]
+        owner = human(load_skills(self.policies), world.decision_seconds, world.action_size)
+        return build_operator(self.variant, self.value, owner, EpisodeNoise(mistakes), batch)
+
+
+class Instant(NamedTuple):
+    """What there is to show of one decision."""
+
+    outset: Outset
+    pixels: Pixels
+    """[6, 64, 64] what the cameras saw"""
+    decoded: NDArray[np.float32]
+    """[6, 64, 64] in [0, 1]: what the filtered latent remembers of it"""
+    scene: Scene | None
+    """of one row; None of a task without a map"""
+    pose: Floats | None
+    """[3] x, y and yaw of the robot's front"""
+
+
+class Retraced(NamedTuple):
+    """An episode, ready to be drawn."""
+
+    model: SafetyWorldModel
+    world: VectorTask
+    look: Look | None
+    cameras: int
+    instants: list[Instant]
+    """in order; the decisions that are shown"""
+    places: Floats
+    """[T, 2] of the robot before every decision; [0, 2] of a task without a map"""
+    readout: Readout | None
+    """fitted to the other episodes; None where there are none, or no map"""
+    explained: Floats
+    """[3] its R2 of the displacements of this episode: forward, left, turn"""
+
+
+def retrace(
+    source: Source,
+    episode: int,
+    residuals: Sequence[NDArray[Any] | None],
+    shown: Collection[int],
+    horizon: int,
+    progress: Progress,
+) -> Retraced:
+    """Play a cell again and keep what is needed of one episode.
+
+    Args:
+        source: the cell.
+        episode: the row to show.
+        residuals: T corrections [L, A], or None where the command stood.
+        shown: the decisions to show.
+        horizon: imagined steps.
+        progress: told the share that is done.
+
+    Raises:
+        ArtifactError: a model is damaged, or what is played is not what was recorded.
+        TaskError: the task cannot be imported.
+        UnknownName: there is no such task or operator.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(source.threads)
+    try:
+        return _retrace(source, episode, residuals, shown, horizon, progress)
+    finally:
+        torch.set_num_threads(before)
+
+
+def _retrace(
+    source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
+) -> Retraced:
+    world, model = source.world(), load_world_model(source.world_model)
+    look = world.look() if isinstance(world, HasScene) else None
+    rerun = Rerun(world, model, source.operator(world), source.recorded)
+    everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
+    features: list[NDArray[np.float32]] = []
+    poses: list[Floats] = []
+    instants: list[Instant] = []
+    for moment in rerun:
+        t = moment.t
+        if look is not None and isinstance(world, HasScene):
+            poses.append(_poses(look, world.scene(everyone)))
+            features.append(moment.latent.features.numpy().copy())
+        if t in shown and t < length:
+            assert moment.seen.pixels is not None
+            begun = outset(t, moment.latent, episode, moment.a_h[episode].numpy().copy(), rerun.operator, residuals[t], horizon)
+            with torch.inference_mode():
+                decoded = model.decode(begun.latent)[0].numpy()
+            scene = world.scene(np.array([episode])) if isinstance(world, HasScene) else None
+            pose = poses[-1][episode] if poses else None
+            instants.append(Instant(begun, moment.seen.pixels[episode].copy(), decoded, scene, pose))
+        if t % 25 == 0:
+            progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
+    places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
+    readout, explained = _read_out(features, poses, rerun.lengths, episode)
+    return Retraced(model, world, look, getattr(world, "cameras", 2), instants, places, readout, explained)
+
+
+def _poses(look: Look, scene: Scene) -> Floats:
+    """[B, 3] x, y and yaw of the robots' fronts."""
+    front = scene.rotation[:, :2, :2] @ np.array(look.forward)
+    return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)
+
+
+def _read_out(
+    features: list[NDArray[np.float32]], poses: list[Floats], lengths: NDArray[np.int64], episode: int
+) -> tuple[Readout | None, Floats]:
+    """A readout from the other episodes, and its R2 on this one."""
+    if not poses:
+        return None, np.full(3, np.nan)
+    seen, places = np.stack(features), np.stack(poses)  # [T, B, .]
+    # The latent that has arrived at t, and the way from t - 1 to t.
+    arrived = [seen[1:length, e] for e, length in enumerate(lengths)]
+    moved = [displacements(places[:length, e]) for e, length in enumerate(lengths)]
+    others = [e for e in range(len(lengths)) if e != episode and len(moved[e])]
+    if not others:
+        return None, np.full(3, np.nan)
+    readout = fit([arrived[e] for e in others], [moved[e] for e in others])
+    return readout, readout.explained(arrived[episode], moved[episode])
