@@ -21,7 +21,7 @@ from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.seeds import layout_seed, operator_seed
 from wasp_cli.spec.load import load
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.studies import oracle as ceiling
 from wasp_cli.tasks.make import make_task
@@ -62,7 +62,7 @@ def results(spec: Path, tmp_path: Path) -> Path:
     folder = staging_folder(layout, node.key)
     torch.manual_seed(0)
     save_skill(PrivilegedPolicy(task.privileged_size, [8], 2), folder / checkpoint_name(1.0), task, ExpertConfig(hidden=(8,)))
-    publish(layout, "expert", node.key, folder, {})
+    commit(layout, "expert", node.key, folder, {})
     return layout.root
 
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from wasp_cli.plan.part import Part
     from wasp_cli.report.document import Report
     from wasp_cli.report.page.films import Draw
-    from wasp_cli.run.session import Selection, Way
+    from wasp_cli.run.session import RunOptions, Selection
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
     from wasp_cli.spec.paper import Paper
@@ -330,7 +330,7 @@ def _show_plan(
         show(laid_out, out(), max(jobs, 1), every=every)
 
 
-def _run_and_report(loaded: Loaded, results: Path, way: Way, selection: Selection | None = None, reuse: str | None = None) -> None:
+def _run_and_report(loaded: Loaded, results: Path, way: RunOptions, selection: Selection | None = None, reuse: str | None = None) -> None:
     from wasp_cli.plan.plan import branched_with_keys, cells_with_keys, parts_with_keys
     from wasp_cli.run.session import WHOLE, run_spec
     from wasp_cli.spec.paper import load_paper

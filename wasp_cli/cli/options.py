@@ -16,7 +16,7 @@ from wasp_cli.cli import completion as complete
 
 if TYPE_CHECKING:
     from wasp_cli.report.frame import Missing
-    from wasp_cli.run.session import Way
+    from wasp_cli.run.session import RunOptions
     from wasp_cli.store.layout import Layout
 
 P = ParamSpec("P")
@@ -166,11 +166,11 @@ def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
     return wrapped
 
 
-def way_of(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> Way:
+def way_of(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> RunOptions:
     """How a run is carried out, from what was typed."""
-    from wasp_cli.run.session import Way, cores
+    from wasp_cli.run.session import RunOptions, cores
 
-    return Way(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
+    return RunOptions(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
 
 
 def print_json(value: Any) -> None:
@@ -189,12 +189,12 @@ def require_cells(missing: Sequence[Missing], layout: Layout | None = None) -> N
         layout: the results folder of a run; damaged cells are taken out of use there, so that the next run computes them.
     """
     from wasp_cli.errors import CellsFailed
-    from wasp_cli.store.artifact import condemn
+    from wasp_cli.store.artifact import invalidate
 
     if missing:
         for cell in missing:
             if cell.damaged and layout is not None:
-                condemn(layout, cell.kind, cell.key, cell.reason)
+                invalidate(layout, cell.kind, cell.key, cell.reason)
         named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"

@@ -9,7 +9,7 @@ from typing import Any
 
 from wasp_cli.plan.keys import canonical
 from wasp_cli.plan.node import Node, sort_of
-from wasp_cli.store.index import Entry, Stock
+from wasp_cli.store.index import ArtifactIndex, Entry
 
 VERSION = 1
 """Raised when `facts_of` changes."""
@@ -46,21 +46,21 @@ def who_is(node: Node) -> str:
     return who(node.kind, node.task, node.seed, node.axes)
 
 
-def measured(stock: Stock) -> dict[str, float]:
+def measured(index: ArtifactIndex) -> dict[str, float]:
     """Median seconds by sort of node."""
     times: dict[str, list[float]] = {}
-    for entries in stock.whole.values():
+    for entries in index.whole.values():
         for entry in entries.values():
             if "seconds" in entry.facts:
                 times.setdefault(str(entry.facts["sort"]), []).append(float(entry.facts["seconds"]))
     return {sort: median(values) for sort, values in times.items()}
 
 
-def versions(stock: Stock, kinds: Iterable[str]) -> dict[str, list[tuple[str, Entry]]]:
+def versions(index: ArtifactIndex, kinds: Iterable[str]) -> dict[str, list[tuple[str, Entry]]]:
     """By `who`, the key and the entry of every version in the store, newest first."""
     found: dict[str, list[tuple[str, Entry]]] = {}
     for kind in kinds:
-        for key, entry in stock.whole.get(kind, {}).items():
+        for key, entry in index.whole.get(kind, {}).items():
             if "who" in entry.facts:
                 found.setdefault(str(entry.facts["who"]), []).append((key, entry))
     for entries in found.values():

@@ -15,7 +15,7 @@ from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.keys import libraries
 from wasp_cli.plan.node import Node
 from wasp_cli.store.artifact import read_manifest
-from wasp_cli.store.index import Entry, Stock
+from wasp_cli.store.index import ArtifactIndex, Entry
 from wasp_cli.store.layout import Layout
 
 NEWEST = 5
@@ -28,9 +28,9 @@ _ABSENT = object()
 class Reasons:
     """Finds the nearest earlier version of a node, and says what is different now."""
 
-    def __init__(self, layout: Layout, stock: Stock, kinds: Sequence[str]) -> None:
+    def __init__(self, layout: Layout, index: ArtifactIndex, kinds: Sequence[str]) -> None:
         self._layout = layout
-        self._versions = cache(lambda: versions(stock, kinds))  # a plan in which nothing is missing never asks
+        self._versions = cache(lambda: versions(index, kinds))  # a plan in which nothing is missing never asks
         self._known: dict[tuple[object, ...], tuple[int, str]] = {}
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 

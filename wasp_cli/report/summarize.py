@@ -164,7 +164,7 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
     """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
 
-    Not as the spec would be laid out now: that imports the environments that it names, and these results may be a stranger's.
+    Not as the spec would be laid out now: that imports the environments that it names, and these results may be untrusted.
     """
     failed = _failed(layout)
     if not failed:
