@@ -14,8 +14,8 @@ from tests.commands import run_here
 from tests.report.invented_ladder import write_returns
 from tests.run.harness import Fakes, fakes
 from wasp_cli.plan.grid import lay_out
+from wasp_cli.spec.derived import operators_alone
 from wasp_cli.spec.load import load
-from wasp_cli.spec.operators import operators_alone
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 

@@ -11,11 +11,10 @@ from rich.console import Console
 
 from tests.report.branched import invent_branches
 from tests.report.invented import SKILL, invent, write
-from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import cells_of, lay_out
 from wasp_cli.plan.keys import libraries
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force

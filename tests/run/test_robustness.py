@@ -17,7 +17,7 @@ import pytest
 from tests.run.harness import ROOT, Fakes, prepared, run
 from wasp_cli.cli import doctor
 from wasp_cli.errors import StoreError, WaspError, refusal
-from wasp_cli.plan.waves import waves
+from wasp_cli.plan.node import waves
 from wasp_cli.registry import Registry
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run, results_of

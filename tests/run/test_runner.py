@@ -11,9 +11,8 @@ import pytest
 from tests.run.harness import Fakes, data_of, prepared, run
 from wasp_cli.report.runs import last_runs
 from wasp_cli.run.job import NodeJob, NodeResult
-from wasp_cli.run.journal import read_journal
 from wasp_cli.run.pool import InlinePool, LokyPool
-from wasp_cli.run.record import new_run, read_run
+from wasp_cli.run.record import new_run, read_journal, read_run
 from wasp_cli.run.runner import Runner, failures_text
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout

@@ -41,8 +41,7 @@ from wasp_cli.cli.store import store_app
 from wasp_cli.cli.sweep import sweep_app
 
 if TYPE_CHECKING:
-    from wasp_cli.plan.cell import Cell
-    from wasp_cli.plan.part import Part
+    from wasp_cli.plan.node import Cell, Part
     from wasp_cli.report.document import Report
     from wasp_cli.report.page.films import Draw
     from wasp_cli.run.session import RunOptions, Selection
@@ -220,7 +219,7 @@ def ablate(
     set_: SetOption = None,
 ) -> None:
     """Run a method without one of its parts, and the whole method beside it."""
-    from wasp_cli.spec.ablation import ablation
+    from wasp_cli.spec.derived import ablation
 
     way = way_of(jobs, timeout, retries, backend, scheduler)
     _run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, way, reuse=reuse)

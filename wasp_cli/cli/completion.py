@@ -57,7 +57,7 @@ def presets() -> list[str]:
 def settings() -> list[str]:
     """What `--set` and `--vary` take, up to the value."""
     from wasp_cli.errors import WaspError
-    from wasp_cli.spec.settings import settings
+    from wasp_cli.spec.hints import settings
 
     try:
         return [f"{name}=" for name in settings()]

@@ -57,7 +57,7 @@ def operators(
     from wasp_cli.report.summarize import wanted_cells
     from wasp_cli.report.table import terminal
     from wasp_cli.run.session import restricted, run_spec
-    from wasp_cli.spec.operators import operators_alone
+    from wasp_cli.spec.derived import operators_alone
 
     loaded = restricted(operators_alone(spec, set_ or ()), task)
     session = run_spec(loaded, results, way_of(jobs, timeout, retries, backend, scheduler))

@@ -43,7 +43,7 @@ def publish(
     from wasp_cli.run.publish import carry_publication, publication
     from wasp_cli.run.record import results_of
     from wasp_cli.run.session import restricted
-    from wasp_cli.run.show_publish import show_publication
+    from wasp_cli.run.show import show_publication
     from wasp_cli.spec.load import load
     from wasp_cli.store.layout import Layout
     from wasp_cli.store.lock import held

@@ -68,7 +68,7 @@ def gc(
     from wasp_cli.console import out
     from wasp_cli.run.reach import kept_keys, remove_unreached, unreached
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show_gc import removed_line, show_rubbish
+    from wasp_cli.run.show import removed_line, show_rubbish
 
     layout = results_of(folder)
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400

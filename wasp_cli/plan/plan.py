@@ -9,13 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.plan.cell import Cell
-from wasp_cli.plan.facts import VERSION, facts_of, measured
 from wasp_cli.plan.grid import Grid, uncollected
-from wasp_cli.plan.node import Node
-from wasp_cli.plan.part import Part
-from wasp_cli.plan.reasons import Reasons
-from wasp_cli.plan.waves import waves
+from wasp_cli.plan.node import Cell, Node, Part, waves
+from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.index import scan
 from wasp_cli.store.layout import Layout

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wasp_cli.plan.closure import changed_since
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import FROM_PUBLISHED, commit_of

@@ -12,8 +12,8 @@ from concurrent.futures import BrokenExecutor
 from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.run.interrupt import SIGNALS
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
-from wasp_cli.run.signals import SIGNALS
 from wasp_cli.run.worker import execute
 
 

@@ -11,14 +11,12 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.closure import source_hashes
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.node import Node, waves
 from wasp_cli.plan.plan import Plan
-from wasp_cli.plan.waves import waves
+from wasp_cli.run.interrupt import HINT, Stop, was_ended
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
-from wasp_cli.run.journal import Journal
-from wasp_cli.run.limit import HINT, was_ended
 from wasp_cli.run.progress import NAMES, numbers
-from wasp_cli.run.signals import Stop
+from wasp_cli.run.record import Journal
 from wasp_cli.run.worker import KILLED, attempts, record_failure
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record

@@ -11,17 +11,17 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName
+from wasp_cli.plan.node import waves
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
-from wasp_cli.plan.waves import waves
+from wasp_cli.run.interrupt import SIGNALS, listening
 from wasp_cli.run.job import Pool
 from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.progress import NAMES, board
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary, failures_text
-from wasp_cli.run.signals import SIGNALS, listening
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout

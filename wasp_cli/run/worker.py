@@ -19,8 +19,8 @@ from wasp_cli.memory import keep_memory
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.registry import load_target
 from wasp_cli.run.heartbeat import Heartbeat
+from wasp_cli.run.interrupt import limited
 from wasp_cli.run.job import NodeJob, NodeResult
-from wasp_cli.run.limit import limited
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store.artifact import (
