@@ -132,7 +132,7 @@ def test_a_failed_cell_leaves_its_operator_incomplete_and_ends_with_1(fakes: Fak
     assert LINES[1] in done.stdout
     assert "moderate 0.7 [1 of 2 cells]" in done.stdout
     assert "goal1 s1 human laggy=0.7: the loss is not finite" in done.stderr
-    assert "the same command runs what failed again" in done.stderr
+    assert "run the same command again to retry what failed" in done.stderr
 
 
 def test_a_cell_without_rows_ends_with_1(fakes: Fakes, spec: Path, tmp_path: Path) -> None:

@@ -108,8 +108,8 @@ def test_weights_that_rotted_are_noticed_by_who_reads_them_and_computed_again(fa
     # A process of its own: this one has seen the whole file.
     done = fake_wasp("run", small_spec, "--results", results, "-j", "1")
     assert done.returncode == 1
-    assert "goal1 s0 human noisy=0.2: what it reads is damaged: '" in done.stderr
-    assert "weights.safetensors' does not have the bytes that were published" in done.stderr
+    assert "goal1 s0 human noisy=0.2: an input is damaged: '" in done.stderr
+    assert "weights.safetensors' has other bytes than were stored" in done.stderr
     _, _, plan = prepared(small_spec, results)
     assert {(step.node.label, step.state) for step in plan.steps if step.runs} == {
         (world_model.label, "damaged"), (reader.label, "failed"),

@@ -50,7 +50,7 @@ def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> No
         os.kill(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "ending after what runs now" in errors
+    assert "finishing the running nodes" in errors
     ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/manifest.json")))
     assert ran == there < 17
 
@@ -88,7 +88,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fake
     ("arguments", "message"),
     [
         (("--backend", "dask"), "the backend dask needs the address of its scheduler"),
-        (("--backend", "dask", "--scheduler", "nonsense"), "'nonsense' is no address of a dask scheduler"),
+        (("--backend", "dask", "--scheduler", "nonsense"), "'nonsense' is not the address of a dask scheduler"),
         (("--backend", "dask", "--scheduler", "tcp://127.0.0.1:1"), "no dask scheduler answers at 'tcp://127.0.0.1:1': connection refused"),
         (("--backend", "dusk"), "unknown backend 'dusk'"),
         (("--scheduler", "tcp://127.0.0.1:1"), "--scheduler is for the backends dask and ray"),

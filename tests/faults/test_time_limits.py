@@ -58,7 +58,7 @@ def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=1.0)
     (failure,) = summary.failed
     assert failure.node.label == LABEL
-    assert failure.result.message == "it did not react to its time limit, so its process was ended"
+    assert failure.result.message == "it exceeded its time limit and did not stop, so its process was ended"
     assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
     assert not list((tmp_path / "results").glob("runs/*/running/*"))
     fakes.set()

@@ -55,7 +55,7 @@ def test_the_plan_reads_well() -> None:
     text = text_of(make_plan(laid_out, {}, {laid_out.nodes[-1].key: "no luck"}))
     assert "48 grid points, 40 cells to evaluate" in text
     assert "failed before: no luck" in text
-    assert "there is no estimate" in text
+    assert "no time estimate" in text
     done = make_plan(laid_out, {node.kind: {node.key for node in laid_out.nodes} for node in laid_out.nodes}, {})
     assert "nothing to run" in text_of(done)
 

@@ -79,5 +79,5 @@ def test_names_that_are_not_there_get_a_suggestion() -> None:
     with pytest.raises(UnknownName, match="method in this spec 'waps'") as error:
         select(grid(), ["method=waps"])
     assert error.value.hint == "did you mean 'wasp'?"
-    with pytest.raises(UsageError, match="no node of the spec has all of"):
+    with pytest.raises(UsageError, match="no node of the spec matches"):
         select(grid(), ["method=expert,operator=noisy"])

@@ -224,7 +224,7 @@ def test_nothing_goes_where_a_plan_does_not_read(fakes: Fakes, small_spec: Path,
         plan.write_text(text)
         done = run_here("gc", results, "--yes", columns=80)
         assert done.exit_code == 1
-        assert "what it reaches is unknown" in done.stderr
+        assert "what it needs is unknown" in done.stderr
     plan.unlink()
     assert "is being planned" in run_here("gc", results, "--yes", columns=80).stderr
     assert artifacts(results) == before

@@ -108,7 +108,7 @@ def test_changed_source_explains_a_failure(fakes: Fakes, small_spec: Path, tmp_p
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     job = Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
     result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
-    assert result.message == "the source changed while the run was going: wasp_cli.config"
+    assert result.message == "the source changed during the run: wasp_cli.config"
     assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")
 
 

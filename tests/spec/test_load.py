@@ -68,7 +68,7 @@ def test_counts_may_be_written_like_people_do() -> None:
         ("wasp:\n  candidats: 64\n", (9, 3), "unknown key 'candidats'", "did you mean 'candidates'?"),
         ("candidates: 64\n", (8, 1), "unknown key 'candidates'", "did you mean 'wasp.candidates' or 'filter.candidates'?"),
         ("probe: 6\n", (8, 1), "unknown key 'probe'", "did you mean 'wasp.probe'?"),
-        ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' stands at the top, outside every section"),
+        ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' belongs at the top level, outside every section"),
         ("wasp: {tau_r: calib}\n", (8, 15), "should be a number or 'calibrated', not 'calib'", "did you mean 'calibrated'?"),
         ("wasp: {alpha: '0.1'}\n", (8, 15), "should be a number, not '0.1'", "without quotes: 0.1"),
         ("wasp: {rollouts: true}\n", (8, 18), "should be an integer, not true", None),
@@ -118,7 +118,7 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
         ("[human, wasp]", "[human]\nstages: [expert, evaluate]", (5, 18),
          "'evaluate' runs for a method", "list its method under `methods`"),
         ("[human, wasp]", "[human]\nstages: [calibration]", (5, 10), "'calibration' runs for a method", "list its method under `methods`"),
-        ("[human, wasp]", "[human]\nstages: [rollouts]", (5, 10), "'rollouts' begins a further round", "say how many with `rounds`"),
+        ("[human, wasp]", "[human]\nstages: [rollouts]", (5, 10), "'rollouts' begins a further round", "set their number with `rounds`"),
         ("[human, wasp]", "[human]\nrounds: 0", (5, 9), "should be greater than or equal to 1, not 0", None),
         ("[human, wasp]", "[human]\nrounds: two", (5, 9), "should be an integer, not 'two'", None),
         ("[human, wasp]", "[human]\nstages: [expert, expert]", (5, 9), "'expert' is listed twice", None),
@@ -205,11 +205,11 @@ def test_an_alias_is_shown_at_its_anchor_and_names_who_uses_it() -> None:
         ("a: *x\n", (1, 4), "not valid YAML: found undefined alias 'x'"),
         ("a: 1\n---\nb: 1\n", (2, 1), "not valid YAML: but found another document"),
         ("name: \x01\n", (1, 7), "not a text file: special characters are not allowed"),
-        ("a: " + "9" * 5000, (1, 4), "not valid YAML: '9999999999999999999999999999999999999...' is no integer"),
-        ("b: [x, 2020-13-45]\n", (1, 8), "not valid YAML: '2020-13-45' is no date"),
-        ("a: 1\nb: &b\n  c: {<<: *b}\n", (3, 7), "not valid YAML: a merge (<<) brings a mapping into itself"),
-        ("a: &a [0x_, *a]\n", (1, 8), "not valid YAML: '0x_' is no integer"),
-        ("a: !!omap 3\n", (1, 4), "not valid YAML: '3' is no ordered mapping"),
+        ("a: " + "9" * 5000, (1, 4), "not valid YAML: '9999999999999999999999999999999999999...' is not an integer"),
+        ("b: [x, 2020-13-45]\n", (1, 8), "not valid YAML: '2020-13-45' is not a valid date"),
+        ("a: 1\nb: &b\n  c: {<<: *b}\n", (3, 7), "not valid YAML: a merge (<<) includes a mapping in itself"),
+        ("a: &a [0x_, *a]\n", (1, 8), "not valid YAML: '0x_' is not an integer"),
+        ("a: !!omap 3\n", (1, 4), "not valid YAML: '3' is not an ordered mapping"),
         ("name: x\rseeds: [\x01]", (2, 9), "not a text file: special characters are not allowed"),
         ("[" * 600, (1, 1), "nested too deeply"),
     ],
@@ -234,8 +234,8 @@ def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text: str, place: tu
         ("{? 0x" + "f" * 5000 + " : b}", "a key should be a plain word, not so large a number"),
         ("{1: a, '1': b}", "duplicate key '1'"),
         ("0x" + "f" * 5000, "is too large a number"),
-        ('"\\ud800"', "holds half a character"),
-        ('{"\\udfff": a}', "a key should be a plain word, not half a character"),
+        ('"\\ud800"', "holds an unpaired surrogate escape"),
+        ('{"\\udfff": a}', "a key should be a plain word, not an unpaired surrogate escape"),
         ("[" * 40 + "]" * 40, "nested too deeply"),
     ],
 )
@@ -305,7 +305,7 @@ def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
 def test_a_value_that_cannot_be_built_is_found_among_unknown_tags() -> None:
     problem = only("a: !!x 3\nb: !y {c: !z [1]}\n<<: {d: 1}\nc: 2020-13-45\n")
     gc.collect()
-    assert (at(problem), problem.message) == ((4, 4), "not valid YAML: '2020-13-45' is no date")
+    assert (at(problem), problem.message) == ((4, 4), "not valid YAML: '2020-13-45' is not a valid date")
 
 
 @pytest.mark.filterwarnings("error")

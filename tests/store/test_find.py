@@ -128,7 +128,7 @@ def test_suggestions(layout: Layout) -> None:
     assert "did you mean 'goal1 s0 wasp laggy=0.7'" in str(caught.value.hint)
     with pytest.raises(UnknownName) as caught:
         find_cell(layout, "deadbeef")
-    assert "say a key" in str(caught.value.hint)
+    assert "give a key" in str(caught.value.hint)
     with pytest.raises(UsageError, match="too short for a key"):
         find_cell(layout, "012")
 
@@ -145,7 +145,7 @@ def test_a_cell_that_failed_says_why(layout: Layout) -> None:
     write_record(layout.failure("ffff0000000000000000"), {"kind": "evaluate", "label": "goal1 s2 ida noisy=0.4", "message": "out of disk"})
     layout.failure("ffff0000000000000001").write_text("{", encoding="utf-8")
     for text in ("goal1 s2 ida noisy=0.4", "ffff0000000000000000"):
-        with pytest.raises(UsageError, match="it failed last with: out of disk"):
+        with pytest.raises(UsageError, match="it failed with: out of disk"):
             find_cell(layout, text)
 
 

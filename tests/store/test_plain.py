@@ -38,7 +38,7 @@ def test_a_link_is_not_read(tmp_path: Path) -> None:
 
 def test_a_pipe_holds_nobody(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError, match="no plain file"):
+    with pytest.raises(OSError, match="not a regular file"):
         read_plain(tmp_path / "pipe")
 
 
@@ -148,4 +148,4 @@ def test_a_file_elsewhere_is_no_part_of_an_artifact(layout: Layout, tmp_path: Pa
     (tmp_path / "elsewhere").write_text("1")
     for name in ("../../../../elsewhere", str(tmp_path / "elsewhere")):
         write_record(layout.manifest("expert", KEY), {"files": {name: {"size": 1}}})
-        assert "no file of the artifact" in (damage(layout, "expert", KEY) or "")
+        assert "not a file of the artifact" in (damage(layout, "expert", KEY) or "")

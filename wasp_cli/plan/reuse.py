@@ -41,7 +41,7 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
         return Layout(layout.within(layout.published))
     found = Layout(Path(choice).absolute())
     if not choice.strip() or not found.store.is_dir():
-        raise UsageError(f"'{choice}' holds no published results", "say none, published, or a folder that wasp publish has filled")
+        raise UsageError(f"'{choice}' holds no published results", "use none, published, or a folder that wasp publish has filled")
     return found
 
 

@@ -73,7 +73,7 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
         and all(condition.holds(facts) for condition in selector)
     )
     if not found:
-        raise UsageError(f"--select: no node of the spec has all of {' or '.join(texts)}", "wasp plan SPEC --all lists them")
+        raise UsageError(f"--select: no node of the spec matches {' or '.join(texts)}", "wasp plan SPEC --all lists them")
     return found
 
 

@@ -95,8 +95,8 @@ def _time(plan: Plan, workers: int) -> list[str]:
         return ["nothing to run"]
     seconds, unknown = plan.estimate(workers)
     if not seconds:
-        return ["no node of these sizes has been measured yet, so there is no estimate of the time"]
-    rest = f", without {unknown} nodes of sizes that have not been measured yet" if unknown else ""
+        return ["no time estimate: no node of these sizes has been measured yet"]
+    rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
     longest, path = plan.critical_path()
     names = [node.label for node in path]
     if len(names) > SHOWN:

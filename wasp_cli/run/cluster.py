@@ -134,7 +134,7 @@ def _require_answer(backend: str, address: str) -> None:
     """See that something listens at an address: the libraries' own attempts take minutes, and print what helps nobody."""
     found = re.fullmatch(r"(?:\w+://)?\[?([^/\]]+)\]?:(\d+)/?", address)
     if found is None:
-        raise UsageError(f"'{address}' is no address of a {backend} scheduler", EXAMPLES[backend])
+        raise UsageError(f"'{address}' is not the address of a {backend} scheduler", EXAMPLES[backend])
     try:
         socket.create_connection((found[1], int(found[2])), timeout=CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:

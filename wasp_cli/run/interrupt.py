@@ -131,7 +131,7 @@ class _Rung(Exception):
     """Python raises a class in another thread, not an instance; what it means is said where it arrives."""
 
 
-HINT = "give more with --timeout, or look into its log for where it was"
+HINT = "allow more time with --timeout; the log shows where it was"
 
 
 def was_ended(marker: Path) -> bool:

@@ -49,10 +49,10 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
         found = [log for log in named if log.run_id == named[0].run_id]
     newest = {log.key: log for log in reversed(found)}
     if len(newest) > 1:
-        raise UsageError(_several(wanted, list(newest.values())), "say the first characters of one of these keys")
+        raise UsageError(_several(wanted, list(newest.values())), "give the first characters of one of these keys")
     if not newest:
-        message = f"no log of '{wanted}' in '{layout.root}'"
-        raise UnknownName("node", wanted, {log.label for log in logs}, message, otherwise="say a key or a label, as wasp status shows them")
+        message, hint = f"no log of '{wanted}' in '{layout.root}'", "give a key or a label, as wasp status shows them"
+        raise UnknownName("node", wanted, {log.label for log in logs}, message, otherwise=hint)
     return next(iter(newest.values()))
 
 

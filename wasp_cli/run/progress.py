@@ -70,10 +70,10 @@ class Lines:
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":
             labels = [self._names.get(str(one), str(label)) for one, label in zip(event["suspects"], event["labels"], strict=True)]
-            doing = f"what it could have been doing runs again, one at a time: {', '.join(labels)}" if labels else "it was doing nothing"
-            self._note(f"a worker was killed; {doing}")
+            after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
+            self._note(f"a worker process was killed{after}")
         elif kind == "draining":
-            self._note("ending after what runs now; once more ends it at once")
+            self._note("finishing the running nodes; Ctrl-C again stops now")
 
     def _started(self) -> None:
         for path in sorted((self._layout.run(self._run_id) / "running").glob("*.json")):

@@ -216,7 +216,7 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
 def _copy(item: Item, layout: Layout, target: Layout) -> None:
     kind, key = item.node.kind, item.node.key
     if damage(target, kind, key) is None:  # of the right sizes, and with other bytes
-        invalidate(target, kind, key, "its bytes were not those that were published")
+        invalidate(target, kind, key, "it had other bytes than were published")
     staging = staging_folder(target, key)
     try:
         copy_files(layout, kind, key, item.manifest, staging)

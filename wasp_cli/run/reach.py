@@ -115,12 +115,12 @@ def _require_old(layout: Layout, run_id: str) -> None:
     if os.path.lexists(folder / "plan.json") or os.path.lexists(folder / "sweep.json"):
         raise _unclear(layout, run_id)
     if _age(layout, run_id) < BEGINS_SECONDS:
-        raise StoreError(f"run '{run_id}' is being planned", "try again when it runs")
+        raise StoreError(f"run '{run_id}' is being planned", "try again once it runs")
 
 
 def _unclear(layout: Layout, run_id: str) -> StoreError:
     folder = layout.run(run_id)
-    return StoreError(f"the plan of '{folder}' does not read; what it reaches is unknown", "remove that folder if nobody needs the run")
+    return StoreError(f"the plan of '{folder}' cannot be read, so what it needs is unknown", "remove that folder if nobody needs the run")
 
 
 def _age(layout: Layout, run_id: str) -> float:

@@ -169,7 +169,7 @@ class Runner:
         try:
             if not was_ended(overdue):
                 return self._pool.alone(replace(job, wait=True))
-            message, hint = "it did not react to its time limit, so its process was ended", HINT
+            message, hint = "it exceeded its time limit and did not stop, so its process was ended", HINT
         except WorkersDied:
             if exists(self._layout, job.kind, job.key):
                 return self._stored(job)

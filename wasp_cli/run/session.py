@@ -66,7 +66,7 @@ class Session:
     def require_complete(self) -> None:
         """Raise CellsFailed when a node failed."""
         if not self.summary.complete:
-            raise CellsFailed(_failure_message(self.summary, self.names), "the same command runs what failed again")
+            raise CellsFailed(_failure_message(self.summary, self.names), "run the same command again to retry what failed")
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names
     except KeyboardInterrupt:
         _kill(pool)
         kept = f"{runner.summary.done} of {nodes} nodes were finished and are kept"
-        raise Interrupted(f"interrupted: {kept}", "the same command goes on from there") from None
+        raise Interrupted(f"interrupted: {kept}", "run the same command again to continue") from None
     except BaseException:
         _kill(pool)
         raise

@@ -75,12 +75,12 @@ def _block(state: RunState, now: datetime) -> Group:
 
 def _life(state: RunState, now: datetime) -> str:
     if state.state == "not started":
-        return "planned, and nothing of it was computed"
+        return "planned; nothing computed yet"
     if not state.total:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        ending = "ending after what runs now" if state.draining else ""
+        ending = "finishing the running nodes" if state.draining else ""
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
@@ -103,7 +103,7 @@ def _progress(state: RunState) -> Text:
         counts.append(f"{state.running} running")
     counts += [f"{len(state.failed)} failed"] if state.failed else []
     counts += [f"{state.blocked} blocked"] if state.blocked else []
-    counts += [f"{state.retried} tried again"] if state.retried else []
+    counts += [f"{state.retried} retried"] if state.retried else []
     if state.waiting:
         counts.append(f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}")
     return Text.assemble("[", ("=" * filled, "green"), " " * (BAR - filled), f"] {', '.join(counts)}")
@@ -114,9 +114,9 @@ def _pace(state: RunState) -> str:
     if state.state != "running":
         return ""
     rate = state.per_minute or 0.0
-    parts = [f"{rate:.0f} nodes a minute lately" if rate >= 10 else f"{rate:.2g} nodes a minute lately"] if rate else []
+    parts = [f"{rate:.0f} nodes per minute recently" if rate >= 10 else f"{rate:.2g} nodes per minute recently"] if rate else []
     if state.left_seconds is not None:
-        known = f", without {state.unknown} nodes whose time is unknown" if state.unknown else ""
+        known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
         parts.append(f"about {duration(state.left_seconds)} left{known}")
     return "; ".join(parts)
 

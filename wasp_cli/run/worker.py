@@ -40,7 +40,7 @@ from wasp_cli.store.provenance import cuda_devices
 
 DEATHS = 2
 """Killed processes after which a node has failed."""
-KILLED = "its process was killed, twice (out of memory, or by a signal)"
+KILLED = "its process was killed twice (out of memory, or by a signal)"
 
 
 def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
@@ -119,14 +119,14 @@ def _require_inputs(job: NodeJob, layout: Layout) -> None:
         wrong = corruption(layout, kind, key)
         if wrong is not None:
             invalidate(layout, kind, key, wrong)
-            raise ArtifactError(f"what it reads is damaged: {wrong}", "run again: what is damaged is computed again")
+            raise ArtifactError(f"an input is damaged: {wrong}", "run again: what is damaged is computed again")
 
 
 def _require_planned_source(job: NodeJob) -> None:
     """See that what ran is what the key says: a module may have been saved between planning and its import here."""
     if changed := changed_since(job.sources):
         raise SourceChanged(
-            f"the source changed while the run was going: {', '.join(changed)}", "run again; what the change does not touch is kept"
+            f"the source changed during the run: {', '.join(changed)}", "run again; results that the change does not affect are kept"
         )
 
 
@@ -255,7 +255,7 @@ def _plain(value: Any, name: str) -> Any:
         return None
     if value is None or isinstance(value, str | int | float):
         return value
-    raise TrainingError(f"the stage returned {type(value).__name__} as '{name}', which has no JSON form")
+    raise TrainingError(f"the stage returned {type(value).__name__} as '{name}'; only JSON values can be stored")
 
 
 def _set_threads(count: int) -> None:

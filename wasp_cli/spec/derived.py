@@ -61,7 +61,7 @@ def bench_configs(path: Path | None, settings: Sequence[str] = ()) -> dict[str, 
         UsageError: settings without a spec.
     """
     if path is None and settings:
-        raise UsageError("--set changes a spec, and none is given", "wasp bench planner SPEC --set KEY=VALUE")
+        raise UsageError("--set needs a spec to change", "wasp bench planner SPEC --set KEY=VALUE")
     spec = _smallest() if path is None else load(path, settings).spec
     own = cast(WASPConfig, spec.method("wasp"))
     paper = WASPConfig.model_validate({**own.model_dump(), **PAPER})
@@ -89,7 +89,7 @@ def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
     whole = load(path, settings)
     if not whole.spec.operators:
         hint = "for example operators: {laggy: {mild: 0.5, moderate: 0.7, severe: 0.85}}"
-        raise whole.problem(("operators",), "no operators are listed, so that there is none to measure", hint)
+        raise whole.problem(("operators",), "no operators are listed, so there is nothing to measure", hint)
     name = f"operators-{whole.spec.name}"[:LONGEST]
     # Behind the settings, which must not bring back what is left out here.
     return load(path, [*settings, f"name={name}", "methods=[human, expert]", "variants=[full]", "stages=[]"])

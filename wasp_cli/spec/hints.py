@@ -64,10 +64,10 @@ _BOOLEANS = {"true": "true", "yes": "true", "on": "true", "false": "false", "no"
 def key_hint(loc: Loc) -> str:
     """Close keys of the same section, or the section that has the key, or one that has a close key."""
     if loc == (EXTENDS,):  # in a file it is taken out before
-        return "a file says itself what it extends"
+        return "'extends' works only inside a file"
     name, section = str(loc[-1]), ".".join(map(str, loc[:-1]))
     if section and name in (*spec_type().model_fields, *TOP):
-        return f"'{name}' stands at the top, outside every section"
+        return f"'{name}' belongs at the top level, outside every section"
     model = model_at(loc[:-1])
     known = [*(model.model_fields if model is not None else ()), *(TOP if not section else ())]
     hint = did_you_mean(name, known)

@@ -119,7 +119,7 @@ class Chain:
             values = merged(values, document)
         nearest = self.sources[0]
         if len(self.sources) > 1 and not named and "name" not in nearest.document:
-            hint = "a spec has its own name, since reports are kept under it"
+            hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
         return values, problems
 
@@ -196,7 +196,7 @@ def _listed(source: Source, document: dict[str, Any]) -> tuple[dict[str, Any], l
         return document, []
     rest = {name: value for name, value in document.items() if name != SHORT}
     if "tasks" in document:
-        return rest, [source.problem((SHORT, KEY), "'task' beside 'tasks'", "write one of them")]
+        return rest, [source.problem((SHORT, KEY), "both 'task' and 'tasks' are given", "write one of them")]
     if isinstance(document[SHORT], list):
         return rest | {"tasks": document[SHORT]}, [source.problem((SHORT,), "should be one name, not a list", "write tasks: [...]")]
     return rest | {"tasks": [document[SHORT]]}, []

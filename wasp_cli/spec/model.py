@@ -72,8 +72,8 @@ def _out_of_range(variant: str) -> PydanticCustomError:
 class Spec(Config):
     """What to run. Sections of stages and methods are fields of the subclass that `spec_type` builds."""
 
-    name: SpecName = Field(description="names the reports; enters no key")
-    preset: Preset = Field(default="cpu", description="every size and budget; what this file says goes over it")
+    name: SpecName = Field(description="name of the reports; not part of any key")
+    preset: Preset = Field(default="cpu", description="sets every size and budget; values in this file override it")
     tasks: Annotated[tuple[TaskName, ...], NO_REPEATS, Field(min_length=1, description="the tasks")]
     methods: Annotated[tuple[MethodName, ...], NO_REPEATS, Field(description="the assistants")]
     stages: Annotated[tuple[StageName, ...], NO_REPEATS] = Field(
@@ -97,8 +97,8 @@ class Spec(Config):
     returns: ReturnsConfig = ReturnsConfig()
     reuse: Literal["none", "published"] = Field(
         default="none",
-        description="published: what lies in results/published and has the same configuration is used instead of computed, "
-        "also when the code has changed since; enters no key",
+        description="published: results in results/published with the same configuration are used instead of computed, "
+        "even if the code has changed since; not part of any key",
     )
 
     def stage(self, kind: str) -> Config:

@@ -41,7 +41,7 @@ def _known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
 def _task(name: str, info: ValidationInfo) -> str:
     """A registered task, or a gymnasium id with all that a task needs."""
     if name not in TASKS and (own := _own(name)) is not None:
-        raise PydanticCustomError("task", "'{name}' has a name of its own here", {"name": name, "hint": f"write '{own}'"})
+        raise PydanticCustomError("task", "'{name}' is built in under another name", {"name": name, "hint": f"write '{own}'"})
     try:
         found = TASKS[name]
     except UnknownName as error:
@@ -73,7 +73,7 @@ def _stage(name: str) -> str:
     if unit == "method":
         raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
     if unit == "round":
-        raise PydanticCustomError("of_round", "'{name}' begins a further round", {"name": name, "hint": "say how many with `rounds`"})
+        raise PydanticCustomError("of_round", "'{name}' begins a further round", {"name": name, "hint": "set their number with `rounds`"})
     if unit is None:
         raise unknown("stage", name, training_stages())
     return name

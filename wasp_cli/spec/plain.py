@@ -80,7 +80,7 @@ class _Reader:
             # 1e6 is a float in YAML and a count to people.
             return int(number) if number.is_integer() and abs(number) < 2**53 else number
         if isinstance(node, str):
-            return str(node) if _whole(node) else self.refuse(loc, "holds half a character: an escape for a surrogate without the other")
+            return str(node) if _whole(node) else self.refuse(loc, "holds an unpaired surrogate escape")
         hint = "put it in quotes" if isinstance(node, datetime.date) else "specs hold plain numbers, words, lists and mappings"
         return self.refuse(loc, f"{kind_of(node)} is no value of a spec", hint)
 
@@ -94,7 +94,7 @@ def _no_key(key: Any) -> str | None:
         shown = repr(key) if key is None or isinstance(key, bool) else kind_of(key)
         return f"a key should be a plain word, not {shown}"
     if isinstance(key, str):
-        return None if _whole(key) else "a key should be a plain word, not half a character"
+        return None if _whole(key) else "a key should be a plain word, not an unpaired surrogate escape"
     return None if abs(key) < LARGEST else "a key should be a plain word, not so large a number"  # nan is too
 
 

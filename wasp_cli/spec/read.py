@@ -94,7 +94,7 @@ def _text(path: Path) -> str:
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if len(data) > MAX_BYTES:
-        raise refuse(f"is larger than {MAX_BYTES:,} bytes; this is no spec")
+        raise refuse(f"is larger than {MAX_BYTES:,} bytes, too large for a spec")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -164,7 +164,13 @@ def dotted(loc: Loc) -> str:
 
 _TAG = "tag:yaml.org,2002:"
 _MERGE = f"{_TAG}merge"
-_NO_SCALAR = {"int": "no integer", "float": "no number", "timestamp": "no date", "bool": "no boolean", "omap": "no ordered mapping"}
+_NO_SCALAR = {
+    "int": "not an integer",
+    "float": "not a number",
+    "timestamp": "not a valid date",
+    "bool": "not a boolean",
+    "omap": "not an ordered mapping",
+}
 """By tag: what is said of a scalar that cannot be built. Those of other tags always can, or have an error with a position."""
 _LONGEST = 40
 Fault = tuple[Position, str]
@@ -198,7 +204,7 @@ class _Search:
             for key, value in node.value:
                 merged = value.value if isinstance(value, SequenceNode) else [value]
                 if key.tag == _MERGE and any(id(each) in above for each in merged):
-                    return _at(key), "a merge (<<) brings a mapping into itself"
+                    return _at(key), "a merge (<<) includes a mapping in itself"
                 below += [key, value]
         return next((fault for each in below if (fault := self.within(each, above)) is not None), None)
 

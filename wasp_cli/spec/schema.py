@@ -57,7 +57,7 @@ def spec_schema(*, plugins: bool = False) -> Schema:
     for preset in PRESETS:
         _without_defaults(top, preset_values(preset), definitions)
     _name_things(top, definitions, plugins)
-    extends = {"type": "string", "pattern": f"{re.escape(SUFFIX)}$", "description": "another spec that lies under this one"}
+    extends = {"type": "string", "pattern": f"{re.escape(SUFFIX)}$", "description": "another spec whose values this one builds on"}
     return {
         "$schema": DIALECT,
         "title": "wasp spec",

@@ -98,7 +98,7 @@ def values_of(vary: str) -> list[Override]:
     if not equals or not all(path):
         raise UsageError(f"{OPTION}: '{vary}' is not of the form KEY=V1,V2,...", EXAMPLE)
     if path[0] in CELLS:
-        raise UsageError(f"{OPTION}: '{path[0]}' says which cells there are, and a sweep compares the same ones", CELLS[path[0]])
+        raise UsageError(f"{OPTION}: '{path[0]}' decides which cells there are; a sweep compares the same ones", CELLS[path[0]])
     name = ".".join(path)
     options = [Override(f"{name}={text}", path, value_of(text, f"{name}={text}", OPTION), OPTION) for text in split(rest)]
     if len(options) < 2:
@@ -142,7 +142,7 @@ def split(text: str) -> list[str]:
             start = i + 1
         i += 1
     if quote or open_:
-        raise UsageError(f"{OPTION}: '{text}' misses a closing {quote or open_[-1]}", EXAMPLE)
+        raise UsageError(f"{OPTION}: '{text}' lacks a closing {quote or open_[-1]}", EXAMPLE)
     parts = [part.strip() for part in (*parts, text[start:])]
     if not all(parts):
         raise UsageError(f"{OPTION}: '{text}' has an empty value", "write null where no value is meant")

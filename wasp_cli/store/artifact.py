@@ -109,7 +109,7 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
         raise ArtifactError(f"'{path}' is damaged: it does not list the files") from error
     for name in files:
         if not is_file_name(name):
-            raise ArtifactError(f"'{path}' is damaged: '{name}' is no file of the artifact")
+            raise ArtifactError(f"'{path}' is damaged: '{name}' is not a file of the artifact")
     return files
 
 
@@ -152,7 +152,7 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
         if _verified.get(str(path)) == stamp:
             continue
         if file_digest(path) != known.get("sha256"):
-            return f"'{path}' does not have the bytes that were published"
+            return f"'{path}' has other bytes than were stored"
         _verified[str(path)] = stamp
     return None
 

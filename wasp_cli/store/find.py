@@ -33,7 +33,7 @@ _PREFIX = re.compile(r"[0-9a-f]{1,64}")
 _REPORTED = re.compile(r"(\S+) (.+) seed (\d+)")
 SHOWN = 12
 """Candidates that an error lists at most."""
-ONE_OF = "say the first characters of one of these keys"
+ONE_OF = "give the first characters of one of these keys"
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def find_node(layout: Layout, text: str) -> FoundNode:
     if len(found) > 1:
         raise UsageError(_several(wanted, "nodes", found), ONE_OF)
     if not found:
-        how = "say a key (a folder name in store/<kind>), or a label" + (f" such as '{labels[0]}'" if labels else "")
+        how = "give a key (a folder name in store/<kind>), or a label" + (f" such as '{labels[0]}'" if labels else "")
         raise UnknownName("node", wanted, set(labels), f"no node '{wanted}' in '{layout.root}'", otherwise=how)
     return found[0]
 
@@ -199,7 +199,7 @@ def _by_path(layout: Layout, text: str, wanted: str, labels: Sequence[str]) -> F
     if os.path.isdir(text) and wanted:
         path = path / CELL_FILE
         if not os.path.isfile(path):
-            raise UsageError(f"the folder '{text}' holds no {CELL_FILE}", f"say a key, a label, or a folder below {layout.kind(KIND)}")
+            raise UsageError(f"the folder '{text}' holds no {CELL_FILE}", f"give a key, a label, or a folder below {layout.kind(KIND)}")
     elif not os.path.isfile(text):
         raise _unknown(layout, wanted, labels)
     manifest = read_record(path.with_name(MANIFEST)) or {}
@@ -209,14 +209,14 @@ def _by_path(layout: Layout, text: str, wanted: str, labels: Sequence[str]) -> F
 
 def _unknown(layout: Layout, wanted: str, labels: Sequence[str]) -> UsageError:
     if _PREFIX.fullmatch(wanted.lower()) and len(wanted) < LEAST:
-        return UsageError(f"'{wanted}' is too short for a key", f"say at least {LEAST} characters of it, or a label")
+        return UsageError(f"'{wanted}' is too short for a key", f"give at least {LEAST} characters of it, or a label")
     failed = _failure(layout, wanted)
     if failed is not None:
-        return UsageError(f"'{wanted}' has no rows: it failed last with: {failed}", "run the spec again: what failed runs again")
+        return UsageError(f"'{wanted}' has no rows: it failed with: {failed}", "run the spec again: what failed runs again")
     if not labels:
-        hint = "wasp run SPEC --results DIR writes them; --results says where to look"
+        hint = "wasp run SPEC --results DIR writes them; --results chooses where to look"
         return UsageError(f"no evaluation '{wanted}': '{layout.root}' holds none", hint)
-    how = "say a key (a folder name in store/evaluate), a label such as " + f"'{labels[0]}', or the path of a {CELL_FILE}"
+    how = "give a key (a folder name in store/evaluate), a label such as " + f"'{labels[0]}', or the path of a {CELL_FILE}"
     return UnknownName("evaluation", wanted, set(labels), f"no evaluation '{wanted}' in '{layout.root}'", otherwise=how)
 
 

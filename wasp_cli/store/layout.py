@@ -190,5 +190,5 @@ def _name(name: str) -> str:
 
 def _key(key: str) -> str:
     if not is_key(key):
-        raise StoreError(f"'{key}' is no key")
+        raise StoreError(f"'{key}' is not a key")
     return key

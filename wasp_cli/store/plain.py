@@ -39,7 +39,7 @@ def open_plain(path: Path) -> io.BufferedReader:
         raise
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     return open(descriptor, "rb")
 
 
@@ -53,7 +53,7 @@ def read_plain(path: Path) -> str:
     with open_plain(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST:
-            raise OSError(errno.EFBIG, f"it has {size} bytes", str(path))
+            raise OSError(errno.EFBIG, f"it is too large ({size} bytes)", str(path))
         return file.read(LARGEST).decode("utf-8")
 
 

@@ -171,4 +171,4 @@ def copy_files(source: Layout, kind: str, key: str, manifest: Mapping[str, Any],
         with open_plain(path) as file, copy.open("wb") as written:
             shutil.copyfileobj(file, written)
         if file_digest(copy) != manifest["files"][name].get("sha256"):
-            raise ArtifactError(f"'{path}' does not have the bytes that were published")
+            raise ArtifactError(f"'{path}' has other bytes than were stored")
