@@ -10,8 +10,7 @@ from wasp_cli.errors import TaskError
 from wasp_cli.tasks import car
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.formula.barrels import freed
-from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, sectors
+from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, freed, sectors
 from wasp_cli.tasks.formula.task import Formula
 from wasp_cli.tasks.frames import distance, yaw_quaternion
 from wasp_cli.tasks.outline import distance_to_segments, inside
@@ -93,7 +92,7 @@ def test_bushes_and_scenery_cost_apart_and_once_together():
 
 
 def test_a_car_meets_every_prism_and_does_not_pass_through():
-    from wasp_cli.tasks.race.scenery import SCENERY
+    from wasp_cli.tasks.race.model import SCENERY
 
     task = Race(len(SCENERY), observe=())
     task.reset([0] * len(SCENERY))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from wasp_cli.errors import TaskError
+from wasp_cli.tasks.features import lidars
 from wasp_cli.tasks.frames import to_body
 from wasp_cli.tasks.layout import Streams, Thing, draw_goal, draw_layout, random_stream, square
-from wasp_cli.tasks.lidar import lidars
 
 
 def test_things_keep_their_distance():

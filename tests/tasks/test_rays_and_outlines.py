@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wasp_cli.tasks.features import RAYS, ray_distances
 from wasp_cli.tasks.frames import ground_to_body, quaternion_rotation, to_body, yaw_quaternion, yaw_rotation
 from wasp_cli.tasks.outline import distance_to_segments, inside, parse_outline, segments
-from wasp_cli.tasks.rays import RAYS, ray_distances
 
 SQUARE = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)])
 

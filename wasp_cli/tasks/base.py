@@ -7,13 +7,10 @@ S = size of the state vector, P = size of the privileged vector.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from wasp_cli.tasks.camera.look import Look, Scene
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -54,19 +51,6 @@ class Step(NamedTuple):
     """[B] the episode is over, now or since an earlier step."""
     terminated: Bools
     """[B] it ended by the task's own rule (not by the time limit)."""
-
-
-@runtime_checkable
-class HasScene(Protocol):
-    """A task that can be drawn for people (`wasp_cli.tasks.views`). No picture of these is an observation."""
-
-    def look(self) -> Look:
-        """What stays the same over the episodes."""
-        ...
-
-    def scene(self, rows: NDArray[np.intp]) -> Scene:
-        """Where everything is now, of n rows."""
-        ...
 
 
 class VectorTask(Protocol):

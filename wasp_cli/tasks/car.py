@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.camera.appearance import Part
+from wasp_cli.tasks.features import lidars
 from wasp_cli.tasks.frames import ground_to_body, quaternion_rotation, yaw_quaternion
-from wasp_cli.tasks.lidar import lidars
 
 TIMESTEP = 0.004
 CAR_Z = 0.1
@@ -118,3 +119,19 @@ def state_vector(sensors: Floats, qpos: Floats, *seen: Floats) -> Floats:
     caster = quaternion_rotation(sensors[:, 15:19]).reshape(-1, 9)
     around = ground_to_body(np.concatenate(seen, axis=1), qpos[:, :3], rotation(qpos))
     return np.concatenate([sensors[:, :15], caster, lidars(around, [points.shape[1] for points in seen])], axis=1)
+
+
+CAMERA_HEIGHT = 0.2
+FORWARD = (0.0, -1.0)
+
+_RED, _BLUE = (0.7412, 0.0431, 0.1843), (0.0039, 0.1529, 0.3961)
+_BODY, *_BUMPERS = CHASSIS_GEOMS
+# Wheels do not show that they spin: they are as still as the rest.
+_WHEELS = (
+    '<geom type="cylinder" fromto="-0.155 0.1 -0.05 -0.105 0.1 -0.05" size="0.05"/>',
+    '<geom type="cylinder" fromto="0.105 0.1 -0.05 0.155 0.1 -0.05" size="0.05"/>',
+    '<geom type="sphere" pos="0 -0.1 -0.05" size="0.05"/>',
+)
+
+CAR_PARTS = (*(Part(geom, _RED) for geom in (*_WHEELS, _BODY)), *(Part(geom, _BLUE) for geom in _BUMPERS))
+"""Lowest first, all in the frame of the car's body."""

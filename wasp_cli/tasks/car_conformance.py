@@ -23,10 +23,9 @@ from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
 from wasp_cli.tasks.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
 from wasp_cli.tasks.frames import distance, quaternion_rotation, wrapped, yaw_quaternion
-from wasp_cli.tasks.local_physics import ModelBuilder
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments
-from wasp_cli.tasks.physics import BatchPhysics
+from wasp_cli.tasks.physics import BatchPhysics, ModelBuilder
 
 XY, YAW = 1e-6, 5e-6
 """m, rad after one env step without contact."""

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
 from wasp_cli.tasks.batch import Totals, check_options, checked_action, chosen_rows, running_rows
+from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.camera.camera import Camera
-from wasp_cli.tasks.camera.look import Look, Scene
 from wasp_cli.tasks.frames import distance, wrapped
 from wasp_cli.tasks.layout import Streams
-from wasp_cli.tasks.local_physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
+from wasp_cli.tasks.physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
 
 PHYSICS_STEPS = 10
 """Physics steps per env step."""
@@ -53,7 +53,7 @@ class Navigation(ABC):
     cost_sources: tuple[str, ...]
 
     @abstractmethod
-    def look(self) -> Look:
+    def appearance(self) -> Appearance:
         """What it looks like."""
 
     @abstractmethod
@@ -131,7 +131,7 @@ class Navigation(ABC):
         self._ended = np.ones(batch, np.bool_)
         self._terminated = np.zeros(batch, np.bool_)
         self._streams = Streams(batch)
-        self._camera = Camera(self.look(), threads) if "pixels" in self.observe else None
+        self._camera = Camera(self.appearance(), threads) if "pixels" in self.observe else None
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
 
     # -- episodes ---------------------------------------------------------------------------------------------------------------

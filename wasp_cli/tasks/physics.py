@@ -5,11 +5,16 @@ Every call starts the solver from zero, so that nothing but the state carries ov
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
 import mujoco
 import numpy as np
 from mujoco import rollout
+from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.frames import distance
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
@@ -72,3 +77,157 @@ class BatchPhysics:
                 sensordata=sensordata,
             )
         return state, sensordata
+
+
+BODY_POSE, BODY_SPEED = 7, 6
+"""Numbers in the pose (x, y, z, quaternion) and the velocity of a free body."""
+
+STATIC_SENSOR = "touches_static"
+"""Name of the contact sensor between agent and walls; models with walls have it."""
+
+
+def body_sensor(index: int) -> str:
+    """Name of the contact sensor between the agent and the active body `index`."""
+    return f"touches_body{index}"
+
+
+class ModelBuilder(Protocol):
+    """Makes the model of an agent with some free bodies."""
+
+    def __call__(self, bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
+        """The agent's joints come first, then one free joint per body; sensors of the agent first.
+
+        Walls are 0 (none), 1 (all of them), or a task's own number for a part of them. A model that is not to integrate only tells
+        sensors and contacts; it may be simpler.
+        """
+        ...
+
+
+class State(NamedTuple):
+    """Agents and free bodies of n rows."""
+
+    qpos: Floats
+    """[n, nq] of the agent."""
+    qvel: Floats
+    """[n, nv] of the agent."""
+    bodies: Floats
+    """[n, F, 7]"""
+    speeds: Floats
+    """[n, F, 6]"""
+
+
+class Surroundings(NamedTuple):
+    """What takes part in the physics of n rows."""
+
+    active: Bools
+    """[n, F]"""
+    walls: NDArray[np.int64]
+    """[n] which walls, as a `ModelBuilder` numbers them."""
+
+
+class Contacts(NamedTuple):
+    """What the agents touch."""
+
+    static: Bools
+    """[n]"""
+    bodies: Bools
+    """[n] any free body."""
+
+
+class LocalPhysics:
+    """Steps rows in groups that share a model; models are built when first needed."""
+
+    def __init__(self, build: ModelBuilder, threads: int = 1) -> None:
+        self._build = build
+        self._threads = threads
+        self._physics: dict[tuple[int, int, bool], BatchPhysics] = {}
+        model = self._of(0, 0, True).model
+        self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
+
+    def advance(self, state: State, control: Floats, around: Surroundings, steps: int) -> State:
+        """The state after `steps` physics steps under a held control [n, nu]. Bodies that are not active stay as they are."""
+        after = State(*(array.copy() for array in state))
+        for rows, picked, physics in self._groups(around, integrate=True):
+            qpos, qvel = physics.advance(*_packed(state, rows, picked), control[rows], steps)
+            after.qpos[rows], after.qvel[rows] = qpos[:, : self.nq], qvel[:, : self.nv]
+            if picked.size:
+                count = picked.shape[1]
+                after.bodies[rows[:, None], picked] = qpos[:, self.nq :].reshape(-1, count, BODY_POSE)
+                after.speeds[rows[:, None], picked] = qvel[:, self.nv :].reshape(-1, count, BODY_SPEED)
+        return after
+
+    def sensors(self, state: State, control: Floats, around: Surroundings, count: int) -> Floats:
+        """The first `count` sensor numbers [n, count] at these very states."""
+        out = np.empty((len(state.qpos), count))
+        for rows, picked, physics in self._groups(around, integrate=False):
+            out[rows] = physics.sensors(*_packed(state, rows, picked), control[rows])[:, :count]
+        return out
+
+    def contacts(self, state: State, control: Floats, around: Surroundings) -> Contacts:
+        """Whether the agents touch walls or bodies in these very states."""
+        static, bodies = np.zeros(len(state.qpos), np.bool_), np.zeros(len(state.qpos), np.bool_)
+        if not around.walls.any() and not around.active.any():
+            return Contacts(static, bodies)
+        for rows, picked, physics in self._groups(around, integrate=False):
+            count, model = picked.shape[1], physics.model
+            walls = int(around.walls[rows[0]])
+            if not count and not walls:
+                continue
+            found = physics.sensors(*_packed(state, rows, picked), control[rows])
+            if walls:
+                static[rows] = found[:, model.sensor(STATIC_SENSOR).adr[0]] > 0
+            if count:
+                bodies[rows] = (found[:, [model.sensor(body_sensor(i)).adr[0] for i in range(count)]] > 0).any(axis=1)
+        return Contacts(static, bodies)
+
+    def _groups(self, around: Surroundings, integrate: bool) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], BatchPhysics]]:
+        """Rows that share a model, the indices [n', K] of their active bodies, and the model's physics."""
+        counts = around.active.sum(axis=1)
+        radix = int(around.walls.max(initial=0)) + 1
+        keys = (radix * counts + around.walls).tolist()
+        for key in sorted(set(keys)):
+            rows = np.array([row for row, own in enumerate(keys) if own == key])
+            count, walls = divmod(key, radix)
+            picked = np.argsort(~around.active[rows], axis=1, kind="stable")[:, :count] if count else np.zeros((len(rows), 0), np.intp)
+            yield rows, picked, self._of(count, walls, integrate)
+
+    def _of(self, bodies: int, walls: int, integrate: bool) -> BatchPhysics:
+        key = (bodies, walls, integrate)
+        if key not in self._physics:
+            self._physics[key] = BatchPhysics(self._build(bodies, walls, integrate), self._threads)
+        return self._physics[key]
+
+
+def _packed(state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """qpos and qvel of some rows with their active bodies."""
+    if not picked.size:
+        return state.qpos[rows], state.qvel[rows]
+    bodies = state.bodies[rows[:, None], picked].reshape(len(rows), -1)
+    speeds = state.speeds[rows[:, None], picked].reshape(len(rows), -1)
+    return np.concatenate([state.qpos[rows], bodies], axis=1), np.concatenate([state.qvel[rows], speeds], axis=1)
+
+
+def active_bodies(
+    agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float | Floats, apart: float, rest: float, leash: float = np.inf
+) -> Bools:
+    """Which free bodies [n, F] take part: those in the agent's reach, those that move, and those in reach of one of these.
+
+    Args:
+        agent_xy: [n, 2].
+        bodies: [n, F, 7].
+        speeds: [n, F, 6].
+        reach: distance of the agent's origin from a body's within which they can touch during an env step, in m; one, or [n, F].
+        apart: the same between two bodies.
+        rest: largest entry of a velocity that counts as rest.
+        leash: a body farther than this from the agent stands still, whatever its velocity, in m.
+    """
+    if not bodies.shape[1]:
+        return np.zeros(bodies.shape[:2], np.bool_)
+    range_ = distance(bodies[..., :2], agent_xy[:, None])
+    moving = (np.abs(speeds) > rest).any(axis=2) & (range_ < leash)
+    active: Bools = (range_ < reach) | moving
+    if active.any():
+        row, first = np.nonzero(active)
+        close = distance(bodies[row, :, :2], bodies[row, first, None, :2]) < apart
+        np.logical_or.at(active, row, close)
+    return active

@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from wasp_cli.errors import UnknownName, closeness
-from wasp_cli.registry import Registry, load_target, module_of
+from wasp_cli.registry import Registry, module_of
 
 if TYPE_CHECKING:
     from wasp_cli.tasks.foreign.examine import Facts
 
+Matrix = tuple[tuple[float, ...], ...]
 NAMESPACE = "wasp/"
 """Of our own tasks in gymnasium's registry."""
 _GYM_MODULE = "wasp_cli.tasks.gym:"
@@ -53,6 +54,9 @@ class TaskInfo(_Named):
     """Goals (stages) within the time limit that count as success."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """What the class is built with, beside what `make_task` passes."""
+    mirror: Matrix | None = None
+    """Turns an action [A] into that of the mirrored episode, as rows [A][A], where the task works and is seen the same with left and right
+    exchanged: every recorded episode is then another possible one. None where it does not, as on a track."""
 
     def facts(self) -> dict[str, Any]:
         """What the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
@@ -66,6 +70,8 @@ class ForeignInfo(_Named):
     """
 
     options: ClassVar[Mapping[str, Any]] = {}
+    mirror: ClassVar[Matrix | None] = None
+    """Nothing is known of the symmetries of others' environments."""
 
     def __init__(self, name: str) -> None:
         gym_id = name.rpartition(":")[2]
@@ -78,9 +84,10 @@ class ForeignInfo(_Named):
             UnknownName: no such id.
             TaskError: its module does not import, or it lacks something that a task needs.
         """
-        # By its import string: what plans and reads specs must not import gymnasium for every task.
-        facts: Facts = load_target("wasp_cli.tasks.foreign.examine:examine")(self.name)
-        return facts
+        # Not above: what plans and reads specs must not import gymnasium for every task.
+        from wasp_cli.tasks.foreign.examine import examine
+
+        return examine(self.name, [*TASKS, *(TASKS[task].gym_id for task in TASKS)])
 
     @property
     def env_seconds(self) -> float:
@@ -110,7 +117,7 @@ AnyTaskInfo = TaskInfo | ForeignInfo
 
 
 def _facts(info: AnyTaskInfo) -> dict[str, Any]:
-    return {name: getattr(info, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options")}
+    return {name: getattr(info, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options", "mirror")}
 
 
 class TaskRegistry(Registry[AnyTaskInfo]):
@@ -130,6 +137,9 @@ class TaskRegistry(Registry[AnyTaskInfo]):
         return functools.partial(made, name) if isinstance(self[name], ForeignInfo) else made
 
 
+_TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))
+"""Of throttle and turn rate: nothing is left or right in Goal but the turning."""
+
 _GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
 
 TASKS: Registry[AnyTaskInfo] = TaskRegistry(
@@ -138,11 +148,11 @@ TASKS: Registry[AnyTaskInfo] = TaskRegistry(
     (
         TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", _RACE, 0.04, 500, 1, {"level": 1}),
         TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", _FORMULA, 0.04, 1000, 1, {"level": 1}),
-        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}),
+        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}, _TURNING),
         TaskInfo("race0", "Race0", "wasp/SafetyCarRace0-v0", _RACE, 0.04, 500, 1, {"level": 0}),
         TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}),
-        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}),
-        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}),
+        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}, _TURNING),
+        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}, _TURNING),
     ),
 )
 

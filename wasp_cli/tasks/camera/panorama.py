@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wasp_cli.tasks.base import CAMERA_SIZE
-from wasp_cli.tasks.camera.look import Colour, Shades, Wall
+from wasp_cli.tasks.camera.appearance import Colour, Shades, Wall
 
 DIRECTIONS = 512
 """N: at least three to the width of a pixel."""

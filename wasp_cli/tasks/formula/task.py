@@ -15,19 +15,16 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
-from wasp_cli.tasks.camera.look import Look, Scene, Things
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
+from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, motion_and_goal, nearness, ray_distances
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.formula.barrels import freed
-from wasp_cli.tasks.formula.look import look
-from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, sectors
+from wasp_cli.tasks.formula.appearance import appearance
+from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, freed, sectors
 from wasp_cli.tasks.frames import quaternion_rotation, to_body, yaw_quaternion
 from wasp_cli.tasks.layout import Thing, draw_layout, square
-from wasp_cli.tasks.lidar import BINS
-from wasp_cli.tasks.local_physics import Surroundings, active_bodies
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments
-from wasp_cli.tasks.privileged import MOTION_AND_GOAL, bounded, motion_and_goal, nearness
-from wasp_cli.tasks.rays import RAYS, ray_distances
+from wasp_cli.tasks.physics import Surroundings, active_bodies
 
 BARRELS = {0: 0, 1: 200}
 """By level."""
@@ -80,8 +77,8 @@ class Formula(Navigation):
         self._stage = np.zeros(batch, np.int64)
         """[B] index of the goal in `track.STAGES`."""
 
-    def look(self) -> Look:
-        return look(self.level)
+    def appearance(self) -> Appearance:
+        return appearance(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         layout = draw_layout(stream, AGENT, GOAL, self._barrel_things, goal_again=False)

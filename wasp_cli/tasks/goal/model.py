@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import mujoco
 
-from wasp_cli.tasks.local_physics import body_sensor
+from wasp_cli.tasks.physics import body_sensor
 
 TIMESTEP = 0.002
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.tasks.camera.look import Kind, Look, Part, Shades
+from wasp_cli.tasks.camera.appearance import Appearance, Kind, Part, Shades
 from wasp_cli.tasks.goal import model
 
 CAMERA_HEIGHT = 0.15
@@ -50,13 +50,13 @@ def _wave(place: Shades, sharpness: Shades) -> Shades:
 
 
 @lru_cache
-def look(level: int) -> Look:
+def appearance(level: int) -> Appearance:
     """Of level 0 (only a goal), 1, or 2 (more things on a larger square)."""
     goal = Kind("goal", f'<geom type="cylinder" size="{GOAL_RADIUS} {GOAL_HALF_HEIGHT}"/>', GOAL_COLOUR, GOAL_ALPHA)
     disc = f'<geom type="cylinder" size="{model.HAZARD_RADIUS} {HAZARD_HALF_HEIGHT}"/>'
     hazard = Kind("hazard", disc, HAZARD_COLOUR, HAZARD_ALPHA, painted=model.HAZARD_RADIUS)
     vase = Kind("vase", model.VASE_GEOM, VASE_COLOUR)
-    return Look(
+    return Appearance(
         robot=(
             Part(model.SPHERE_GEOM, SPHERE_COLOUR),
             Part(model.ARROW_GEOM, ARROW_COLOUR),

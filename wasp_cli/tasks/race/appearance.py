@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.tasks.camera.car_parts import CAMERA_HEIGHT, CAR_PARTS, FORWARD
-from wasp_cli.tasks.camera.look import Colour, Kind, Landmark, Look, Shades, Wall
-from wasp_cli.tasks.race.scenery import SCENERY
+from wasp_cli.tasks.camera.appearance import Appearance, Colour, Kind, Landmark, Shades, Wall
+from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
+from wasp_cli.tasks.race.model import SCENERY
 
 _WALLS: dict[str, tuple[tuple[Colour, Colour], float]] = {
     "fence": (((0.40, 0.24, 0.10), (0.62, 0.42, 0.22)), 0.25),
@@ -64,11 +64,11 @@ def _bush(radius: float, height: float, knobs: float) -> str:
 
 
 @lru_cache
-def look(level: int) -> Look:
+def appearance(level: int) -> Appearance:
     """Of level 0 (only a goal) or higher."""
     goal = Kind("goal", _bush(0.36, 0.28, 0.18), (1.0, 0.25, 0.62))
     hazard = Kind("hazard", _bush(0.28, 0.22, 0.1), (0.05, 0.36, 0.08))
-    return Look(
+    return Appearance(
         robot=CAR_PARTS,
         camera_height=CAMERA_HEIGHT,
         forward=FORWARD,
