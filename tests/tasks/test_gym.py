@@ -79,8 +79,6 @@ def test_rendering():
     assert picture.shape == (256, 256, 3)
     assert picture.dtype == np.uint8
     assert env.metadata["render_fps"] == 50
-    with pytest.raises(UsageError, match=r"no view 'chse'.*\n?.*"):
-        gymnasium.make(ID, render_mode="rgb_array", view="chse")
     with pytest.raises(UsageError, match="cannot render"):
         wasp_cli.tasks.gym.TaskEnv("goal1", render_mode="human")
     assert wasp_cli.tasks.gym.TaskEnv("goal1").render() is None

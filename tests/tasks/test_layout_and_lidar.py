@@ -50,7 +50,7 @@ def test_owed_draws_are_the_draws_of_each_step():
     streams, plain = Streams(2), random_stream(5)
     streams.start(1, 5)
     for _ in range(7):
-        streams.pass_step(np.array([1]))
+        streams.count_step(np.array([1]))
         plain.random_sample()
     kept = streams.snapshot()
     expected = plain.random_sample()

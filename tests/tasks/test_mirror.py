@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.tasks.lights import Lights, registered
 from wasp_cli.tasks.goal.appearance import TILE_SIDE
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
@@ -62,6 +63,6 @@ def test_only_tasks_without_a_map_have_a_mirror(name: str) -> None:
 
 
 def test_environments_of_others_have_none() -> None:
-    info = TASKS["tests.tasks.lights:Lights-v0"]
+    info = TASKS[registered(Lights)]
     assert info.mirror is None
     assert info.facts()["mirror"] is None

@@ -79,7 +79,7 @@ class Totals:
     sources: dict[str, NDArray[np.int64]]
 
     @classmethod
-    def nothing_yet(cls, batch: int, sources: Sequence[str]) -> Totals:
+    def zeros(cls, batch: int, sources: Sequence[str]) -> Totals:
         """All zero."""
         counts = np.zeros((3 + len(sources), batch), np.int64)
         return cls(np.zeros(batch), counts[0], counts[1], counts[2], dict(zip(sources, counts[3:], strict=True)))

@@ -1,4 +1,7 @@
-"""The pseudo lidar of the reference package: bins around the agent that light up with the nearness of object centres."""
+"""Parts of the vectors that tasks show: the reference package's pseudo lidar, rays that measure distances, and what experts may know.
+
+The privileged parts do not have the lidar's horizon of 3 m, and nothing of them is ever shown to an assistant. B = episodes.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ RANGE = 3.0
 
 
 def lidars(points: Floats, sizes: Sequence[int]) -> Floats:
-    """Nearness in [0, 1] per bin -> [B, 16 J], of the centres [B, K, 2] of J kinds of objects, given in the body frame.
+    """Return the pseudo lidar: nearness in [0, 1] per bin [B, 16 J] of the centres [B, K, 2] in m of J kinds of objects, in the body frame.
 
     Bin 0 starts at body +x, counter-clockwise. An object lights its own bin by s, and the neighbours by how near it is to their edge.
 

@@ -160,7 +160,7 @@ class Streams:
         self._owed[row] = 0
         return self._streams[row]
 
-    def pass_step(self, rows: NDArray[np.intp]) -> None:
+    def count_step(self, rows: NDArray[np.intp]) -> None:
         """Account for one env step of these rows."""
         self._owed[rows] += 1
 

@@ -152,7 +152,7 @@ class Navigation(ABC):
         rows = running_rows(self._ended)
         self._control[rows] = control[rows]
         heading = self._heading(rows)
-        totals = Totals.nothing_yet(self.batch, self.cost_sources)
+        totals = Totals.zeros(self.batch, self.cost_sources)
         for _ in range(self.action_repeat):
             running = np.flatnonzero(~self._ended)
             if running.size:
@@ -176,7 +176,7 @@ class Navigation(ABC):
             # MuJoCo starts a state that it finds unstable anew, at the origin, and only writes a line into a log.
             raise TaskError(f"the physics of row {rows[np.argmin(way < _JUMP)]} became unstable: its robot jumped")
         self._velocity[rows] = (xy - origin) / self.env_seconds
-        self._streams.pass_step(rows)
+        self._streams.count_step(rows)
         self._env_steps[rows] += 1
         self._refresh(rows)
 

@@ -1,6 +1,11 @@
-"""Physics of a batch: MuJoCo's own C loop over rows, each row a pure function of its state and control.
+"""Physics of a batch: an agent among free bodies and walls, of which only what is near it takes part.
 
-Every call starts the solver from zero, so that nothing but the state carries over: not the neighbours, not the thread, not the past.
+`BatchPhysics` is MuJoCo's own C loop over rows. Every call starts the solver from zero, so that nothing but the state carries over: not the
+neighbours, not the thread, not the past. In `LocalPhysics`, a body at rest out of reach neither moves nor exerts a force: leaving it out
+changes no motion, and saves most of the time. Every row is stepped in the smallest model that holds its agent, its K active bodies and,
+when one of them can touch a wall, the walls around.
+
+n = rows, F = free bodies of a row, K = those that are active. Units are m, rad, s and kg, as in MuJoCo.
 """
 
 from __future__ import annotations
@@ -208,7 +213,7 @@ def _packed(state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]) -> t
 
 
 def active_bodies(
-    agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float | Floats, apart: float, rest: float, leash: float = np.inf
+    agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float | Floats, apart: float, rest: float, max_distance: float = np.inf
 ) -> Bools:
     """Which free bodies [n, F] take part: those in the agent's reach, those that move, and those in reach of one of these.
 
@@ -219,12 +224,12 @@ def active_bodies(
         reach: distance of the agent's origin from a body's within which they can touch during an env step, in m; one, or [n, F].
         apart: the same between two bodies.
         rest: largest entry of a velocity that counts as rest.
-        leash: a body farther than this from the agent stands still, whatever its velocity, in m.
+        max_distance: a body farther than this from the agent stands still, whatever its velocity, in m.
     """
     if not bodies.shape[1]:
         return np.zeros(bodies.shape[:2], np.bool_)
     range_ = distance(bodies[..., :2], agent_xy[:, None])
-    moving = (np.abs(speeds) > rest).any(axis=2) & (range_ < leash)
+    moving = (np.abs(speeds) > rest).any(axis=2) & (range_ < max_distance)
     active: Bools = (range_ < reach) | moving
     if active.any():
         row, first = np.nonzero(active)

@@ -78,7 +78,7 @@ class ForeignInfo(_Named):
         super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
 
     def examine(self) -> Facts:
-        """What the environment says of itself.
+        """Return what the environment says of itself.
 
         Raises:
             UnknownName: no such id.
@@ -132,9 +132,17 @@ class TaskRegistry(Registry[AnyTaskInfo]):
             raise UnknownName("task", name, _names(name)) from None
 
     def load(self, name: str) -> Any:
-        """The class of a task, or for a gymnasium id what takes the same arguments."""
-        made = super().load(name)
-        return functools.partial(made, name) if isinstance(self[name], ForeignInfo) else made
+        """Return the class of a task, or for a gymnasium id what takes the same arguments.
+
+        Raises:
+            UnknownName: no such task; of a gymnasium id with what it may have been meant to be.
+            TaskError: see `ForeignInfo.examine`.
+        """
+        info, made = self[name], super().load(name)
+        if not isinstance(info, ForeignInfo):
+            return made
+        info.examine()
+        return functools.partial(made, name)
 
 
 _TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wasp_cli.tasks.base import CAMERA_SIZE, Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Kind, Scene, Shades, Things
 from wasp_cli.tasks.camera.frame import FAR, Frame, View, column, put, rounded
-from wasp_cli.tasks.camera.panorama import DIRECTIONS, Columns, board_sides, directions, join, look_around, make_columns, wall_sides
+from wasp_cli.tasks.camera.panorama import DIRECTIONS, Columns, column_sides, directions, draw_panorama, join, make_columns, wall_sides
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
@@ -88,7 +88,7 @@ class Backdrop:
         rays, depth = frame.rays, frame.depth
         x, y, z = (np.float32(value) for value in frame.origin)
         columns, layers = self._all_columns(scene, row)
-        panorama = look_around(join([self._walls, board_sides(columns, x, y)]), layers, x, y, column(self._appearance.horizon))
+        panorama = draw_panorama(join([self._walls, column_sides(columns, x, y)]), layers, x, y, column(self._appearance.horizon))
         step = directions(rays[0], rays[1]).astype(np.intp)
         step &= DIRECTIONS - 1
         # Length of a ray per length of the direction's vector on the square.

@@ -1,7 +1,7 @@
 """Front and rear camera of every task: a ray caster without OpenGL that gives the same bytes every time.
 
-The floor is a plane, walls and columns stand upright (`panorama`), the robot's own body never changes (`rays`), and only movable
-things need rays cast at solids (`solids`, with `mj_multiRay`). A frame uses nothing but additions, multiplications, divisions, square
+The floor is a plane, walls and columns stand upright (`panorama`), the robot's own body never changes (`frame`), and only movable
+things need rays cast at solids (with `mj_multiRay`). A frame uses nothing but additions, multiplications, divisions, square
 roots and comparisons in a fixed order, on poses that were rounded to float32: the same scene gives the same bytes on every machine.
 """
 
@@ -54,7 +54,7 @@ class Solids:
     """One kind of thing, in copies that are moved to where the things are. Not to be shared by threads."""
 
     def __init__(self, kind: Kind) -> None:
-        self._crews = [_Crew(kind, size) for size in SLOTS]
+        self._models = [_CopyModel(kind, size) for size in SLOTS]
         self._centres, self._radii = bounding_spheres(kind)
         self._reach2 = np.inf if kind.reach is None else kind.reach**2
         self.radius = float(self._radii[0])
@@ -102,17 +102,17 @@ class Solids:
             yield self._cast(frame, mask, position[drawn], rotation[drawn])
 
     def _cast(self, frame: Frame, mask: Bools, position: Floats, rotation: Floats) -> Hits:
-        crew = next(crew for crew in self._crews if crew.size >= len(position))
-        crew.place(position, rotation)
+        copies = next(copies for copies in self._models if copies.size >= len(position))
+        copies.place(position, rotation)
         pixels = np.flatnonzero(mask)
         towards = np.take(frame.rays, pixels, axis=1).T.astype(np.float64, order="C")
-        hits, normals, _ = cast(crew.model, crew.data, frame.origin, towards)
+        hits, normals, _ = cast(copies.model, copies.data, frame.origin, towards)
         hit_depth = hits.astype(np.float32)
         seen = np.flatnonzero((hits >= 0.0) & (hit_depth < frame.depth[pixels]))
         return Hits(pixels[seen], hit_depth[seen], shade(normals[seen], towards[seen]))
 
 
-class _Crew:
+class _CopyModel:
     """A model of `size` copies of a thing."""
 
     def __init__(self, kind: Kind, size: int) -> None:

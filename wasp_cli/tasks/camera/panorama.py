@@ -37,7 +37,7 @@ class Sides(NamedTuple):
     """[S]"""
     mean: Shades
     """[3, S] mean of the two colours."""
-    swing: Shades
+    amplitude: Shades
     """[3, S] half their difference."""
     stripe: Shades
     """[S] length of one stripe."""
@@ -108,7 +108,7 @@ def make_columns(places: ArrayLike, shapes: Sequence[tuple[float, float]], colou
     )
 
 
-def board_sides(columns: Columns, ox: np.float32, oy: np.float32) -> Sides:
+def column_sides(columns: Columns, ox: np.float32, oy: np.float32) -> Sides:
     """Columns as boards that face the viewer at (ox, oy), at least a pixel wide."""
     dx, dy = columns.centre[0] - ox, columns.centre[1] - oy
     distance = np.maximum(np.sqrt(dx * dx + dy * dy), np.float32(1e-6))
@@ -155,7 +155,7 @@ _TOWARDS = _unit_square()
 _LENGTH = np.sqrt(_TOWARDS[0] * _TOWARDS[0] + _TOWARDS[1] * _TOWARDS[1])
 
 
-def look_around(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horizon: Shades) -> Panorama:
+def draw_panorama(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horizon: Shades) -> Panorama:
     """What there is to see from (ox, oy), fading into the colour `horizon` [3, 1]. A place inside of a solid sees its walls from behind."""
     x0, y0, x1, y1 = sides.start[0] - ox, sides.start[1] - oy, sides.end[0] - ox, sides.end[1] - oy
     # A viewer exactly on a corner: any direction will do for it.
@@ -201,7 +201,7 @@ def look_around(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horiz
     light = np.float32(0.65) + np.float32(0.35) * facing
     away = distance * _LENGTH[step]
     left = np.float32(1.0) / (np.float32(1.0) + sides.fading[owner] * away * away)
-    colours = np.take(sides.swing, owner, axis=1)
+    colours = np.take(sides.amplitude, owner, axis=1)
     colours *= wave
     colours += np.take(sides.mean, owner, axis=1)
     colours *= light * left

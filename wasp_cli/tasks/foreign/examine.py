@@ -75,7 +75,7 @@ def _examined(name: str) -> Facts:
             limit = _env_steps(spec, env)
             low, high = _bounds(env)
             views = views_of(env.observation_space)
-            sources = _driven(env, views)
+            sources = _try_step(env, views)
             success = _success_goals(env)
             modules, registered = _modules(name, spec), _registered(spec)
             return Facts(modules, registered, limit, _env_seconds(env), success, sources, low.ravel(), high.ravel(), views)
@@ -197,7 +197,7 @@ def _success_goals(env: GymEnv) -> int:
     return goals
 
 
-def _driven(env: GymEnv, views: Views) -> tuple[str, ...]:
+def _try_step(env: GymEnv, views: Views) -> tuple[str, ...]:
     """One step of two equal episodes.
 
     Returns:

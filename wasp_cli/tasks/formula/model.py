@@ -116,7 +116,7 @@ _OUTER_MIDDLE = 0.15
 _RINGS = ((track.OUTER_BARRIER, _OUTER_MIDDLE), (track.INNER_BARRIER, 0.0), (track.PIT_WALL, 0.0))
 
 
-def freed(places: Floats) -> Floats:
+def clear_of_barriers(places: Floats) -> Floats:
     """Barrels [F, 2], those that overlap a barrier moved away from its nearest side until they touch it no more.
 
     Those that lie outside of the outer barrier stay there, out of everybody's way.

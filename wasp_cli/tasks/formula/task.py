@@ -19,7 +19,7 @@ from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
 from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, motion_and_goal, nearness, ray_distances
 from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.formula.appearance import appearance
-from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, freed, sectors
+from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
 from wasp_cli.tasks.frames import quaternion_rotation, to_body, yaw_quaternion
 from wasp_cli.tasks.layout import Thing, draw_layout, square
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
@@ -40,7 +40,7 @@ _REACH = car.REACH + BARREL_RADIUS
 _APART = 2.0 * BARREL_RADIUS + 0.04
 _LYING = 0.25
 """How much farther from its origin a tilted barrel reaches, in m."""
-_REST, _LEASH = 1e-3, 3.0
+_REST, _MAX_DISTANCE = 1e-3, 3.0
 
 WAY_POINTS = (1.0, 2.0, 4.0, 8.0)
 """Distances ahead, along the lap, of the way points that an expert sees, in m."""
@@ -96,7 +96,7 @@ class Formula(Navigation):
 
     def _settle(self, rows: NDArray[np.intp]) -> None:
         for row in rows.tolist():
-            self._bodies[row, :, :2] = freed(self._bodies[row, :, :2])
+            self._bodies[row, :, :2] = clear_of_barriers(self._bodies[row, :, :2])
 
     def _heading(self, rows: NDArray[np.intp]) -> Floats:
         return car.heading(self._qpos[rows])
@@ -110,7 +110,7 @@ class Formula(Navigation):
         xy, barrels = self._qpos[rows, :2], self._bodies[rows]
         upright = 1.0 - 2.0 * (barrels[..., 4] ** 2 + barrels[..., 5] ** 2)
         reach = np.where(upright > 0.9, _REACH, _REACH + _LYING)
-        active = active_bodies(xy, barrels, self._speeds[rows], reach=reach, apart=_APART, rest=_REST, leash=_LEASH)
+        active = active_bodies(xy, barrels, self._speeds[rows], reach=reach, apart=_APART, rest=_REST, max_distance=_MAX_DISTANCE)
         walls = distance_to_segments(xy, track.SIDES).min(axis=1) < car.REACH
         row, barrel = np.nonzero(active)
         if row.size:

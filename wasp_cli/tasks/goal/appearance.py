@@ -25,7 +25,7 @@ class Checker:
     """Squares of two colours, whose edges are as wide as a pixel; squares smaller than a pixel fade into their mean."""
 
     _mean = (np.array(TILE_LIGHT, np.float32) + np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
-    _swing = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
+    _amplitude = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
         """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
@@ -33,7 +33,7 @@ class Checker:
         mix = _wave(x, sharpness)
         mix *= _wave(y, sharpness)
         mix *= np.clip(np.float32(2.0) - footprint * np.float32(2.0 / TILE_SIDE), np.float32(0.0), np.float32(1.0))
-        image: Shades = self._swing * mix
+        image: Shades = self._amplitude * mix
         image += self._mean
         return image
 

@@ -29,7 +29,7 @@ class Cobbles:
     _joint = 0.06
     """Width of a joint as a share of a stone."""
     _mean = np.array([[0.47], [0.44], [0.40]], np.float32)
-    _swing = np.array([[0.05], [0.05], [0.055]], np.float32)
+    _amplitude = np.array([[0.05], [0.05], [0.055]], np.float32)
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
         """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
@@ -50,7 +50,7 @@ class Cobbles:
         blur = np.float32(self._joint) + width
         mix -= np.float32(3.0) * np.clip((blur - edge) / blur, np.float32(0.0), np.float32(1.0))
         mix *= np.clip(np.float32(2.0) - np.float32(2.0) * width, np.float32(0.0), np.float32(1.0))
-        image: Shades = self._swing * mix
+        image: Shades = self._amplitude * mix
         image += self._mean
         return image
 
