@@ -84,7 +84,7 @@ class VectorTask(Protocol):
         ...
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Everything that determines the future of every row, as plain arrays; `restore` of it is bit-exact.
+        """Return everything that determines the future of every row, as plain arrays; `restore` of it is bit-exact.
 
         The first dimension of every array is B, so that rows can be taken from one snapshot and put into another (or into one of another
         batch); `ended` [B] is among them.

@@ -58,7 +58,7 @@ _SENSORS = """
 
 
 def car_mjcf(integrator: str, *, others: str = "", assets: str = "", sensors: str | None = None) -> str:
-    """The car on a floor.
+    """Return the car on a floor as MJCF.
 
     Args:
         integrator: of MuJoCo.
@@ -87,7 +87,7 @@ def car_mjcf(integrator: str, *, others: str = "", assets: str = "", sensors: st
 
 
 def start_pose(xy: Floats, yaw: float) -> Floats:
-    """qpos [13] of a car at rest; `yaw` is of the body's x axis."""
+    """Return qpos [13] of a car at rest at `xy` [2] in m; `yaw` in rad is of the body's x axis."""
     pose = np.zeros(NQ)
     pose[:2], pose[2] = xy, CAR_Z
     pose[3:7] = yaw_quaternion(np.array(yaw))
@@ -96,12 +96,12 @@ def start_pose(xy: Floats, yaw: float) -> Floats:
 
 
 def rotation(qpos: Floats) -> Floats:
-    """Body to world [n, 3, 3] of cars in states [n, 13]."""
+    """Return body to world [n, 3, 3] of cars in states [n, 13]."""
     return quaternion_rotation(qpos[:, 3:7])
 
 
 def heading(qpos: Floats) -> Floats:
-    """Direction [n] of the cars' front in rad, of states [n, 13]."""
+    """Return the direction [n] of the cars' front in rad, of states [n, 13]."""
     w, x, y, z = qpos[:, 3], qpos[:, 4], qpos[:, 5], qpos[:, 6]
     # The world direction of body -y.
     front: Floats = np.arctan2(-(w * w - x * x + y * y - z * z), -2.0 * (x * y - w * z))
@@ -109,12 +109,12 @@ def heading(qpos: Floats) -> Floats:
 
 
 def state_vector(sensors: Floats, qpos: Floats, *seen: Floats) -> Floats:
-    """float64 [B, 24 + 16 J]: the sensors with the caster's rotation as a matrix, then a lidar for each group of points.
+    """Join float64 [B, 24 + 16 J]: the sensors with the caster's rotation as a matrix, then a lidar for each group of points.
 
     Args:
         sensors: [B, 19].
         qpos: [B, 13].
-        seen: J arrays [B, K, 2] of world points on the ground.
+        seen: J arrays [B, K, 2] of world points on the ground, in m.
     """
     caster = quaternion_rotation(sensors[:, 15:19]).reshape(-1, 9)
     around = ground_to_body(np.concatenate(seen, axis=1), qpos[:, :3], rotation(qpos))

@@ -74,7 +74,7 @@ class CarTask(NamedTuple):
 
 
 def check_car_episode(r: Recording, task: CarTask) -> list[Check]:
-    """Layout, motion, reward, observations, contacts and episode rules of one recorded episode."""
+    """Check layout, motion, reward, observations, contacts and episode rules of one recorded episode."""
     parts = (_numbers, _layout, _motion, _observations, _walls, _barrels, _rules)
     return [check for part in parts for check in part(r, task)]
 
@@ -234,7 +234,7 @@ def _walls(r: Recording, task: CarTask) -> list[Check]:
 
 
 def wall_gaps(build_model: ModelBuilder, qpos: Floats) -> Floats:
-    """Least signed distance [n] in m between the car in states [n, 13] and any wall; at most 0.5."""
+    """Measure the least signed distance [n] in m between the car in states [n, 13] and any wall; at most 0.5."""
     model = build_model(0, 1, False)
     data = mujoco.MjData(model)
     roots, car_root = model.body_rootid[model.geom_bodyid], model.body("agent").id
@@ -311,7 +311,7 @@ def _rules(r: Recording, task: CarTask) -> list[Check]:
 
 
 def check_car_dynamics(r: Recording, task: CarTask) -> list[Check]:
-    """The car alone under constant actions: single steps from recorded states, and means over 100 steps."""
+    """Check the car alone under constant actions: single steps from recorded states, and means over 100 steps."""
     prefix = task.prefix
     actions, qpos, qvel = r[f"{prefix}_actions"], r[f"{prefix}_qpos"], r[f"{prefix}_qvel"]
     physics = BatchPhysics(task.build_model(0, 0, True))

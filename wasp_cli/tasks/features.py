@@ -48,10 +48,10 @@ RAYS = 32
 
 
 def ray_distances(origin: Floats, heading: Floats, circles: Floats, radius: float, sides: Floats, limit: float) -> Floats:
-    """Distance [B, 32] in m to the first circle or side on each ray, at most `limit`; 0 inside a circle.
+    """Measure the distance [B, 32] in m to the first circle or side on each ray, at most `limit`; 0 inside a circle.
 
     Args:
-        origin: [B, 2].
+        origin: [B, 2] in m.
         heading: [B] direction of the first ray in rad.
         circles: [B, K, 2] centres, all of one `radius` in m.
         sides: [V, 2, 2] start and end points of walls.
@@ -111,16 +111,16 @@ MOTION_AND_GOAL = 7
 
 
 def motion_and_goal(velocity: Floats, turn: Floats, xy: Floats, heading: Floats, goal: Floats) -> Floats:
-    """[B, 7]: own velocity (2, m/s), turn rate (3 rad/s), direction of the goal (2), its distance / 3 m and exp(-distance / 1 m).
+    """Join [B, 7]: own velocity (2, m/s), turn rate (3 rad/s), direction of the goal (2), its distance / 3 m and exp(-distance / 1 m).
 
     Vectors are in the frame whose x axis is the robot's front.
 
     Args:
         velocity: [B, 2] world velocity in m/s.
         turn: [B] rad/s.
-        xy: [B, 2].
+        xy: [B, 2] in m.
         heading: [B] of the robot's front in rad.
-        goal: [B, 2].
+        goal: [B, 2] in m.
     """
     own = to_body(velocity[:, None], np.zeros_like(velocity), heading)[:, 0]
     target = to_body(goal[:, None], xy, heading)[:, 0]
@@ -129,12 +129,12 @@ def motion_and_goal(velocity: Floats, turn: Floats, xy: Floats, heading: Floats,
 
 
 def nearness(distances: Floats) -> Floats:
-    """Ray distances in m as numbers that tell most where it matters: 1 at contact, 0.37 at 0.5 m, 0.05 at 1.5 m."""
+    """Turn ray distances [B, 32] in m into numbers that tell most where it matters: 1 at contact, 0.37 at 0.5 m, 0.05 at 1.5 m."""
     near: Floats = np.exp(-2.0 * distances)
     return near
 
 
 def bounded(*parts: Floats) -> NDArray[np.float32]:
-    """The parts [B, ...] as one float32 vector within the bound."""
+    """Join parts [B, ...] into one float32 vector [B, P] within the bound."""
     vector: NDArray[np.float32] = np.clip(np.concatenate(parts, axis=1), -BOUND, BOUND).astype(np.float32)
     return vector

@@ -26,7 +26,7 @@ Seen = NDArray[Any] | dict[str, NDArray[Any]]
 
 
 def observed_task(task: str, batch: int, observation: str, action_repeat: int, threads: int = 1) -> VectorTask:
-    """A batch of a task that shows the asked observation.
+    """Make a batch of a task that shows the asked observation.
 
     Raises:
         UnknownName: no such task.
@@ -63,7 +63,7 @@ def map_of(task: HasScene, row: int) -> Pixels:
 
 
 def refuse_other_task(task: str, registered: str | None) -> None:
-    """An id stands for its task: results under its name must not be those of another."""
+    """Refuse another task under an id that stands for one: results under its name must not be those of another."""
     if registered is not None and task != registered:
         hint = f"that is gymnasium.make('{TASKS[task].gym_id}')" if task in TASKS else "leave task= out"
         raise UsageError(f"'{TASKS[registered].gym_id}' is the task '{registered}', and task={task!r} cannot change it", hint)
@@ -80,7 +80,7 @@ def refuse_unknown(task: str, unknown: dict[str, object], known: tuple[str, ...]
 
 
 def refuse_reset_options(options: dict[str, Any] | None) -> None:
-    """Nothing about a reset can be chosen.
+    """Refuse options of a reset: nothing about it can be chosen.
 
     Raises:
         UsageError: there is an option.
@@ -90,7 +90,7 @@ def refuse_reset_options(options: dict[str, Any] | None) -> None:
 
 
 def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
-    """The space of one episode's observation."""
+    """Return the space of one episode's observation."""
     spaces: dict[str, gymnasium.Space[Any]] = {
         "state": gymnasium.spaces.Box(-np.inf, np.inf, (task.state_size,), np.float64),
         "pixels": gymnasium.spaces.Box(0, 255, (6, CAMERA_SIZE, CAMERA_SIZE), np.uint8),
@@ -100,18 +100,18 @@ def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
 
 
 def chosen_fields(observation: Observation, name: str) -> Seen:
-    """What was asked for, [B, ...]."""
+    """Return what was asked for of an observation, [B, ...]."""
     fields: dict[str, NDArray[Any]] = {field: value for field, value in observation._asdict().items() if value is not None}
     return fields if name == "all" else fields[name]
 
 
 def first_row(seen: Seen) -> Seen:
-    """The observation of the first episode of a batch."""
+    """Return the observation of the first episode of a batch."""
     return {name: value[0] for name, value in seen.items()} if isinstance(seen, dict) else seen[0]
 
 
 def checked_control(action: Any, shape: tuple[int, ...]) -> Floats:
-    """An action as float64 of a shape.
+    """Return an action as float64 of a shape.
 
     Raises:
         TaskError: it is no array of finite real numbers of that shape.
@@ -223,7 +223,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return None if self._drawn is None else map_of(self._drawn, 0)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
+        """Return everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
 
         Which layouts later resets without a seed draw is not part of it.
         """
@@ -243,7 +243,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
 
 def upstream(task: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
-    """A task under the reference package's interface: stands for `safety_gymnasium.make(task)` in code that is to be ported.
+    """Make a task under the reference package's interface: stands for `safety_gymnasium.make(task)` in code that is to be ported.
 
     Args:
         task: `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`.

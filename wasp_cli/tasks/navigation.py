@@ -54,7 +54,7 @@ class Navigation(ABC):
 
     @abstractmethod
     def appearance(self) -> Appearance:
-        """What it looks like."""
+        """Return what it looks like."""
 
     @abstractmethod
     def _start(self, row: int, stream: np.random.RandomState) -> None:
@@ -62,7 +62,7 @@ class Navigation(ABC):
 
     @abstractmethod
     def route(self) -> Floats:
-        """The next point [B, 2] on the way to each goal, for the scripted driver."""
+        """Return the next point [B, 2] in m on the way to each goal, for the scripted driver."""
 
     @abstractmethod
     def _heading(self, rows: NDArray[np.intp]) -> Floats:
@@ -90,7 +90,7 @@ class Navigation(ABC):
 
     @abstractmethod
     def scene(self, rows: NDArray[np.intp]) -> Scene:
-        """What the cameras see."""
+        """Return what the cameras see, of `rows` [n]."""
 
     @abstractmethod
     def _own_arrays(self) -> dict[str, NDArray[Any]]:
@@ -199,11 +199,11 @@ class Navigation(ABC):
         self._ended[row] = self._terminated[row] = True
 
     def pose(self) -> tuple[Floats, Floats, Floats]:
-        """Positions [B, 2], directions [B] of the robots' front, and velocities [B, 2] over the last env step, world frame."""
+        """Return positions [B, 2] in m, directions [B] of the robots' front in rad, and velocities [B, 2] in m/s over the last env step."""
         return self._qpos[:, :2].copy(), self._heading(np.arange(self.batch)), self._velocity.copy()
 
     def costs(self) -> dict[str, Bools]:
-        """Whether each source costs in the present state [B]."""
+        """Tell whether each source costs in the present state [B]."""
         return self._costs(np.arange(self.batch))
 
     # -- physics ----------------------------------------------------------------------------------------------------------------

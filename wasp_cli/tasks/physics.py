@@ -36,7 +36,7 @@ class BatchPhysics:
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def advance(self, qpos: Floats, qvel: Floats, control: Floats, steps: int) -> tuple[Floats, Floats]:
-        """States after `steps` physics steps under a held control: [n, nq], [n, nv], [n, nu] -> [n, nq], [n, nv]."""
+        """Advance states by `steps` physics steps under a held control: [n, nq], [n, nv], [n, nu] -> [n, nq], [n, nv]."""
         if len(qpos) == 1:
             data = self._placed(qpos, qvel, control)
             mujoco.mj_step(self.model, data, nstep=steps)
@@ -46,7 +46,7 @@ class BatchPhysics:
         return state[:, -1, 1 : 1 + nq], state[:, -1, 1 + nq :]
 
     def sensors(self, qpos: Floats, qvel: Floats, control: Floats) -> Floats:
-        """Sensor readings [n, nsensordata] at these very states."""
+        """Read sensors [n, nsensordata] at these very states: [n, nq], [n, nv], [n, nu]."""
         if len(qpos) == 1:
             data = self._placed(qpos, qvel, control)
             mujoco.mj_forward(self.model, data)
@@ -92,7 +92,7 @@ STATIC_SENSOR = "touches_static"
 
 
 def body_sensor(index: int) -> str:
-    """Name of the contact sensor between the agent and the active body `index`."""
+    """Return the name of the contact sensor between the agent and the active body `index`."""
     return f"touches_body{index}"
 
 
@@ -150,7 +150,7 @@ class LocalPhysics:
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
 
     def advance(self, state: State, control: Floats, around: Surroundings, steps: int) -> State:
-        """The state after `steps` physics steps under a held control [n, nu]. Bodies that are not active stay as they are."""
+        """Advance states by `steps` physics steps under a held control [n, nu]. Bodies that are not active stay as they are."""
         after = State(*(array.copy() for array in state))
         for rows, picked, physics in self._groups(around, integrate=True):
             qpos, qvel = physics.advance(*_packed(state, rows, picked), control[rows], steps)
@@ -162,14 +162,14 @@ class LocalPhysics:
         return after
 
     def sensors(self, state: State, control: Floats, around: Surroundings, count: int) -> Floats:
-        """The first `count` sensor numbers [n, count] at these very states."""
+        """Read the first `count` sensor numbers [n, count] at these very states, under a control [n, nu]."""
         out = np.empty((len(state.qpos), count))
         for rows, picked, physics in self._groups(around, integrate=False):
             out[rows] = physics.sensors(*_packed(state, rows, picked), control[rows])[:, :count]
         return out
 
     def contacts(self, state: State, control: Floats, around: Surroundings) -> Contacts:
-        """Whether the agents touch walls or bodies in these very states."""
+        """Tell whether the agents touch walls or bodies in these very states, under a control [n, nu]."""
         static, bodies = np.zeros(len(state.qpos), np.bool_), np.zeros(len(state.qpos), np.bool_)
         if not around.walls.any() and not around.active.any():
             return Contacts(static, bodies)
@@ -215,15 +215,15 @@ def _packed(state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]) -> t
 def active_bodies(
     agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float | Floats, apart: float, rest: float, max_distance: float = np.inf
 ) -> Bools:
-    """Which free bodies [n, F] take part: those in the agent's reach, those that move, and those in reach of one of these.
+    """Choose the free bodies [n, F] that take part: those in the agent's reach, those that move, and those in reach of one of these.
 
     Args:
-        agent_xy: [n, 2].
-        bodies: [n, F, 7].
-        speeds: [n, F, 6].
+        agent_xy: [n, 2] in m.
+        bodies: [n, F, 7] poses: m and quaternion.
+        speeds: [n, F, 6] in m/s and rad/s.
         reach: distance of the agent's origin from a body's within which they can touch during an env step, in m; one, or [n, F].
-        apart: the same between two bodies.
-        rest: largest entry of a velocity that counts as rest.
+        apart: the same between two bodies, in m.
+        rest: largest entry of a velocity that counts as rest, in m/s or rad/s.
         max_distance: a body farther than this from the agent stands still, whatever its velocity, in m.
     """
     if not bodies.shape[1]:

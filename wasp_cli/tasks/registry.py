@@ -59,7 +59,7 @@ class TaskInfo(_Named):
     exchanged: every recorded episode is then another possible one. None where it does not, as on a track."""
 
     def facts(self) -> dict[str, Any]:
-        """What the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
+        """Return what the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
         return _facts(self)
 
 
@@ -109,7 +109,7 @@ class ForeignInfo(_Named):
         return (*super().modules, *self.examine().modules)
 
     def facts(self) -> dict[str, Any]:
-        """See `TaskInfo`; how an environment is registered moves results too."""
+        """Return what `TaskInfo` does, and how an environment is registered, which moves results too."""
         return _facts(self) | {"registered": self.examine().registered}
 
 
@@ -166,14 +166,14 @@ TASKS: Registry[AnyTaskInfo] = TaskRegistry(
 
 
 def is_foreign(name: str) -> bool:
-    """Whether a name has the form of a gymnasium id that is not ours: `module:Name`, `space/Name` or `Name-v0`."""
+    """Tell whether a name has the form of a gymnasium id that is not ours: `module:Name`, `space/Name` or `Name-v0`."""
     own = name.removeprefix(_GYM_MODULE).startswith(NAMESPACE)
     marked = ":" in name or "/" in name or re.search(r"-v\d+$", name) is not None
     return marked and not own and _GYM_ID.fullmatch(name) is not None
 
 
 def task_named(text: str) -> str:
-    """The name of a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`.
+    """Find a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`.
 
     Raises:
         UnknownName: no task is called so.

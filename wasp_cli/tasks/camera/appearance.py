@@ -92,7 +92,7 @@ class Floor(Protocol):
     """The colours of the ground."""
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres, so that nothing flickers far away."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m: nothing may flicker far away."""
         ...
 
 
@@ -125,9 +125,9 @@ class HasScene(Protocol):
     """A task that can be drawn for people (`wasp_cli.tasks.camera.topdown`). No picture of these is an observation."""
 
     def appearance(self) -> Appearance:
-        """What stays the same over the episodes."""
+        """Return what stays the same over the episodes."""
         ...
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:
-        """Where everything is now, of n rows."""
+        """Return where everything is now, of `rows` [n]."""
         ...

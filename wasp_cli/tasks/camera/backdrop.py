@@ -46,7 +46,7 @@ class Backdrop:
         self._anything_upright = bool(appearance.walls or appearance.landmarks or self._columns)
 
     def draw(self, frame: Frame, scene: Scene, row: int) -> None:
-        """Fill every pixel."""
+        """Fill every pixel of a frame with what is behind the things of one row of a scene, in image and depth (m)."""
         appearance, rays, depth = self._appearance, frame.rays, frame.depth
         # A ray meets the floor at `height * fall`; above the horizon that is so far away that it never counts.
         fall = _ONE / np.maximum(-rays[2], np.float32(1e-6))

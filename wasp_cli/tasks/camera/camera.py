@@ -61,7 +61,7 @@ class Solids:
         """Of the sphere around the whole thing."""
 
     def near(self, origin: Floats, position: Floats, rotation: Floats) -> Near:
-        """The ones within reach of the camera at `origin` [3], of things at `position` [K, 3] with `rotation` [K, 3, 3]."""
+        """Return the k within reach of the camera at `origin` [3], of things at `position` [K, 3] in m with `rotation` [K, 3, 3]."""
         x, y, z = (position - origin).T
         found = np.flatnonzero(x * x + y * y + z * z < self._reach2)
         position, rotation = position[found], rotation[found]
@@ -130,7 +130,7 @@ class _CopyModel:
         self._used = 0
 
     def place(self, position: Floats, rotation: Floats) -> None:
-        """Things at `position` [k, 3] with `rotation` [k, 3, 3], and no others: what `mj_kinematics` would derive, without quaternions."""
+        """Place things at `position` [k, 3] in m with `rotation` [k, 3, 3], and no others: `mj_kinematics` without quaternions."""
         data, count, geoms = self.data, len(position), len(self._local_position)
         data.xipos[1 : count + 1] = position + _turned(rotation, self._local_centre)
         data.ximat[1 : count + 1] = _product(rotation, self._local_axes).reshape(-1, 9)
@@ -145,7 +145,7 @@ class _CopyModel:
 
 
 def bounding_spheres(kind: Kind) -> tuple[Floats, Floats]:
-    """Centres [1 + G, 3] in the kind's body frame and radii [1 + G]: of the whole thing, then of each of its G geoms."""
+    """Return centres [1 + G, 3] in the kind's body frame and radii [1 + G] in m: of the whole thing, then of each of its G geoms."""
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{kind.geoms}</worldbody></mujoco>")
     centres, radii = model.geom_pos, model.geom_rbound
     middle = ((centres - radii[:, None]).min(axis=0) + (centres + radii[:, None]).max(axis=0)) / 2.0
@@ -181,7 +181,7 @@ class Camera:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="camera") if threads > 1 else None
 
     def render(self, scene: Scene) -> Pixels:
-        """uint8 [n, 6, 64, 64]: front RGB, then rear RGB. A row's bytes depend on its own scene only."""
+        """Draw uint8 [n, 6, 64, 64]: front RGB, then rear RGB. A row's bytes depend on its own scene only."""
         rows = len(scene.position)
         out = np.empty((rows, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
 
@@ -200,7 +200,7 @@ class Camera:
         return out
 
     def depth(self, scene: Scene) -> Shades:
-        """float32 [n, 2, 64, 64]: distance in m of what is seen (through translucent things), FAR in the sky. For tests and figures."""
+        """Measure distances in m float32 [n, 2, 64, 64] of what is seen (through translucent things), FAR in the sky. For tests."""
         rows = [self._draw(self._solids[0], scene, row).depth for row in range(len(scene.position))]
         return np.stack(rows).reshape(-1, 2, CAMERA_SIZE, CAMERA_SIZE)
 

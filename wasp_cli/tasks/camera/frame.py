@@ -37,14 +37,14 @@ class View(NamedTuple):
 
 
 def camera_axes(forward: tuple[float, float], slope: float) -> Floats:
-    """[3, 3] forward, right and up of a camera that looks along `forward` and down by `slope`."""
+    """Return unit vectors [3, 3] forward, right and up of a camera that looks along `forward` and down by `slope` (a tangent)."""
     ahead = np.array([*forward, -slope]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2 + slope**2)
     right = np.array([forward[1], -forward[0], 0.0]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2)
     return np.stack([ahead, right, np.cross(right, ahead)])
 
 
 def camera_rays(axes: Floats) -> Floats:
-    """Unit vectors [64 * 64, 3] through the pixel centres of a camera with 90 degrees field of view, top row first."""
+    """Return unit vectors [64 * 64, 3] through the pixel centres of a camera, `axes` [3, 3], 90 degrees field of view, top row first."""
     forward, right, up = axes
     at = (np.arange(CAMERA_SIZE) + 0.5) / (CAMERA_SIZE / 2) - 1.0
     rays = (forward + at[None, :, None] * right - at[:, None, None] * up).reshape(-1, 3)
@@ -72,7 +72,7 @@ def make_view(appearance: Appearance) -> View:
 
 
 def cast(model: mujoco.MjModel, data: mujoco.MjData, origin: Floats, rays: Floats) -> tuple[Floats, Floats, NDArray[np.int32]]:
-    """Distances [m] (negative: nothing hit), surface normals [m, 3] and geom ids [m] (-1) along the unit vectors `rays` [m, 3]."""
+    """Return distances [m] in m (-1: no hit), normals [m, 3] and geom ids [m] (-1) from `origin` [3] along unit vectors `rays` [m, 3]."""
     count = len(rays)
     distance, normal, geoms = np.full(count, -1.0), np.zeros(3 * count), np.full(count, -1, np.int32)
     if count:
@@ -81,14 +81,14 @@ def cast(model: mujoco.MjModel, data: mujoco.MjData, origin: Floats, rays: Float
 
 
 def shade(normals: Floats, rays: Floats) -> Shades:
-    """Brightness [m] in [0.45, 1]: a light straight above and one at the camera."""
+    """Return brightness [m] in [0.45, 1] of `normals` [m, 3] seen along `rays` [m, 3]: a light straight above and one at the camera."""
     facing = np.abs(normals[:, 0] * rays[:, 0] + normals[:, 1] * rays[:, 1] + normals[:, 2] * rays[:, 2])
     bright: Shades = (0.45 + 0.3 * np.maximum(normals[:, 2], 0.0) + 0.25 * facing).astype(np.float32)
     return bright
 
 
 def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDArray[np.intp]]:
-    """Where each camera can see spheres; `axes` [2, 3, 3] are the cameras' in the world, `centres` [m, 3] are relative to them.
+    """Find where cameras with `axes` [2, 3, 3] in the world see spheres: `radii` [m] in m, `centres` [m, 3] relative to the cameras.
 
     Returns:
         Whether any pixel can show it [2, m], and the first and last-plus-one row and column [2, m, 4] of those that can.
@@ -144,7 +144,7 @@ class Frame(NamedTuple):
 
 
 def open_frame(view: View, camera_height: float, scene: Scene, row: int) -> Frame:
-    """The cameras of one row, of which nothing was drawn but the depth of the robot's own body."""
+    """Place the cameras (`camera_height` in m) of one row; nothing is drawn yet but the depth of the robot's own body."""
     turn = rounded(scene.rotation[row])
     origin = rounded(scene.position[row]) + turn[:, 2] * camera_height
     origin[2] = max(origin[2], _LOWEST)
@@ -163,10 +163,10 @@ def put(image: Shades, pixels: NDArray[np.intp], colours: Shades) -> None:
 
 
 def rounded(values: Floats) -> Floats:
-    """To float32 and back: differences of the last bits between machines are gone, the arithmetic stays in float64."""
+    """Round to float32 and back, any shape: differences of the last bits between machines are gone, the arithmetic stays in float64."""
     return values.astype(np.float32).astype(np.float64)
 
 
 def column(rgb: Colour) -> Shades:
-    """[3, 1]"""
+    """Return a colour as float32 [3, 1]."""
     return np.array(rgb, np.float32)[:, None]

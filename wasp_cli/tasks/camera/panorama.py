@@ -74,7 +74,7 @@ class Panorama(NamedTuple):
 
 
 def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
-    """All sides of the walls, and into how many layers they fall: walls of similar height share one.
+    """Return all sides of the walls, and into how many layers they fall: walls of similar height share one.
 
     At the distance `haze` in m half of their colour is left.
     """
@@ -96,7 +96,7 @@ def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
 
 
 def make_columns(places: ArrayLike, shapes: Sequence[tuple[float, float]], colours: Sequence[Colour], layer: int) -> Columns:
-    """S columns at `places` [S, 2] with radii and heights `shapes` [S, 2], all in one layer."""
+    """Return S columns at `places` [S, 2] with radii and heights `shapes` [S, 2] in m, all in one layer."""
     count = len(shapes)
     shape = np.array(shapes, np.float32).reshape(count, 2)
     return Columns(
@@ -109,7 +109,7 @@ def make_columns(places: ArrayLike, shapes: Sequence[tuple[float, float]], colou
 
 
 def column_sides(columns: Columns, ox: np.float32, oy: np.float32) -> Sides:
-    """Columns as boards that face the viewer at (ox, oy), at least a pixel wide."""
+    """Turn columns into boards that face the viewer at (ox, oy) in m, at least a pixel wide."""
     dx, dy = columns.centre[0] - ox, columns.centre[1] - oy
     distance = np.maximum(np.sqrt(dx * dx + dy * dy), np.float32(1e-6))
     # Five quarters of a pixel at the middle of the image, where a pixel sees the least.
@@ -124,13 +124,13 @@ _Parts = TypeVar("_Parts", Sides, Columns)
 
 
 def join(parts: Sequence[_Parts]) -> _Parts:
-    """All parts in one."""
+    """Concatenate parts along S."""
     first = parts[0]
     return first if len(parts) == 1 else type(first)(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
 
 
 def directions(x: Shades, y: Shades) -> Shades:
-    """Where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N]."""
+    """Return where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N]."""
     steep = np.abs(y) > np.abs(x)
     along, ahead = np.where(steep, -x, y), np.where(steep, y, x)
     quarter = np.where(ahead > 0, np.float32(0.0), np.float32(2.0))
@@ -156,7 +156,7 @@ _LENGTH = np.sqrt(_TOWARDS[0] * _TOWARDS[0] + _TOWARDS[1] * _TOWARDS[1])
 
 
 def draw_panorama(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horizon: Shades) -> Panorama:
-    """What there is to see from (ox, oy), fading into the colour `horizon` [3, 1]. A place inside of a solid sees its walls from behind."""
+    """Find what there is to see from (ox, oy) in m, fading into `horizon` [3, 1]. A place inside of a solid sees its walls from behind."""
     x0, y0, x1, y1 = sides.start[0] - ox, sides.start[1] - oy, sides.end[0] - ox, sides.end[1] - oy
     # A viewer exactly on a corner: any direction will do for it.
     x0[(x0 == 0) & (y0 == 0)] = x1[(x1 == 0) & (y1 == 0)] = np.float32(1e-6)

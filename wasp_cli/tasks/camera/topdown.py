@@ -59,16 +59,16 @@ class _Canvas:
         self._blend((rows, columns), inside, colour, alpha)
 
     def in_view(self, places: Floats, extent: float) -> Bools:
-        """Whether something of a size may show at each of [K, 2]; most of a long track is outside of a map that follows the robot."""
+        """Tell whether something of `extent` m may show at places [K, 2]; most of a long track is beyond a map that follows the robot."""
         near: Bools = np.abs(places - self.centre).max(axis=1) <= self.half_side + extent
         return near
 
     def disc(self, centre: Floats, radius: float, colour: Colour, alpha: float = 1.0) -> None:
-        """Fill a disc."""
+        """Fill a disc around `centre` [2]; lengths in m."""
         self.shape(_disc(radius), centre, np.eye(2), colour, alpha)
 
     def triangle(self, corners: Floats, colour: Colour) -> None:
-        """Fill the triangle `corners` [3, 2]."""
+        """Fill the triangle `corners` [3, 2] in m."""
         rows, columns = window_around(self.x, self.y, corners.min(axis=0), corners.max(axis=0))
         self._blend((rows, columns), filled(corners, self.x[columns], self.y[rows]), colour, 1.0)
 

@@ -117,7 +117,7 @@ def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
 
 
 def make_env(name: str) -> GymEnv:
-    """One environment without gymnasium's own time limit and checks, which the task replaces.
+    """Make one environment without gymnasium's own time limit and checks, which the task replaces.
 
     Raises:
         TaskError: it cannot be made.

@@ -159,7 +159,7 @@ class GymTask:
         }
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """See `VectorTask`; the environment's own part are the arrays of its `snapshot()`.
+        """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`.
 
         Raises:
             TaskError: the environment has no `snapshot`.
@@ -171,7 +171,7 @@ class GymTask:
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
-        """See `VectorTask`.
+        """Return to a snapshot; see `VectorTask`.
 
         Raises:
             TaskError: the environment has no `restore`, or the snapshot is of another task.

@@ -36,7 +36,7 @@ class Ground:
     """The texture, looked up."""
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
         texture = _texture()
         level = (footprint > np.float32(2.0 * CELL)).astype(np.intp)
         level += footprint > np.float32(2.0 * CELL * _COARSER)
@@ -148,7 +148,7 @@ _LANDMARKS = (
 
 @lru_cache
 def appearance(level: int) -> Appearance:
-    """Of level 0 (no barrels) or 1."""
+    """Return the appearance of level 0 (no barrels) or 1."""
     beacon = f'<geom type="cylinder" pos="0 0 {_BEACON_TOP / 2}" size="{_BEACON_RADIUS} {_BEACON_TOP / 2}"/>'
     goal = Kind("goal", beacon, (1.0, 0.0, 1.0), column=(_BEACON_RADIUS, _BEACON_TOP))
     barrel = "".join(

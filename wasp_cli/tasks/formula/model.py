@@ -32,7 +32,7 @@ _COLUMNS = 32
 
 
 def sectors(xy: Floats) -> NDArray[np.int64]:
-    """Number [n], from 2, of the square that holds each place [n, 2] of the map."""
+    """Return the number [n], from 2, of the square that holds each place [n, 2] of the map, in m."""
     cell = np.clip(np.floor((xy - _ORIGIN) / SECTOR), 0, _COLUMNS - 1).astype(np.int64)
     numbers: NDArray[np.int64] = 2 + cell[:, 0] + _COLUMNS * cell[:, 1]
     return numbers
@@ -42,7 +42,7 @@ _ORIGIN = np.array([-32.0, -64.0])
 
 
 def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
-    """The car, some barrels, and no barriers (`walls` 0), all of them (1), or those in and around a square (its number).
+    """Build the car, some barrels, and no barriers (`walls` 0), all of them (1), or those in and around a square (its number).
 
     Barrels of 14 mg are unstable under Euler with this timestep, hence RK4. Sensors and contacts are those of a single forward pass,
     for which any integrator does.
@@ -62,7 +62,7 @@ def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
 
 
 def barrel_corners() -> str:
-    """Vertices of a barrel's convex hull as MJCF wants them; the foot stands on z = 0."""
+    """Return the vertices of a barrel's convex hull as MJCF wants them, in m; the foot stands on z = 0."""
     around = np.arange(_BARREL_CORNERS) * (2.0 * math.pi / _BARREL_CORNERS)
     rings = ((BARREL_RADIUS, 0.0), (BARREL_RADIUS, BARREL_RIM), (BARREL_TOP_RADIUS, BARREL_HEIGHT))
     return " ".join(f"{r * math.cos(a):.6f} {r * math.sin(a):.6f} {z}" for r, z in rings for a in around.tolist())
@@ -117,7 +117,7 @@ _RINGS = ((track.OUTER_BARRIER, _OUTER_MIDDLE), (track.INNER_BARRIER, 0.0), (tra
 
 
 def clear_of_barriers(places: Floats) -> Floats:
-    """Barrels [F, 2], those that overlap a barrier moved away from its nearest side until they touch it no more.
+    """Move those of the barrels [F, 2] (in m) that overlap a barrier away from its nearest side until they touch it no more -> [F, 2].
 
     Those that lie outside of the outer barrier stay there, out of everybody's way.
     Where two sides meet, moving away from one can lead into the other: what still overlaps after some rounds stays as it is.

@@ -28,7 +28,7 @@ class Checker:
     _amplitude = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
         sharpness: Shades = np.divide(np.float32(4.0 * TILE_SIDE), np.maximum(footprint, np.float32(1e-6)))
         mix = _wave(x, sharpness)
         mix *= _wave(y, sharpness)
@@ -51,7 +51,7 @@ def _wave(place: Shades, sharpness: Shades) -> Shades:
 
 @lru_cache
 def appearance(level: int) -> Appearance:
-    """Of level 0 (only a goal), 1, or 2 (more things on a larger square)."""
+    """Return the appearance of level 0 (only a goal), 1, or 2 (more things on a larger square)."""
     goal = Kind("goal", f'<geom type="cylinder" size="{GOAL_RADIUS} {GOAL_HALF_HEIGHT}"/>', GOAL_COLOUR, GOAL_ALPHA)
     disc = f'<geom type="cylinder" size="{model.HAZARD_RADIUS} {HAZARD_HALF_HEIGHT}"/>'
     hazard = Kind("hazard", disc, HAZARD_COLOUR, HAZARD_ALPHA, painted=model.HAZARD_RADIUS)

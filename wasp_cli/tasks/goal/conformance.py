@@ -32,7 +32,7 @@ _Snapshot = dict[str, NDArray[Any]]
 
 
 def check_point_goal(recording: Recording) -> list[Check]:
-    """Layout, motion, reward, cost, observations and goals of one recorded episode."""
+    """Check layout, motion, reward, cost, observations and goals of one recorded episode."""
     return _numbers(recording) + _layout(recording) + _motion(recording) + _observations(recording) + _goals(recording)
 
 
@@ -150,7 +150,7 @@ def _goals(r: Recording) -> list[Check]:
 
 
 def check_point_dynamics(recording: Recording) -> list[Check]:
-    """The agent alone under constant actions: single steps from recorded states, and means over 100 steps."""
+    """Check the agent alone under constant actions: single steps from recorded states, and means over 100 steps."""
     actions, qpos, qvel = recording["point_actions"], recording["point_qpos"], recording["point_qvel"]
     count, steps = len(actions), qpos.shape[1] - 1
     single = _agents_alone(count * steps, qpos[:, :-1].reshape(-1, 3), qvel[:, :-1].reshape(-1, 3))

@@ -23,24 +23,24 @@ _NO_WALLS = np.zeros((0, 2, 2))
 
 
 def state_size(hazards: int, vases: int) -> int:
-    """Length of the state vector."""
+    """Return the length of the state vector."""
     return g.AGENT_SENSORS + BINS * (1 + (hazards > 0) + (vases > 0))
 
 
 def privileged_size(hazards: int, vases: int) -> int:
-    """Length of the privileged vector."""
+    """Return the length of the privileged vector."""
     return MOTION_AND_GOAL + 3 * hazards + 2 * vases + (RAYS if hazards else 0)
 
 
 def state_vector(sensors: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats) -> Floats:
-    """float64 [B, S]: accelerometer, velocimeter, gyro, magnetometer, then 16 lidar bins of goal, hazards, vases (of those there are).
+    """Join float64 [B, S]: accelerometer, velocimeter, gyro, magnetometer, then 16 lidar bins of goal, hazards, vases (of those there are).
 
     Args:
         sensors: [B, 12] in this order.
-        pose: [B, 3] agent x, y, yaw.
-        goal: [B, 2].
-        hazards: [B, K, 2].
-        vases: [B, F, 2].
+        pose: [B, 3] agent x, y in m, yaw in rad.
+        goal: [B, 2] in m.
+        hazards: [B, K, 2] in m.
+        vases: [B, F, 2] in m.
     """
     kinds = [points for points in (goal[:, None], hazards, vases) if points.shape[1]]
     seen = to_body(np.concatenate(kinds, axis=1), pose[:, :2], pose[:, 2])
@@ -48,7 +48,7 @@ def state_vector(sensors: Floats, pose: Floats, goal: Floats, hazards: Floats, v
 
 
 def privileged_vector(velocity: Floats, turn: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats) -> NDArray[np.float32]:
-    """float32 [B, P], entries within [-3, 3]; everything in the robot's frame, lengths in m unless said.
+    """Join float32 [B, P], entries within [-3, 3]; everything in the robot's frame, lengths in m unless said.
 
     First `motion_and_goal`; then for each hazard, nearest first, its position / 1.5 (2) and twice the clearance from its rim, clipped to
     [-0.2, 1] m; then the vases' positions / 1.5 (2 each, nearest first); last the nearness of hazards along 32 rays.

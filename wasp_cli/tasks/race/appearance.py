@@ -32,7 +32,7 @@ class Cobbles:
     _amplitude = np.array([[0.05], [0.05], [0.055]], np.float32)
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
         across = y * np.float32(1.0 / self.side)
         row = np.floor(across)
         # Every other row is shifted by half a stone, as masons lay them.
@@ -65,7 +65,7 @@ def _bush(radius: float, height: float, knobs: float) -> str:
 
 @lru_cache
 def appearance(level: int) -> Appearance:
-    """Of level 0 (only a goal) or higher."""
+    """Return the appearance of level 0 (only a goal) or higher."""
     goal = Kind("goal", _bush(0.36, 0.28, 0.18), (1.0, 0.25, 0.62))
     hazard = Kind("hazard", _bush(0.28, 0.22, 0.1), (0.05, 0.36, 0.08))
     return Appearance(

@@ -144,7 +144,7 @@ SCENERY = (
 
 
 def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
-    """The car, with or without the scenery."""
+    """Build the car, with or without the scenery."""
     if bodies:
         raise ValueError("Race has no free bodies")
     assets = "".join(_mesh(prism) for prism in SCENERY) if walls else ""
