@@ -25,7 +25,7 @@ CONFIGURATION = frozenset({"config", "configs"})
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
-    """The project modules that `roots` import, transitively, and the roots themselves.
+    """Return the project modules that `roots` import, transitively, and the roots themselves.
 
     Raises:
         WaspError: a root has no source.
@@ -40,24 +40,24 @@ def closure(roots: Iterable[str]) -> frozenset[str]:
 
 @cache
 def closure_hash(roots: tuple[str, ...]) -> str:
-    """One hash over the source of the closure."""
+    """Return one hash over the source of the closure."""
     lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots))]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:20]
 
 
 def source_hashes(roots: Iterable[str]) -> dict[str, str]:
-    """Hash by module of the closure: the manifest keeps them, so that a later plan can name what changed."""
+    """Return the hash by module of the closure: the manifest keeps them, so that a later plan can name what changed."""
     return {name: source_hash(name) for name in sorted(closure(roots))}
 
 
 @cache
 def source_hash(module: str) -> str:
-    """Hash of one module's syntax without docstrings."""
+    """Return the hash of one module's syntax without docstrings."""
     return _digest(module, _tree(module))
 
 
 def changed_since(hashes: Mapping[str, str]) -> list[str]:
-    """The modules whose source is not what `source_hashes` once said; reads again only what was written since."""
+    """Return the modules whose source is not what `source_hashes` once said; reads again only what was written since."""
     return [module for module, known in hashes.items() if _fresh_hash(module) != known]
 
 

@@ -69,7 +69,7 @@ class Grid:
 
 
 def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
-    """Every cell of a spec, every stage that it names, and every node behind them, each node once.
+    """Return every cell of a spec, every stage that it names, and every node behind them, each node once.
 
     Args:
         spec: what is asked for.
@@ -95,7 +95,7 @@ def _lay_out(spec: Spec, builder: _Builder) -> Grid:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Nothing of a grid or a plan is garbage while it grows, and looking for it takes a fifth of the time."""
+    """Pause the collector: nothing of a grid or a plan is garbage while it grows, and looking for it takes a fifth of the time."""
     before = gc.isenabled()
     gc.disable()
     try:
@@ -106,7 +106,7 @@ def uncollected() -> Iterator[None]:
 
 
 def together(grids: Sequence[Grid]) -> Grid:
-    """What several specs ask for: what they share is there once."""
+    """Return what several specs ask for: what they share is there once."""
     cells = {node.key: (cell, node) for grid in grids for cell, node in grid.cells}
     nodes = with_upstream([node for grid in grids for node in grid.nodes])
     named = {node.key: node for grid in grids for node in grid.named}
@@ -124,7 +124,7 @@ def together(grids: Sequence[Grid]) -> Grid:
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
-    """The cells of a spec in its own order."""
+    """Yield the cells of a spec in its own order."""
     impaired = [(variant, name, value) for variant, severities in spec.operators.items() for name, value in severities.items()]
     for task, method in product(spec.tasks, spec.methods):
         operators = impaired if METHODS[method].impaired else [(UNIMPAIRED, None, None)]
@@ -177,7 +177,7 @@ class _Builder:
         self.modules = cache(_modules)
 
     def evaluation(self, cell: Cell) -> Node:
-        """The node that computes a cell, from the training chain of its seed."""
+        """Return the node that computes a cell, from the training chain of its seed."""
         shared: _Assisted = self.assisted(cell.task, self.spec.chain_seed(cell.seed), cell.method, cell.assistant)
         axes = _round_axis(self.spec.rounds) | {
             "method": cell.method,
@@ -191,7 +191,7 @@ class _Builder:
         return self._node("evaluate", cell.task, cell.seed, axes, shared.needs, roots, _cell_label(cell), made)
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
-        """The node that branches the interventions of an evaluated cell."""
+        """Return the node that branches the interventions of an evaluated cell."""
         chain = self.spec.chain_seed(cell.seed)
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain, self.spec.rounds) | {evaluation.kind: evaluation}
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
@@ -305,7 +305,7 @@ def _cell_label(cell: Cell) -> str:
 
 
 def round_of(node: Node) -> int:
-    """The round that a node belongs to."""
+    """Return the round that a node belongs to."""
     return int(node.axes.get("round", 1))
 
 
@@ -319,7 +319,7 @@ def _in_round(label: str, number: int) -> str:
 
 @cache
 def stage_class(kind: str) -> type[Stage]:
-    """The class of a stage (light: heavy imports are inside its `run`)."""
+    """Return the class of a stage (light: heavy imports are inside its `run`)."""
     stage: type[Stage] = load_target(STAGES[kind].target)
     return stage
 

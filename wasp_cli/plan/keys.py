@@ -37,7 +37,7 @@ def _word(text: str) -> Text:
 
 
 def canonical(value: Any) -> Text:
-    """JSON with sorted keys, without spaces and without non-numbers: the same text for the same content."""
+    """Return JSON with sorted keys, without spaces and without non-numbers: the same text for the same content."""
     kind = type(value)
     if kind is Text:
         return value  # type: ignore[no-any-return]
@@ -50,24 +50,24 @@ def canonical(value: Any) -> Text:
 
 
 def joined(parts: Mapping[str, Any]) -> Text:
-    """The canonical text of a mapping, some of whose values may be canonical texts already."""
+    """Return the canonical text of a mapping, some of whose values may be canonical texts already."""
     return Text("{" + ",".join([f"{_word(name)}:{canonical(parts[name])}" for name in sorted(parts)]) + "}")
 
 
 def key_of(identity: Mapping[str, Any]) -> str:
-    """The key of what `identity` describes; values that are `Text` stand for what they are the text of."""
+    """Return the key of what `identity` describes; values that are `Text` stand for what they are the text of."""
     return hashlib.sha256(joined({**identity, "schema": Text(SCHEMA), "libraries": _libraries_text()}).encode()).hexdigest()[:LENGTH]
 
 
 def recipe_of(identity: Mapping[str, Any]) -> str:
-    """What `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
+    """Return what `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
     configuration = {name: value for name, value in identity.items() if name != "code"}
     return hashlib.sha256(joined({**configuration, "schema": Text(SCHEMA)}).encode()).hexdigest()[:LENGTH]
 
 
 @cache
 def libraries() -> dict[str, str]:
-    """Major and minor version of each library whose numerics enter the results."""
+    """Return the major and minor version of each library whose numerics enter the results."""
     return {name: ".".join(_version(name).split(".")[:2]) for name in LIBRARIES}
 
 

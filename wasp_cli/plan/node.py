@@ -33,7 +33,7 @@ class Cell:
         return f"{self.task} {self.method}{assistant} {operator} seed {self.seed}"
 
     def as_json(self) -> dict[str, Any]:
-        """As plain values, for the plan of a run."""
+        """Return this as plain values, for the plan of a run."""
         # dataclasses.asdict copies every value deeply, which takes seconds over a large grid.
         return {name: getattr(self, name) for name in _FIELDS}
 
@@ -55,7 +55,7 @@ class Part:
         return f"{self.task} s{self.seed} {self.kind}" + (f", round {self.round}" if self.round > 1 else "")
 
     def as_json(self) -> dict[str, Any]:
-        """As plain values, for the plan of a run."""
+        """Return this as plain values, for the plan of a run."""
         return asdict(self)
 
 
@@ -93,7 +93,7 @@ class Node:
 
 
 def with_upstream(nodes: Iterable[Node]) -> list[Node]:
-    """The nodes and everything they need, each once, needed ones first."""
+    """Return the nodes and everything they need, each once, needed ones first."""
     found: dict[str, Node] = {}
 
     def visit(node: Node) -> None:
@@ -109,7 +109,7 @@ def with_upstream(nodes: Iterable[Node]) -> list[Node]:
 
 
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
-    """What `Node.sort` is; a manifest tells the same four things of a node that was computed."""
+    """Return what `Node.sort` is; a manifest tells the same four things of a node that was computed."""
     text = canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

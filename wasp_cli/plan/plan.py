@@ -47,15 +47,15 @@ class Plan:
     """Keys of the targets that were selected; None when all are wanted."""
 
     def to_run(self) -> list[Node]:
-        """The nodes that a run computes, needed ones first."""
+        """Return the nodes that a run computes, needed ones first."""
         return [step.node for step in self.steps if step.runs]
 
     def count(self, state: State, kind: str | None = None) -> int:
-        """Number of nodes in a state."""
+        """Return the number of nodes in a state."""
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
     def counts(self) -> dict[str, Counter[State]]:
-        """Number of nodes by kind and state; kinds in the order in which they first run."""
+        """Return the number of nodes by kind and state; kinds in the order in which they first run."""
         found: dict[str, Counter[State]] = {}
         for step in self.steps:
             found.setdefault(step.node.kind, Counter())[step.state] += 1
@@ -63,7 +63,7 @@ class Plan:
         return {kind: found[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
-        """Seconds for the nodes that are to run, and how many of them have no measured time."""
+        """Return the seconds for the nodes that are to run, and how many of them have no measured time."""
         total, unknown = 0.0, 0
         for wave in waves(self.to_run()):
             known = [self.seconds[node.sort] for node in wave if node.sort in self.seconds]
@@ -72,7 +72,7 @@ class Plan:
         return total, unknown
 
     def critical_path(self) -> tuple[float, list[Node]]:
-        """The chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""
+        """Return the chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""
         ends: dict[str, float] = {}
         before: dict[str, Node | None] = {}
         last: Node | None = None
@@ -90,7 +90,7 @@ class Plan:
         return seconds, path[::-1]
 
     def as_json(self) -> dict[str, Any]:
-        """As plain values: for machines, and for the report of a run that is long over."""
+        """Return this as plain values: for machines, and for the report of a run that is long over."""
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
@@ -116,7 +116,7 @@ class Plan:
         }
 
     def of(self, grid: Grid) -> Plan:
-        """The part of this plan that is about a grid whose nodes it has."""
+        """Return the part of this plan that is about a grid whose nodes it has."""
         steps = {step.node.key: step for step in self.steps}
         return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
 
@@ -186,7 +186,7 @@ def plan_against(
     wanted: frozenset[str] | None = None,
     failed_only: bool = False,
 ) -> Plan:
-    """The plan of a grid over the store of a results folder.
+    """Return the plan of a grid over the store of a results folder.
 
     Args:
         grid: what the spec asks for.
@@ -226,15 +226,15 @@ def _cause(path: Path) -> str:
 
 
 def cells_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
-    """Each cell with the key of its artifact, as reports take them."""
+    """Return each cell with the key of its artifact, as reports take them."""
     return [(cell, node.key) for cell, node in grid.cells]
 
 
 def branched_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
-    """Each cell that is branched with the key of its branches, as reports take them."""
+    """Return each cell that is branched with the key of its branches, as reports take them."""
     return [(cell, node.key) for cell, node in grid.branched]
 
 
 def parts_with_keys(grid: Grid) -> list[tuple[Part, str]]:
-    """Each trained part with the key of its artifact, as reports take them."""
+    """Return each trained part with the key of its artifact, as reports take them."""
     return [(part, node.key) for part, node in grid.parts]

@@ -24,7 +24,7 @@ VERSION = 1
 
 
 def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """What the index of a store keeps of a manifest.
+    """Return what the index of a store keeps of a manifest.
 
     `who` is the same for all versions of one node; `sort` is `Node.sort`; `signature` is the same for versions which differ from a node in
     the same way; `seconds` is what it took, `at` when that was.
@@ -42,7 +42,7 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
-    """The identity of a node without its configuration: who assists whom, where, with which seed, in which round."""
+    """Return the identity of a node without its configuration: who assists whom, where, with which seed, in which round."""
     method = axes.get("method_config")
     variant = method.get("variant") if isinstance(method, Mapping) else None
     # By hand: this is asked of every node of a grid.
@@ -50,12 +50,12 @@ def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
 
 
 def who_is(node: Node) -> str:
-    """`who` of a node."""
+    """Return `who` of a node."""
     return who(node.kind, node.task, node.seed, node.axes)
 
 
 def measured(index: ArtifactIndex) -> dict[str, float]:
-    """Median seconds by sort of node."""
+    """Return the median seconds by sort of node."""
     times: dict[str, list[float]] = {}
     for entries in index.whole.values():
         for entry in entries.values():
@@ -65,7 +65,7 @@ def measured(index: ArtifactIndex) -> dict[str, float]:
 
 
 def versions(index: ArtifactIndex, kinds: Iterable[str]) -> dict[str, list[tuple[str, Entry]]]:
-    """By `who`, the key and the entry of every version in the store, newest first."""
+    """Return, by `who`, the key and the entry of every version in the store, newest first."""
     found: dict[str, list[tuple[str, Entry]]] = {}
     for kind in kinds:
         for key, entry in index.whole.get(kind, {}).items():
@@ -97,7 +97,7 @@ class Reasons:
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 
     def of(self, node: Node) -> str | None:
-        """What changed since the nearest version; None where there is none."""
+        """Return what changed since the nearest version; None where there is none."""
         candidates = self._versions().get(who_is(node), [])[:NEWEST]
         found = [difference for key, entry in candidates if (difference := self._difference(node, key, entry)) is not None]
         return min(found, key=lambda item: item[0])[1] if found else None
@@ -130,7 +130,7 @@ def _words(fields: Sequence[str], modules: Sequence[str], versions: Sequence[str
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """What differs between two versions of a node, from their manifests alone: configuration, code and libraries, not what they read.
+    """Return what differs between two versions of a node by their manifests: configuration, code and libraries, not what they read.
 
     Raises:
         AttributeError, KeyError, TypeError: a manifest is not as wasp writes it.
@@ -145,12 +145,12 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
-    """The modules and the libraries that have changed since a version of a node was computed."""
+    """Return the modules and the libraries that have changed since a version of a node was computed."""
     return _modules(source_hashes(node.modules), manifest["sources"]) + library_changes(manifest)
 
 
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:
-    """The libraries that an artifact was computed with in another version."""
+    """Return the libraries that an artifact was computed with in another version."""
     recorded = manifest["provenance"].get("versions")
     installed = recorded if isinstance(recorded, Mapping) else {}
     return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := _minor(installed.get(name))) != new]
@@ -193,7 +193,7 @@ def _minor(version: object) -> str:
 
 
 def few(items: Sequence[str]) -> str:
-    """The first of several changes, and how many more there are."""
+    """Return the first of several changes, and how many more there are."""
     more = f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
     return ", ".join(items[:NAMED]) + more
 

@@ -56,7 +56,7 @@ class PlannedRun:
 
 
 def run_ids(layout: Layout) -> list[str]:
-    """The runs of a results folder, newest first: by the second in their names, and within one by when their folders were filled.
+    """Return the runs of a results folder, newest first: by the second in their names, and within one by when their folders were filled.
 
     Raises:
         StoreError: there is no results folder, or it cannot be read.
@@ -72,7 +72,7 @@ def run_ids(layout: Layout) -> list[str]:
 
 
 def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
-    """A run as it was planned; None of a folder whose plan does not read."""
+    """Return a run as it was planned; None of a folder whose plan does not read."""
     swept = _record(layout, run_id, "sweep.json")
     if swept is not None:
         values = swept.get("values")
@@ -85,7 +85,7 @@ def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:
 
 
 def planned_runs(layout: Layout) -> list[PlannedRun]:
-    """All runs whose plan reads, newest first; those of a sweep's values are a part of the sweep.
+    """Return all runs whose plan reads, newest first; those of a sweep's values are a part of the sweep.
 
     Raises:
         StoreError: there is no results folder, or it cannot be read.
@@ -96,7 +96,7 @@ def planned_runs(layout: Layout) -> list[PlannedRun]:
 
 
 def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
-    """What the last run of a spec was to do; empty where none is recorded."""
+    """Return what the last run of a spec was to do; empty where none is recorded."""
     try:
         ids = run_ids(layout)
     except StoreError:
@@ -106,7 +106,7 @@ def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
-    """The run of a name, or the newest whose name ends so.
+    """Return the run of a name, or the newest whose name ends so.
 
     Raises:
         UnknownName: there is none.
@@ -121,7 +121,7 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
 
 
 def upstream_first(nodes: Mapping[str, PlannedNode]) -> Iterator[PlannedNode]:
-    """Nodes with those that they need before them; of a circle, which no plan of ours has, some order."""
+    """Yield the nodes with those that they need before them; of a circle, which no plan of ours has, some order."""
     seen: set[str] = set()
     for key in nodes:
         pending = [(key, False)]
@@ -163,7 +163,7 @@ def _node(entry: Mapping[str, Any]) -> PlannedNode | None:
 
 
 def number(record: Mapping[str, Any], name: str) -> float | None:
-    """A finite number of a record; None where it has none."""
+    """Return a finite number of a record; None where it has none."""
     value = record.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None

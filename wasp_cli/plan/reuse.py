@@ -29,7 +29,7 @@ NONE, PUBLISHED = "none", "published"
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
-    """The published layer that `--reuse`, or a spec, means; None without reuse.
+    """Return the published layer that `--reuse`, or a spec, means; None without reuse.
 
     Raises:
         UsageError: a folder is meant that holds no published results.
@@ -46,7 +46,7 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipes: bool = False) -> Grid:
-    """The grid of a spec with published results in the place of nodes.
+    """Return the grid of a spec with published results in the place of nodes.
 
     Args:
         spec: what is asked for.
@@ -96,7 +96,7 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
 
 
 def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
-    """By recipe, the published results that are reused.
+    """Return, by recipe, the published results that are reused.
 
     Of several, first that of this very code, then one that was computed from what else is reused, then the newest.
 

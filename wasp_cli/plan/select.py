@@ -21,7 +21,7 @@ class Condition:
     excluding: bool = False
 
     def holds(self, facts: Mapping[str, str]) -> bool:
-        """Whether a node with these facts is meant; one that has no such field is not."""
+        """Return whether a node with these facts is meant; one that has no such field is not."""
         return self.field in facts and (facts[self.field] in self.values) != self.excluding
 
 
@@ -47,7 +47,7 @@ def _condition(part: str, text: str) -> Condition:
 
 
 def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
-    """The keys of the nodes that are meant: cells with their branches, and what the spec trains by name, or with `stage` any node.
+    """Return the keys of the nodes that are meant: cells with their branches, and what the spec trains by name, or with `stage` any node.
 
     Without selectors it is None.
 

@@ -73,7 +73,7 @@ def _reasons(plan: Plan) -> list[str]:
 
 
 def reason_lines(plan: Plan, *states: State) -> list[str]:
-    """The reasons of the nodes in some states, each once, with the first of its nodes and how many more have it."""
+    """Return the reasons of the nodes in some states, each once, with the first of its nodes and how many more have it."""
     found: dict[str, list[Step]] = {}
     for step in plan.steps:
         if step.state in states:

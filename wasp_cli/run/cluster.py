@@ -48,7 +48,7 @@ def require_cluster(backend: str, scheduler: str | None) -> None:
 
 
 def cluster_pool(backend: str, scheduler: str | None) -> Pool:
-    """The workers of a dask scheduler or of a ray cluster, of which `require_cluster` has said that it is there.
+    """Return the workers of a dask scheduler or of a ray cluster, of which `require_cluster` has said that it is there.
 
     Raises:
         UsageError: it does not answer after all, or its workers do not fit.

@@ -42,7 +42,7 @@ class Heartbeat:
         self._thread = threading.Thread(target=self._beat, daemon=True, name="heartbeat")
 
     def tell(self, share: float, text: str) -> None:
-        """How far it is, from 0 to 1, and what it does; written with the next beat."""
+        """Note how far it is, from 0 to 1, and what it does; written with the next beat."""
         self._share, self._text = min(max(float(share), 0.0), 1.0), text
 
     def write(self) -> None:
@@ -78,7 +78,7 @@ def _deaths(path: Path) -> int:
 
 
 def memory_mb() -> float:
-    """Memory of this process that is in use, in MB; where the system does not tell, the most that it ever was."""
+    """Return the memory of this process that is in use, in MB; where the system does not tell, the most that it ever was."""
     with suppress(OSError, ValueError, IndexError), open("/proc/self/statm", encoding="ascii") as file:
         return round(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

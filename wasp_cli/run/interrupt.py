@@ -135,7 +135,7 @@ HINT = "allow more time with --timeout; the log shows where it was"
 
 
 def was_ended(marker: Path) -> bool:
-    """Whether a process was ended because its node did not react to the limit."""
+    """Return whether a process was ended because its node did not react to the limit."""
     try:
         return marker.stat().st_size > 0
     except OSError:

@@ -29,7 +29,7 @@ class Log:
 
 
 def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
-    """The newest log of the node that `text` names: the beginning of its key, or its label.
+    """Return the newest log of the node that `text` names: the beginning of its key, or its label.
 
     Args:
         layout: the results folder.

@@ -136,13 +136,13 @@ class Live(Lines):
 
 
 def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> Lines:
-    """The board that fits where stderr goes."""
+    """Return the board that fits where stderr goes."""
     fitting = Live if err().is_terminal and not err().is_dumb_terminal else Lines
     return fitting(layout, run_id, total, names)
 
 
 def numbers(summary: Mapping[str, Any], limit: int = 6) -> str:
-    """The first numbers of a summary on one line."""
+    """Return the first numbers of a summary on one line."""
     shown = [f"{name} {_number(value)}" for name, value in summary.items() if isinstance(value, int | float)]
     return ", ".join(shown[:limit])
 

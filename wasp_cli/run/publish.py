@@ -76,7 +76,7 @@ class Publication:
 
 
 def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str) -> Publication:
-    """What of a spec can be published; nothing is written.
+    """Return what of a spec can be published; nothing is written.
 
     Args:
         spec: whose results.

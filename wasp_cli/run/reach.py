@@ -32,7 +32,7 @@ class Reach:
 
 
 def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
-    """The keys of everything that specs ask for now, with published results in the place of nodes and without.
+    """Return the keys of everything that specs ask for now, with published results in the place of nodes and without.
 
     Raises:
         SpecError: one is not valid.
@@ -42,7 +42,7 @@ def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
 
 
 def reach_of_runs(layout: Layout) -> Reach:
-    """What the newest run of each spec name reaches, and what the runs reach that are not over.
+    """Return what the newest run of each spec name reaches, and what the runs reach that are not over.
 
     Raises:
         StoreError: a run does not say what it reaches, so that nothing can be called unreached.
@@ -67,7 +67,7 @@ def reach_of_runs(layout: Layout) -> Reach:
 
 
 def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
-    """What of a results folder can go now.
+    """Return what of a results folder can go now.
 
     Args:
         layout: the results folder.

@@ -83,7 +83,7 @@ def _new_folder(layout: Layout, name: str) -> Iterator[Path]:
 
 
 def read_run(layout: Layout, run_id: str) -> Recorded:
-    """What a run was asked for.
+    """Return what a run was asked for.
 
     Raises:
         ArtifactError: its record is damaged, or of another version.
@@ -117,7 +117,7 @@ def _first_line(error: Exception) -> str:
 
 
 def results_of(folder: Path) -> Layout:
-    """The layout of an existing results folder.
+    """Return the layout of an existing results folder.
 
     Raises:
         StoreError: there is none, it cannot be read, or has links in it.
@@ -153,7 +153,7 @@ class Journal:
 
 
 def read_journal(path: Path) -> list[dict[str, Any]]:
-    """The events of a journal; a last line that a kill cut short is left out."""
+    """Return the events of a journal; a last line that a kill cut short is left out."""
     return read_json_lines(path)
 
 
@@ -164,7 +164,7 @@ class Tail:
         self._path, self._position = path, 0
 
     def new(self) -> Iterator[dict[str, Any]]:
-        """Whole new lines; the beginning of one is left for later."""
+        """Yield whole new lines; the beginning of one is left for later."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._position)

@@ -253,7 +253,7 @@ def _rank(node: Node, plan: Plan) -> tuple[float, int]:
 
 
 def failures_text(failures: Iterable[Failure], names: Mapping[str, str] = NAMES) -> str:
-    """Failed nodes with their causes and logs, for people; `names` are by key, where a label does not say enough."""
+    """Describe failed nodes with their causes and logs, for people; `names` are by key, where a label does not say enough."""
     parts = []
     for failure in failures:
         result = failure.result

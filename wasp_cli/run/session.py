@@ -30,18 +30,18 @@ from wasp_cli.store.published import import_artifact
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
 def useful_jobs(plan: Plan, jobs: int) -> int:
-    """No more workers than nodes that can run side by side: a worker costs memory also while it is idle."""
+    """Return the number of workers: no more than nodes can run side by side, since an idle worker costs memory too."""
     return min(jobs, max((len(wave) for wave in waves(plan.to_run())), default=jobs))
 
 
 def restricted(loaded: Loaded, task: str | None) -> Loaded:
-    """The spec with one of its tasks only (or as it is).
+    """Return the spec with one of its tasks only (or as it is).
 
     Raises:
         UnknownName: the spec has no such task.
@@ -123,12 +123,12 @@ def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Sele
 
 
 def planning(layout: Layout) -> AbstractContextManager[None]:
-    """Held from looking into the store until the plan is written down: meanwhile nothing is removed that no plan reaches."""
+    """Hold off `wasp gc` from looking into the store until the plan is written: meanwhile nothing is removed that no plan reaches."""
     return held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True)
 
 
 def prepared(results: Path, options: RunOptions) -> Layout:
-    """A results folder that can be written, without what killed runs have left, for workers that are there."""
+    """Return a results folder that can be written, without what killed runs have left, for workers that are there."""
     require_backend(options.backend, options.scheduler)
     layout = Layout(results.absolute())
     layout.prepare()

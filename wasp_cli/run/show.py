@@ -36,7 +36,7 @@ def show_status(states: list[RunState], console: Console, now: datetime | None =
 
 
 def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None = None) -> Group:
-    """What changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
+    """Return what changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
     named = [replace(node, label=names.get(node.key, node.label)) for node in state.active]
     pace = _pace(state)
     table = _running_table(replace(state, active=tuple(named)), now or datetime.now(UTC))
@@ -44,7 +44,7 @@ def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None 
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
-    """As plain values; times are ISO texts."""
+    """Return this as plain values; times are ISO texts."""
     counts = ("finished", "running", "waiting")
     return [_plain({**asdict(state), **{name: getattr(state, name) for name in counts}}) for state in states]
 
@@ -160,7 +160,7 @@ def show_rubbish(found: Sequence[Rubbish], console: Console) -> None:
 
 
 def removed_line(count: int, freed: int) -> str:
-    """What a removal came to."""
+    """Return what a removal came to."""
     return f"{count} removed, {size(freed)} freed"
 
 

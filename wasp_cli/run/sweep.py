@@ -29,7 +29,7 @@ class SweepSession:
 
 
 def on_task(sweep: Sweep, task: str | None) -> Sweep:
-    """The sweep with one of the spec's tasks only (or as it is).
+    """Return the sweep with one of the spec's tasks only (or as it is).
 
     Raises:
         UnknownName: the spec has no such task.

@@ -97,7 +97,7 @@ class RunState:
 
 
 def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> RunState:
-    """How far a run is.
+    """Return how far a run is.
 
     Args:
         layout: the results folder.
@@ -145,7 +145,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
 
 
 def shown_runs(layout: Layout, runs: Sequence[PlannedRun], now: datetime | None = None) -> list[RunState]:
-    """The newest run of each spec that goes on; where none does, the last run of all.
+    """Return the newest run of each spec that goes on; where none does, the last run of all.
 
     Args:
         layout: the results folder.
@@ -160,7 +160,7 @@ def shown_runs(layout: Layout, runs: Sequence[PlannedRun], now: datetime | None 
 
 
 def is_gone(record: Mapping[str, Any]) -> bool:
-    """Whether the process of a record (`pid`, `host`, `boot`) does not exist any more; False where that cannot be seen from here."""
+    """Return whether the process of a record (`pid`, `host`, `boot`) does not exist any more; False where that cannot be seen from here."""
     pid, boot = record.get("pid"), boot_id()
     if record.get("host") != platform.node() or not isinstance(pid, int) or not 0 < pid < 2**31:
         return False
@@ -176,7 +176,7 @@ def is_gone(record: Mapping[str, Any]) -> bool:
 
 
 def moment(text: object) -> datetime | None:
-    """A time of a record; None where it is none. Without a zone it is taken as UTC."""
+    """Return a time of a record; None where it is none. Without a zone it is taken as UTC."""
     try:
         found = datetime.fromisoformat(text) if isinstance(text, str) else None
         return None if found is None else (found.replace(tzinfo=UTC) if found.tzinfo is None else found).astimezone(UTC)

@@ -114,7 +114,7 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
 
 
 def _require_inputs(job: NodeJob, layout: Layout) -> None:
-    """See that what the node reads has the bytes that were published; what has not is computed again by the next run."""
+    """See that what the node reads has the bytes of its manifest; what has not is computed again by the next run."""
     for kind, key in job.inputs.values():
         wrong = corruption(layout, kind, key)
         if wrong is not None:
@@ -217,7 +217,7 @@ def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
 
 
 def attempts(layout: Layout, key: str) -> int:
-    """How often a node has failed since it last succeeded."""
+    """Return how often a node has failed since it last succeeded."""
     try:
         record = read_record(layout.failure(key))
     except ArtifactError:  # it failed; how often is lost

@@ -19,7 +19,7 @@ WHOLE = "full"
 
 
 def ablation(path: Path, variant: str, task: str | None = None, preset: str | None = None, settings: Sequence[str] = ()) -> Loaded:
-    """The spec at `path` with the method that has `variant`, run whole and as that variant.
+    """Return the spec at `path` with the method that has `variant`, run whole and as that variant.
 
     Raises:
         UnknownName: no such variant, task or preset.
@@ -54,7 +54,7 @@ class PlannerConfigs(NamedTuple):
 
 
 def bench_configs(path: Path | None, settings: Sequence[str] = ()) -> dict[str, PlannerConfigs]:
-    """By planner: the sections of the models, of WASP, and of the returns. Without a spec, those of the preset `cpu`.
+    """Return, by planner: the sections of the models, of WASP, and of the returns. Without a spec, those of the preset `cpu`.
 
     Raises:
         InvalidSpec: the spec is not valid.
@@ -80,7 +80,7 @@ def _smallest() -> Spec:
 
 
 def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """The spec at `path` with the methods Human-only and Expert; its cells are those of the whole spec, with the same keys.
+    """Return the spec at `path` with the methods Human-only and Expert; its cells are those of the whole spec, with the same keys.
 
     Raises:
         InvalidSpec: the spec at `path` is not valid, or lists no operators.

@@ -18,7 +18,7 @@ from wasp_cli.spec.places import KEY, Loc
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
-    """The model of a section; that of the whole spec for an empty place."""
+    """Return the model of a section; that of the whole spec for an empty place."""
     model: type[BaseModel] = spec_type()
     for part in loc:
         below = _section(model.model_fields.get(str(part)))
@@ -29,7 +29,7 @@ def model_at(loc: Loc) -> type[BaseModel] | None:
 
 
 def description(loc: Loc) -> str | None:
-    """What the models say of a setting."""
+    """Return what the models say of a setting."""
     model = model_at(loc[:-1])
     field = model.model_fields.get(str(loc[-1])) if model is not None and loc else None
     return field.description if field is not None else None
@@ -37,7 +37,7 @@ def description(loc: Loc) -> str | None:
 
 @cache
 def settings() -> tuple[str, ...]:
-    """Every setting as `--set` names it, sections before what is in them: `wasp`, `wasp.candidates`."""
+    """Return every setting as `--set` names it, sections before what is in them: `wasp`, `wasp.candidates`."""
     return tuple(_below(spec_type(), ""))
 
 
@@ -86,7 +86,7 @@ def _elsewhere(name: str, section: str) -> str | None:
 
 
 def value_hint(value: Any, types: Sequence[str]) -> str | None:
-    """How a value is written so that it has the right type, where one can tell.
+    """Return how a value is written so that it has the right type, where one can tell.
 
     Args:
         value: the wrong one.
@@ -123,7 +123,7 @@ class Finding:
 
 
 def misplaced(document: Mapping[str, Any]) -> list[Finding]:
-    """What sections have as fields, and specs say at the top."""
+    """Return what sections have as fields, and specs say at the top."""
     found: list[Finding] = []
     for name, (field, example) in not_set_in_sections().items():
         section, model = document.get(name), model_at((name,))
@@ -133,7 +133,7 @@ def misplaced(document: Mapping[str, Any]) -> list[Finding]:
 
 
 def not_set_in_sections() -> dict[str, tuple[str, str]]:
-    """By section: the field that only the top of a spec may set, and how."""
+    """Return, by section: the field that only the top of a spec may set, and how."""
     return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(method_sections(), ("variant", "variants: [full]"))
 
 
@@ -143,7 +143,7 @@ Hint = Callable[[Loc], str | None]
 def findings(
     error: ValidationError, document: Mapping[str, Any], key_hint: Hint = key_hint, description: Hint = description
 ) -> list[Finding]:
-    """One finding for each place: what pydantic says of the members of a union belongs together.
+    """Return one finding for each place: what pydantic says of the members of a union belongs together.
 
     Args:
         error: what pydantic found.

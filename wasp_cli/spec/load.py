@@ -30,7 +30,7 @@ class Loaded:
     overrides: tuple[Override, ...] = ()
 
     def problem(self, loc: Loc, message: str, hint: str | None = None) -> InvalidSpec:
-        """A refusal that points at a place of this spec, for what only later steps can know."""
+        """Return a refusal that points at a place of this spec, for what only later steps can know."""
         return InvalidSpec([_placed(self.chain, self.overrides, Finding(loc, message, hint))])
 
 
@@ -104,7 +104,7 @@ class Chain:
         return "".join(f"---\n# {source.name}\n{source.text.rstrip()}\n" for source in self.sources)
 
     def document(self, *, named: bool = False) -> tuple[dict[str, Any], list[Problem]]:
-        """The values of all files, nearer ones over farther ones, and what in them is none.
+        """Return the values of all files, nearer ones over farther ones, and what in them is none.
 
         Args:
             named: the spec has a name from elsewhere, so that its file need not say one.
@@ -124,22 +124,22 @@ class Chain:
         return values, problems
 
     def depth(self, loc: Loc) -> int:
-        """How many parts of a place the files have."""
+        """Return how many parts of a place the files have."""
         return max(_depth(source, loc) for source in self.sources)
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
-        """A problem in the nearest of the files that have most of a place: its value is the one in force."""
+        """Return a problem in the nearest of the files that have most of a place: its value is the one in force."""
         source = max(self.sources, key=lambda source: _depth(source, loc))  # of equal ones the first
         return source.problem(_as_written(source, loc), message, hint, at_key=at_key)
 
     def ordered(self, problems: Sequence[Problem]) -> list[Problem]:
-        """Problems file by file, nearest first; those of no file (options) last."""
+        """Return the problems file by file, nearest first; those of no file (options) last."""
         names = [source.name for source in self.sources]
         return sorted(problems, key=lambda problem: names.index(problem.source) if problem.source in names else len(names))
 
 
 def chain_of(source: Source) -> Chain:
-    """A source with all files that it extends.
+    """Return a source with all files that it extends.
 
     Raises:
         InvalidSpec: one of them cannot be read, is named wrongly, or the chain is too long or comes back to one of its files.
@@ -232,12 +232,12 @@ def override(number: int, text: str) -> Override:
 
 
 def path_of(key: str) -> tuple[str, ...]:
-    """`a.b` as the names on the way to a value; one of them is empty where the key is none."""
+    """Return `a.b` as the names on the way to a value; one of them is empty where the key is none."""
     return tuple(part.strip() for part in key.split("."))
 
 
 def value_of(value: str, text: str, place: str) -> Any:
-    """The value that a text on the command line stands for.
+    """Return the value that a text on the command line stands for.
 
     Args:
         value: YAML.
@@ -258,7 +258,7 @@ def value_of(value: str, text: str, place: str) -> Any:
 
 
 def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
-    """The document with the options in it, later ones over earlier ones."""
+    """Return the document with the options in it, later ones over earlier ones."""
     result = copy.deepcopy(document)
     for option in overrides:
         node = result

@@ -102,12 +102,12 @@ class Spec(Config):
     )
 
     def stage(self, kind: str) -> Config:
-        """The section of a stage."""
+        """Return the section of a stage."""
         section: Config = getattr(self, kind)
         return section
 
     def method(self, name: str, variant: str = "full") -> Config:
-        """The configuration of a method in one of its variants."""
+        """Return the configuration of a method in one of its variants."""
         info = METHODS[name]
         section: Config = getattr(self, name) if name in method_sections() else load_target(info.config)()
         if len(info.variants) > 1:
@@ -116,16 +116,16 @@ class Spec(Config):
         return section
 
     def variants_of(self, method: str) -> tuple[str, ...]:
-        """The ablations of a method that this spec asks for; a method without ablations runs in its only one."""
+        """Return the ablations of a method that this spec asks for; a method without ablations runs in its only one."""
         known = METHODS[method].variants
         return known if len(known) == 1 else tuple(variant for variant in self.variants if variant in known)
 
     def chain_seed(self, seed: int) -> int:
-        """The seed whose training chain the evaluation seed `seed` uses."""
+        """Return the seed whose training chain the evaluation seed `seed` uses."""
         return seed if self.training_seed is None else self.training_seed
 
     def chain_seeds(self) -> tuple[int, ...]:
-        """The seeds of all training chains, each once."""
+        """Return the seeds of all training chains, each once."""
         return tuple(dict.fromkeys(self.chain_seed(seed) for seed in self.seeds))
 
     @model_validator(mode="after")
@@ -184,19 +184,19 @@ def _skill_problems(spec: Spec) -> list[Problem]:
 
 
 def method_sections() -> list[str]:
-    """The methods that have a section of their own: those whose name is not also a stage's."""
+    """Return the methods that have a section of their own: those whose name is not also a stage's."""
     return [name for name in METHODS if name not in STAGES]
 
 
 @cache
 def mixing_stages() -> tuple[str, ...]:
-    """The stages that drive the task with operators of their own choice: those whose config has a field `operators`."""
+    """Return the stages that drive the task with operators of their own choice: those whose config has a field `operators`."""
     return tuple(kind for kind in STAGES if "operators" in STAGES.load(kind).config.model_fields)
 
 
 @cache
 def spec_type() -> type[Spec]:
-    """`Spec` with one section for each registered stage and method.
+    """Build `Spec` with one section for each registered stage and method.
 
     Raises:
         WaspError: a plugin's stage or method cannot have a section.
@@ -226,7 +226,7 @@ def _check_plugins() -> None:
 
 
 def preset_names() -> tuple[str, ...]:
-    """The presets, smallest first."""
+    """Return the presets, smallest first."""
     return get_args(Preset)
 
 

@@ -24,7 +24,7 @@ RECORDED = "recorded"
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
-    """The error for a name that no registry has; its context carries the hint."""
+    """Return the error for a name that no registry has; its context carries the hint."""
     hint = did_you_mean(name, sorted(known))
     return PydanticCustomError("unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint})
 
@@ -64,7 +64,7 @@ def _own(gym_id: str) -> str | None:
 
 
 def training_stages() -> list[str]:
-    """The stages that a spec can ask for by name, in registry order."""
+    """Return the stages that a spec can ask for by name, in registry order."""
     return list(stages_of("chain", "cell"))
 
 
@@ -80,7 +80,7 @@ def _stage(name: str) -> str:
 
 
 def assistant_variants() -> list[str]:
-    """Every ablation of every method, in registry order, without repeats."""
+    """Return every ablation of every method, in registry order, without repeats."""
     return list(dict.fromkeys(variant for method in METHODS.values() for variant in method.variants))
 
 
@@ -106,7 +106,7 @@ OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
-    """The name of a spec that is made from another one: `<head>-<tail>`, cut and cleaned to what a spec may be called.
+    """Return the name of a spec that is made from another one: `<head>-<tail>`, cut and cleaned to what a spec may be called.
 
     Args:
         head: the name of the other spec; it is cut first.

@@ -161,7 +161,7 @@ class Statement(Config):
         return self
 
     def questions(self) -> Iterator[tuple[Comparison, ...]]:
-        """What has to be so; of the comparisons in a tuple one is enough."""
+        """Yield what has to be so; of the comparisons in a tuple one is enough."""
         columns = [(column,) for column in self.columns] if self.columns is not None else [self.either or ()]
         for task, left, right, alternatives in product(self.tasks, self.left, self.right or (None,), columns):
             yield tuple(Comparison(task, column, left, self.relation, right, self.bound, self.margin) for column in alternatives)
@@ -178,7 +178,7 @@ class Claim(Config):
     statements: Annotated[tuple[Statement, ...], Field(min_length=1)]
 
     def questions(self) -> list[tuple[Comparison, ...]]:
-        """What has to be so; of the comparisons in a tuple one is enough."""
+        """Return what has to be so; of the comparisons in a tuple one is enough."""
         return [question for statement in self.statements for question in statement.questions()]
 
 
@@ -197,7 +197,7 @@ class Paper(Config):
     claims: Annotated[tuple[Claim, ...], AfterValidator(_distinct)]
 
     def printed(self, task: str, who: Who, column: str) -> Printed | None:
-        """The printed number of a row, from the first table that has it."""
+        """Return the printed number of a row, from the first table that has it."""
         for table in self.tables:
             row = table.rows.get(task, {}).get(who)
             if row is not None and column in table.columns:
@@ -216,7 +216,7 @@ def load_paper(path: Path | None = None) -> Paper:
 
 
 def is_paper(source: Source) -> bool:
-    """Whether a file means to be a paper: no spec has these sections."""
+    """Return whether a file means to be a paper: no spec has these sections."""
     return any(key in source.document for key in ("claims", "tables"))
 
 

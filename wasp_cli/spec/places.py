@@ -40,7 +40,7 @@ class Place:
 
 
 def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> Place:
-    """The place of what pydantic calls `loc`.
+    """Return the place of what pydantic calls `loc`.
 
     pydantic's places also hold the tags of unions, which no file has, and fields that the file leaves out: a tag is skipped,
     and a missing field is reported at the mapping it is missing from.
@@ -71,7 +71,7 @@ def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> 
 
 
 def key_position(node: CommentedMap, key: Any) -> Position | None:
-    """Where a key is written, whatever it is; None where ruamel does not say."""
+    """Return where a key is written, whatever it is; None where ruamel does not say."""
     return _position(_home(node, key), key, key=True)
 
 
@@ -154,7 +154,7 @@ class Problem:
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """Return this for machines."""
         line, column = (None, None) if self.position is None else (self.position.line, self.position.column)
         return {"file": self.source, "line": line, "column": column, "message": self.message, "hint": self.hint, "excerpt": self.line}
 

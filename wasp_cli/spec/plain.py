@@ -20,7 +20,7 @@ MAX_DEPTH = 32
 
 
 def plain(source: Source) -> tuple[dict[str, Any], list[Problem]]:
-    """The document as JSON values, and what in it is none.
+    """Return the document as JSON values, and what in it is none.
 
     Raises:
         InvalidSpec: it has too many values or levels for anything to be said of them.

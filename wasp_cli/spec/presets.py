@@ -117,7 +117,7 @@ def preset_values(name: str) -> dict[str, Any]:
 
 
 def merged(under: Document, over: Document) -> dict[str, Any]:
-    """`over` on top of `under`: sections merge key by key, everything else (lists too) replaces."""
+    """Lay `over` on top of `under`: sections merge key by key, everything else (lists too) replaces."""
     result = dict(under)
     for key, value in over.items():
         below = result.get(key)

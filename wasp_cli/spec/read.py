@@ -31,12 +31,12 @@ class Source:
     document: Any
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
-        """A problem at a place of the document; where another section has it, through a merge or an alias, the message says who uses it."""
+        """Return a problem at a place; where a merge or an alias brings it from another section, the message names the user."""
         place = locate(self.document, loc, at_key=at_key)
         return self.problem_at(place.position, f"{dotted(loc)}: {message}" if place.borrowed else message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
-        """A problem at a position of the text."""
+        """Return a problem at a position of the text."""
         lines = lines_of(self.text)
         line = lines[position.line - 1] if 0 < position.line <= len(lines) else None
         return Problem(self.name, position, message, hint, line or None)
@@ -104,7 +104,7 @@ def _text(path: Path) -> str:
 
 
 def beside(folder: Path, name: str = "") -> str | None:
-    """A hint for those who look for a spec that is not there: what is nearly called so in the folder, or what there is."""
+    """Return a hint for those who look for a spec that is not there: what is nearly called so in the folder, or what there is."""
     try:
         found = sorted(folder.glob("*.yaml"))
     except OSError:
@@ -120,7 +120,7 @@ def _position_of(text: str, index: int) -> Position:
 
 
 def lines_of(text: str) -> list[str]:
-    """The lines of a text as YAML 1.2 and editors count them; Python's `splitlines` also ends them at rarer characters."""
+    """Return the lines of a text as YAML 1.2 and editors count them; Python's `splitlines` also ends them at rarer characters."""
     return re.split(r"\r\n|\r|\n", text)
 
 
@@ -148,7 +148,7 @@ _KINDS = {
 
 
 def kind_of(node: Any) -> str:
-    """What people call a value of a YAML document."""
+    """Return what people call a value of a YAML document."""
     if isinstance(node, str):
         return "a single word" if " " not in node and "\n" not in node else "plain text"
     if isinstance(node, datetime.date):  # ruamel's timestamps too
@@ -158,7 +158,7 @@ def kind_of(node: Any) -> str:
 
 
 def dotted(loc: Loc) -> str:
-    """A place as `--set` names it."""
+    """Return a place as `--set` names it."""
     return ".".join(str(part) for part in loc if part != KEY)
 
 
@@ -177,7 +177,7 @@ Fault = tuple[Position, str]
 
 
 def unplaced(text: str) -> Fault | None:
-    """The place and the reason of the first value in a text that cannot be built, or None when every one can."""
+    """Return the place and the reason of the first value in a text that cannot be built, or None when every one can."""
     reader = YAML(typ="rt")
     with suppress(RecursionError):
         return _Search(reader).within(reader.compose(text), ())

@@ -39,7 +39,7 @@ class _Untitled(GenerateJsonSchema):
 
 
 def spec_schema(*, plugins: bool = False) -> Schema:
-    """The schema of a spec file.
+    """Return the schema of a spec file.
 
     Args:
         plugins: also the tasks, methods, operators and stages of installed plugins.

@@ -113,7 +113,7 @@ def values_of(vary: str) -> list[Override]:
 
 
 def written(option: Override) -> str:
-    """The value of an option on one line, as it was written."""
+    """Return the value of an option on one line, as it was written."""
     return " ".join(option.text.partition("=")[2].split())
 
 

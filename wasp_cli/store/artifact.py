@@ -23,7 +23,7 @@ LONGEST_NAME = 1024
 
 
 def staging_folder(layout: Layout, key: str) -> Path:
-    """A new empty folder in `tmp/`, for one attempt at one artifact."""
+    """Return a new empty folder in `tmp/`, for one attempt at one artifact."""
     folder = layout.tmp / f"{key}-{uuid.uuid4().hex[:12]}"
     folder.mkdir(parents=True)
     return folder
@@ -57,7 +57,7 @@ def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping
 
 
 def stored_keys(layout: Layout, kind: str) -> set[str]:
-    """The keys of all artifacts of a kind, damaged ones too."""
+    """Return the keys of all artifacts of a kind, damaged ones too."""
     try:
         with os.scandir(layout.within(layout.kind(kind))) as entries:
             return {entry.name for entry in entries if _holds_manifest(entry)}
@@ -68,7 +68,7 @@ def stored_keys(layout: Layout, kind: str) -> set[str]:
 
 
 def stored_kinds(layout: Layout) -> list[str]:
-    """The kinds of which a store has artifacts, whatever version wrote them."""
+    """Return the kinds of which a store has artifacts, whatever version wrote them."""
     try:
         with os.scandir(layout.within(layout.store)) as entries:
             return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
@@ -81,12 +81,12 @@ def _holds_manifest(entry: os.DirEntry[str]) -> bool:
 
 
 def exists(layout: Layout, kind: str, key: str) -> bool:
-    """Whether an artifact is there, with every file that it was published with."""
+    """Return whether an artifact is there, with every file that it was committed with."""
     return damage(layout, kind, key) is None
 
 
 def damage(layout: Layout, kind: str, key: str) -> str | None:
-    """What is wrong with an artifact: it is not there, its manifest does not read, a file is gone or has another size. None when whole.
+    """Return what is wrong with an artifact (not there, no readable manifest, a file gone or of another size); None when it is whole.
 
     Sizes only: the manifest has each file's SHA-256 too, but planning must not read gigabytes.
     """
@@ -98,7 +98,7 @@ def damage(layout: Layout, kind: str, key: str) -> str | None:
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
-    """Size of each file that an artifact was published with, by relative name.
+    """Return the size of each file that an artifact was committed with, by relative name.
 
     Raises:
         ArtifactError: the manifest, read from `path`, has no such list, or names something else than files of the artifact.
@@ -114,7 +114,7 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
 
 
 def missing_file(layout: Layout, place: str, files: Mapping[str, int]) -> str | None:
-    """The first file of an artifact that is gone, a link, or of another size, in words; None when all are there.
+    """Return the first file of an artifact that is gone, a link, or of another size, in words; None when all are there.
 
     The names are those of `listed_files`, and the way to the artifact is known to have no links.
     """
@@ -134,11 +134,11 @@ WHY = "why.txt"
 """Lies in an artifact that was taken out of use."""
 
 _verified: dict[str, tuple[int, int]] = {}
-"""Time and size of each file whose bytes this process has seen to be the published ones."""
+"""Time and size of each file whose bytes this process has seen to be those of the manifest."""
 
 
 def corruption(layout: Layout, kind: str, key: str) -> str | None:
-    """What is wrong with the bytes of an artifact, by the SHA-256 of each file; None when they are those that were published.
+    """Return what is wrong with the bytes of an artifact, by the SHA-256 of each file; None when they are those of the manifest.
 
     A process reads a file once, as long as its time and size stay.
     """
@@ -170,7 +170,7 @@ def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:
 
 
 def why_invalid(layout: Layout, kind: str, key: str) -> str | None:
-    """Why an artifact was taken out of use; None of others."""
+    """Return why an artifact was taken out of use; None of others."""
     try:
         return " ".join(printable(read_plain(layout.artifact(kind, key) / WHY)).split())[:500] or None
     except (OSError, ValueError):
@@ -178,13 +178,13 @@ def why_invalid(layout: Layout, kind: str, key: str) -> str | None:
 
 
 def is_file_name(name: str) -> bool:
-    """Whether a manifest may list a file of this name: it lies in the artifact, wherever that is."""
+    """Return whether a manifest may list a file of this name: it lies in the artifact, wherever that is."""
     parts = name.split("/")
     return len(name) < LONGEST_NAME and "\0" not in name and not {"", ".", ".."} & set(parts)
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
-    """What is known of an artifact.
+    """Return what is known of an artifact.
 
     Raises:
         ArtifactError: it is not there, is a link to somewhere else, or its manifest is damaged.
@@ -234,7 +234,7 @@ def read_record(path: Path) -> dict[str, Any] | None:
 
 
 def dumps(record: Mapping[str, Any]) -> str:
-    """JSON as people read it. What has no JSON form (a NaN too) is an error here, not in the reader."""
+    """Return a record as JSON that people can read. What has no JSON form (a NaN too) is an error here, not in the reader."""
     return json.dumps(record, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
@@ -247,7 +247,7 @@ def sweep(layout: Layout) -> int:
 
 
 def left_behind(layout: Layout) -> list[Path]:
-    """The folders in `tmp/` that no living process writes."""
+    """Return the folders in `tmp/` that no living process writes."""
     keys = [(folder, folder.name.partition("-")[0]) for folder in layout.tmp.glob("*-*")]
     return [folder for folder, key in keys if is_key(key) and not is_held(layout.lock(key))]
 
@@ -274,7 +274,7 @@ def _files(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

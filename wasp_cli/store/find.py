@@ -63,7 +63,7 @@ class Found:
         return str(self.setting("provenance", "started_at") or "")
 
     def setting(self, *names: str) -> Any:
-        """A value of the manifest by the names on the way to it; None where it says nothing."""
+        """Return a value of the manifest by the names on the way to it; None where it says nothing."""
         value: Any = self.manifest
         for name in names:
             value = value.get(name) if isinstance(value, Mapping) else None
@@ -91,7 +91,7 @@ class FoundNode(Found):
 
 
 def find_cell(layout: Layout, text: str) -> FoundCell:
-    """The one cell that `text` names: the beginning of a key, a label, or a path.
+    """Return the one cell that `text` names: the beginning of a key, a label, or a path.
 
     Raises:
         UsageError: it names several; the message lists them, newest first. Or it is a path without a cell.
@@ -113,7 +113,7 @@ def find_cell(layout: Layout, text: str) -> FoundCell:
 
 
 def find_node(layout: Layout, text: str) -> FoundNode:
-    """The one node that `text` names: the beginning of a key, or a label; of any kind, and also when it has only failed.
+    """Return the one node that `text` names: the beginning of a key, or a label; of any kind, and also when it has only failed.
 
     Raises:
         UsageError: it names several; the message lists them, newest first.
@@ -166,12 +166,12 @@ def _failures(layout: Layout) -> dict[str, dict[str, Any]]:
 
 
 def begins(key: str, wanted: str) -> bool:
-    """Whether what was written is the beginning of a key."""
+    """Return whether what was written is the beginning of a key."""
     return len(wanted) >= LEAST and key.startswith(wanted.lower())
 
 
 def same_label(label: str, wanted: str) -> bool:
-    """Whether what was written is a label, as a run or a report names it; capitals do not count."""
+    """Return whether what was written is a label, as a run or a report names it; capitals do not count."""
     return label.casefold() == _as_run(wanted).casefold()
 
 

@@ -34,7 +34,7 @@ class Rubbish:
 
 
 def stored(layout: Layout) -> dict[str, list[str]]:
-    """The kinds under which a key has a folder in the store, damaged artifacts too."""
+    """Return the kinds under which a key has a folder in the store, damaged artifacts too."""
     found: dict[str, list[str]] = {}
     for kind in stored_kinds(layout):
         for key in _keys(layout.kind(kind), lambda entry: entry.is_dir(follow_symlinks=False)):
@@ -43,12 +43,12 @@ def stored(layout: Layout) -> dict[str, list[str]]:
 
 
 def locked(layout: Layout) -> set[str]:
-    """The keys of nodes that are being computed."""
+    """Return the keys of nodes that are being computed."""
     return {key for key in _keys(layout.locks) if is_held(layout.lock(key))}
 
 
 def with_inputs(layout: Layout, keys: Iterable[str], there: Mapping[str, list[str]]) -> set[str]:
-    """Keys and, as far as manifests say, everything that was read for them.
+    """Return the keys and, as far as manifests say, everything that was read for them.
 
     Args:
         layout: the results folder.
@@ -72,7 +72,7 @@ def with_inputs(layout: Layout, keys: Iterable[str], there: Mapping[str, list[st
 
 
 def rubbish(layout: Layout, needed: set[str], there: Mapping[str, list[str]], before: float | None = None) -> list[Rubbish]:
-    """What can go, nothing of it written after `before`.
+    """Return what can go, nothing of it written after `before`.
 
     Args:
         layout: the results folder.
@@ -107,13 +107,13 @@ def remove(layout: Layout, found: Iterable[Rubbish]) -> tuple[int, int]:
 
 
 def run_rubbish(layout: Layout, run_ids: Iterable[str], before: float | None = None) -> list[Rubbish]:
-    """Folders of runs, as what can go; none of it written after `before`."""
+    """Return the folders of runs, as what can go; none of it written after `before`."""
     found = [_rubbish(RUNS, layout.run(run_id), None) for run_id in run_ids]
     return [each for each in found if before is None or _written(each.path) < before]
 
 
 def size_of(path: Path) -> int:
-    """Bytes of a file or of everything in a folder; links are not followed."""
+    """Return the bytes of a file or of everything in a folder; links are not followed."""
     try:
         if path.is_symlink() or not path.is_dir():
             return path.lstat().st_size

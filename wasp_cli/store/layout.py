@@ -55,15 +55,15 @@ class Layout:
         return self.root / "published"
 
     def kind(self, kind: str) -> Path:
-        """The folder of all artifacts of a kind."""
+        """Return the folder of all artifacts of a kind."""
         return self.store / _name(kind)
 
     def artifact(self, kind: str, key: str) -> Path:
-        """The folder of one artifact."""
+        """Return the folder of one artifact."""
         return self.kind(kind) / _key(key)
 
     def manifest(self, kind: str, key: str) -> Path:
-        """What is known of an artifact."""
+        """Return what is known of an artifact."""
         return self.artifact(kind, key) / MANIFEST
 
     @property
@@ -71,7 +71,7 @@ class Layout:
         return self.root / "failures"
 
     def failure(self, key: str) -> Path:
-        """The record of a node's last failure."""
+        """Return the record of a node's last failure."""
         return self.failures / f"{_key(key)}.json"
 
     @property
@@ -79,11 +79,11 @@ class Layout:
         return self.root / "work"
 
     def work(self, key: str) -> Path:
-        """Where a node keeps what survives an interruption."""
+        """Return where a node keeps what survives an interruption."""
         return self.works / _key(key)
 
     def lock(self, key: str) -> Path:
-        """The lock file of a node."""
+        """Return the lock file of a node."""
         return self.locks / _key(key)
 
     @property
@@ -96,35 +96,35 @@ class Layout:
         return self.locks / "planning"
 
     def run(self, run_id: str) -> Path:
-        """The folder of one run."""
+        """Return the folder of one run."""
         return self.runs / _name(run_id)
 
     def log(self, run_id: str, label: str, key: str) -> Path:
-        """The log of one node in one run."""
+        """Return the log of one node in one run."""
         return self.run(run_id) / "logs" / f"{slug(label)}-{_key(key)[:8]}.log"
 
     def running(self, run_id: str, key: str) -> Path:
-        """What a running node says of its progress."""
+        """Return what a running node says of its progress."""
         return self.run(run_id) / "running" / f"{_key(key)}.json"
 
     def journal(self, run_id: str) -> Path:
-        """The events of a run."""
+        """Return the events of a run."""
         return self.run(run_id) / "journal.jsonl"
 
     def stop(self, run_id: str) -> Path:
-        """Is there when a run was asked to end."""
+        """Return the file that is there when a run was asked to end."""
         return self.run(run_id) / "stop"
 
     def overdue(self, run_id: str, key: str) -> Path:
-        """Has text when a node's process was ended because it did not react to its time limit."""
+        """Return the file that has text when a node's process was ended because it did not react to its time limit."""
         return self.run(run_id) / "running" / f"{_key(key)}.overdue"
 
     def reports(self, spec: str) -> Path:
-        """The folder of a spec's tables and figures."""
+        """Return the folder of a spec's tables and figures."""
         return self.root / "reports" / _name(spec)
 
     def needed(self) -> tuple[Path, ...]:
-        """The folders that every run writes to."""
+        """Return the folders that every run writes to."""
         return self.store, self.tmp, self.runs, self.failures, self.works, self.locks
 
     def require_own_folders(self) -> None:
@@ -137,7 +137,7 @@ class Layout:
             self.within(folder)
 
     def within(self, path: Path) -> Path:
-        """A path below the results folder as it is, after seeing that no link on the way leads somewhere else.
+        """Return a path below the results folder as it is, after seeing that no link on the way leads somewhere else.
 
         Raises:
             StoreError: a part of it is a link.
@@ -168,17 +168,17 @@ class Layout:
 
 
 def slug(text: str) -> str:
-    """A label as a file name."""
+    """Return a label as a file name."""
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "-", text).strip("-.")[:100] or "node"
 
 
 def is_key(text: str) -> bool:
-    """Whether a text has the form of a key."""
+    """Return whether a text has the form of a key."""
     return bool(_KEY.fullmatch(text))
 
 
 def is_name(text: str) -> bool:
-    """Whether a text can name a folder of the results: a kind, a run, a spec."""
+    """Return whether a text can name a folder of the results: a kind, a run, a spec."""
     return bool(_NAME.fullmatch(text))
 
 

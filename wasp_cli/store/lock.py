@@ -64,7 +64,7 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
 
 
 def holder_of(path: Path) -> dict[str, Any]:
-    """What the holder of a lock told of itself, or the last one that had it; empty where nobody did."""
+    """Return what the holder of a lock told of itself, or the last one that had it; empty where nobody did."""
     try:
         record = parse(read_plain(path))
     except (OSError, ValueError, RecursionError):
@@ -84,7 +84,7 @@ def held_if_free(path: Path) -> Iterator[bool]:
 
 
 def is_held(path: Path) -> bool:
-    """Whether some process holds a lock now."""
+    """Return whether some process holds a lock now."""
     while (descriptor := _opened(path)) is not None:
         try:
             if not _taken(descriptor):

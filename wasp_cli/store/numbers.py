@@ -31,7 +31,7 @@ class Numbers(NamedTuple):
 
 
 def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
-    """Some columns of a cell, checked against their checksums, and what its rows share; None where the file needs a closer look.
+    """Read some columns of a cell, checked against their checksums, and what its rows share; None where the file needs a closer look.
 
     Args:
         path: a file, no pipe.

@@ -25,7 +25,7 @@ _UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\
 
 
 def open_plain(path: Path) -> io.BufferedReader:
-    """A plain file, open for reading.
+    """Return a plain file, open for reading.
 
     Raises:
         OSError: there is none, or it is something else.
@@ -44,7 +44,7 @@ def open_plain(path: Path) -> io.BufferedReader:
 
 
 def read_plain(path: Path) -> str:
-    """The text of a plain file.
+    """Return the text of a plain file.
 
     Raises:
         OSError: there is none, it is something else, or it is too large.
@@ -58,7 +58,7 @@ def read_plain(path: Path) -> str:
 
 
 def parse(text: str) -> Any:
-    """What a JSON text says, its strings printable.
+    """Return what a JSON text says, its strings printable.
 
     Raises:
         ValueError: it is no JSON, or is nested too deeply.
@@ -70,7 +70,7 @@ def parse(text: str) -> Any:
 
 
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
-    """The objects of a file that has one a line; what a kill cut short, or is something else, is left out.
+    """Return the objects of a file that has one a line; what a kill cut short, or is something else, is left out.
 
     Raises:
         OSError: as `read_plain`.
@@ -91,7 +91,7 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
 
 
 def printable(text: str) -> str:
-    """A text without what a terminal would obey instead of showing it."""
+    """Return a text without what a terminal would obey instead of showing it."""
     return _UNPRINTABLE.sub("\ufffd", text)
 
 

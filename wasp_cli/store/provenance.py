@@ -21,7 +21,7 @@ CHANGES_LENGTH = 16
 
 @cache
 def provenance() -> dict[str, Any]:
-    """What every artifact of this process shares."""
+    """Return what every artifact of this process shares."""
     return {
         "wasp": wasp_cli.__version__,
         "git": git_state(),
@@ -37,7 +37,7 @@ def provenance() -> dict[str, Any]:
 
 
 def installed(name: str) -> str | None:
-    """Version of an installed distribution."""
+    """Return the version of an installed distribution."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -91,7 +91,7 @@ def _hash_of_files(root: Path, names: list[str]) -> str | None:
 
 
 def boot_id() -> str | None:
-    """Names the time since this machine started, so that a process id can be told from an older one; None where unknown."""
+    """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
     except (OSError, ValueError):
@@ -99,7 +99,7 @@ def boot_id() -> str | None:
 
 
 def cuda_devices() -> list[str]:
-    """Names of the CUDA devices that this process computes on; empty where it does not.
+    """Return the names of the CUDA devices that this process computes on; empty where it does not.
 
     Never imports torch, and asks nothing of a device that is idle: only to name it would reserve hundreds of megabytes on it.
     """
@@ -110,7 +110,7 @@ def cuda_devices() -> list[str]:
 
 
 def processor() -> str:
-    """Name of the processor."""
+    """Return the name of the processor."""
     details = Path("/proc/cpuinfo")  # Linux only
     if details.is_file():
         for line in details.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -120,7 +120,7 @@ def processor() -> str:
 
 
 def memory_gb() -> float | None:
-    """Main memory in GB."""
+    """Return the main memory in GB."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
     except (ValueError, OSError, AttributeError):

@@ -68,7 +68,7 @@ class Reused:
 
 
 def commit_of(manifest: Mapping[str, Any]) -> str:
-    """The commit that an artifact was computed with, for people; empty when unknown."""
+    """Return the commit that an artifact was computed with, for people; empty when unknown."""
     git = manifest["provenance"].get("git")
     if not isinstance(git, dict) or not isinstance(git.get("sha"), str):
         return ""
@@ -76,7 +76,7 @@ def commit_of(manifest: Mapping[str, Any]) -> str:
 
 
 def offers(source: Layout) -> tuple[list[Offer], list[str]]:
-    """Everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at.
+    """Return everything in a published layer whose manifest reads, and what is wrong with the rest. No other file is looked at.
 
     Raises:
         StoreError: a folder of the layer cannot be read, or is a link.
@@ -100,7 +100,7 @@ def offers(source: Layout) -> tuple[list[Offer], list[str]]:
 
 
 def not_used(kind: str, key: str, why: str) -> str:
-    """What a plan and a run say of a published artifact that they leave alone."""
+    """Return what a plan and a run say of a published artifact that they leave alone."""
     return f"published {kind}/{key} is not used: {why}"
 
 
@@ -123,7 +123,7 @@ def _are_keys(value: object) -> bool:
 
 
 def why_unusable(offer: Offer, layout: Layout) -> str | None:
-    """What is wrong with the bytes of a published artifact; None when they are whole, or when the store has them already."""
+    """Return what is wrong with the bytes of a published artifact; None when they are whole, or when the store has them already."""
     if exists(layout, offer.kind, offer.key):
         return None
     try:
