@@ -265,7 +265,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     driven = record(short_task(2), [0, 5], lambda seen: np.zeros((2, 2), np.float32), ["expert", "noisy"], 0)
     write_shard(folders["dataset"] / "shard-0000.parquet", driven, ("hazards",))
     model = load_world_model(folders["world_model"])
-    save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["world_model"])
+    folders["latents"] = folders["dataset"]
+    save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["latents"])
     return {kind: folders[kind] for kind in GateSignalsStage.needs}
 
 

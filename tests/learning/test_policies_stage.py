@@ -40,7 +40,7 @@ def inputs(root: Path) -> dict[str, Path]:
     model = build(WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16), 2)
     save_world_model(model, root / "seeing")
     save_latents(encode(model, read_shards(root / "whole"), no_progress), root / "seeing")
-    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "seeing"}
+    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "seeing", "latents": root / "seeing"}
 
 
 class Run:
