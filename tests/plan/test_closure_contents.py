@@ -55,8 +55,8 @@ MAY_HAVE = {
         "metrics metrics.ranking metrics.reliability stages.finite"
     ),
     "policies": (
-        f"{DRIVING} {LATENTS} {PPO} methods.human learning.dataset learning.latent_ppo learning.policies learning.privileged learning.reinforce "
-        "learning.verdicts stages.finite"
+        f"{DRIVING} {LATENTS} {PPO} methods.human learning.dataset learning.latent_ppo learning.policies "
+        "learning.privileged learning.reinforce learning.verdicts stages.finite"
     ),
     "critics": f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout",
     "gate_signals": (
