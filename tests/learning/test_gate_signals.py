@@ -36,8 +36,8 @@ from wasp_cli.operators.base import Operator
 from wasp_cli.operators.laggy import LaggyOperator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.plan.part import Part
-from wasp_cli.report.trained_table import Trained
-from wasp_cli.report.training_table import training_tables
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.table import training_tables
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import DEFAULT_STAGES, validate
 from wasp_cli.stages.base import Job, no_progress

@@ -22,7 +22,7 @@ from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.document import TABLES, Report
 from wasp_cli.report.frame import Frame
 from wasp_cli.report.summarize import identity_of, report_run
-from wasp_cli.report.trained_table import duration, numbers_text, trained_artifacts
+from wasp_cli.report.trained.artifacts import duration, numbers_text, trained_artifacts
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record

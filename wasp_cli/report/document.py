@@ -19,7 +19,7 @@ from wasp_cli.report.page.films import Draw, TaskFilms, films_of
 from wasp_cli.report.page.markup import Markup
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.table import Table, markdown, terminal
-from wasp_cli.report.trained_table import Trained, trained_markdown
+from wasp_cli.report.trained.artifacts import Trained, trained_markdown
 from wasp_cli.report.verdict import VerdictReport
 from wasp_cli.report.verdict_html import verdict_html
 from wasp_cli.report.verdict_text import verdict_markdown, verdict_terminal
@@ -80,13 +80,16 @@ class Report:
             console.print(Text(f"\n{missing_words(self.frame)}:", style="bold red"))
             name_missing(console, self.missing)
 
-    def write(self, folder: Path, draw: Draw | None = None, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
+    def write(
+        self, folder: Path, draw: Draw | None = None, tell: Callable[[str], None] = lambda text: None, *, evidence: bool = False
+    ) -> list[Path]:
         """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
 
         Args:
             folder: where they go.
             draw: draws the film of an episode; None: without films.
-            tell: told which film is being drawn.
+            tell: told what is being drawn.
+            evidence: also write pictures and pages of each trained part (see `trained.evidence`).
         """
         make_own(folder)
         figures = draw_figures(self.layout, self.frame, self.trained, folder)
@@ -96,7 +99,11 @@ class Report:
         # What an earlier report had and this one has not would pass for a part of it.
         for name in KNOWN - {path.name for path in (*pages, *figures)}:
             (folder / name).unlink(missing_ok=True)
-        return [*pages, *figures]
+        if not evidence:
+            return [*pages, *figures]
+        from wasp_cli.report.trained.evidence import write_evidence  # needs Pillow
+
+        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
         """The whole report as one page."""

@@ -9,8 +9,8 @@ from wasp_cli.report.condition_figures import latency_figure, severity_figure
 from wasp_cli.report.figure import cost_return_figure
 from wasp_cli.report.frame import Frame
 from wasp_cli.report.necessity_figure import necessity_figure
-from wasp_cli.report.trained_table import Trained
-from wasp_cli.report.training_figures import learning_figure, reliability_figure
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.figures import learning_figure, reliability_figure
 from wasp_cli.store.layout import Layout
 
 CAPTIONS = {

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from wasp_cli.console import duration, size
 from wasp_cli.report.node import NodeFacts, Setting
-from wasp_cli.report.trained_table import scalars, short
+from wasp_cli.report.trained.artifacts import scalars, short
 
 HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
 """Provenance that is told in lines of its own."""

@@ -25,8 +25,9 @@ from wasp_cli.report.reused import Origins, absent_fact, absent_parts
 from wasp_cli.report.severity_table import severity_table
 from wasp_cli.report.table import Table
 from wasp_cli.report.threshold_table import threshold_table
-from wasp_cli.report.trained_table import trained_artifacts
-from wasp_cli.report.training_table import training_tables
+from wasp_cli.report.trained.artifacts import trained_artifacts
+from wasp_cli.report.trained.pages import with_warnings
+from wasp_cli.report.trained.table import training_tables
 from wasp_cli.report.verdict import judge
 from wasp_cli.report.verdict_table import numbers_table
 from wasp_cli.spec.model import Spec
@@ -67,6 +68,7 @@ def report_run(
     ]
     origins = Origins()
     trained, unreadable = trained_artifacts(layout, roots, origins)
+    trained = with_warnings(layout, trained)
     published = list(origins.facts())
     # What nothing needs is no gap in a run that took published results; in any other one it once was there.
     absent = absent_parts(layout, parts, spec.stages) if published and not frame.missing else []

@@ -16,7 +16,7 @@ from wasp_cli.report.main_table import detail_table, main_table
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.markup import Markup, element
 from wasp_cli.report.table import Table
-from wasp_cli.report.trained_table import Trained
+from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.store.tables import CellIdentity
 
 EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"

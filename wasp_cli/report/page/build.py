@@ -16,7 +16,7 @@ from wasp_cli.report.page.markup import Markup, data_uri, element, joined, list_
 from wasp_cli.report.render_html import html
 from wasp_cli.report.table import Table
 from wasp_cli.report.titles import task_title
-from wasp_cli.report.trained_table import Trained, duration, numbers_text
+from wasp_cli.report.trained.artifacts import Trained, duration, numbers_text
 
 FOR_TRAINING = frozenset({"training", "world_model"})
 """Tables that stand on the page of what was trained."""

@@ -117,7 +117,7 @@ def _of_task(
     number = _median_episode((alone or first).episodes["cost"])
     films = []
     for cell in chosen:
-        tell(f"{task}: {METHODS[cell.identity.method].title}")
+        tell(f"the film of {task}: {METHODS[cell.identity.method].title}")
         film = _film(layout, cell.identity, keys[cell.identity], number, draw)
         if film is not None:
             films.append(film)

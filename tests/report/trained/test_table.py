@@ -4,8 +4,8 @@ from typing import Any
 
 from wasp_cli.plan.part import Part
 from wasp_cli.report.table import Table, csv_text, markdown
-from wasp_cli.report.trained_table import Trained
-from wasp_cli.report.training_table import training_tables
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.table import training_tables
 
 SUMMARIES: dict[str, dict[str, Any]] = {
     "expert": {"return": 20.0, "cost": 30.0, "success": 0.9, "multiplier": 0.4},

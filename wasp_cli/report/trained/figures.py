@@ -1,22 +1,19 @@
-"""Figures of what was trained: learning curves, and whether the world model's probabilities come true."""
+"""Figures of all trained parts: learning curves, and whether the world model's probabilities come true."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wasp_cli.report.curves import LOSSES, STEPS, Curve, Reliability, driving_curves, loss_curves, reliabilities
 from wasp_cli.report.figure import PALETTE, drawn, figure_files
 from wasp_cli.report.titles import task_title
-from wasp_cli.report.trained_table import Trained
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.curves import LOSSES, STEPS, Curve, Reliability, driving_curves, loss_curves, reliabilities
+from wasp_cli.report.trained.lines import Line, draw_lines
 from wasp_cli.store.layout import Layout
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
@@ -35,20 +32,18 @@ def learning_figure(layout: Layout, trained: Sequence[Trained], folder: Path) ->
     tasks = list(dict.fromkeys(curve.task for curve in (*driving, *losses)))
     if not tasks:
         return []
+    names = list(dict.fromkeys(curve.name for curve in driving))
     with drawn((9.6, 0.5 + 2.5 * len(tasks))) as figure:
         panels = figure.subplots(len(tasks), 3, squeeze=False)
         for row, task in zip(panels, tasks, strict=True):
             own = [curve for curve in driving if curve.task == task]
-            _lines(row[0], own, "return", list(dict.fromkeys(curve.name for curve in driving)), 1e-3)
-            _lines(row[1], own, "cost_per_1000", list(dict.fromkeys(curve.name for curve in driving)), 1e-3)
-            _lines(row[2], [_smoothed(curve) for curve in losses if curve.task == task], "loss", list(LOSSES.values()), 1e-3)
-            row[2].set_yscale("log")
+            lost = [_smoothed(curve) for curve in losses if curve.task == task]
+            draw_lines(row[0], _lines(own, "return", names), xlabel="thousand decision steps")
+            draw_lines(row[1], _lines(own, "cost_per_1000", names), xlabel="thousand decision steps")
+            draw_lines(row[2], _lines(lost, "loss", list(LOSSES.values())), xlabel="thousand updates", yscale="log")
             row[0].set_title(f"{task_title(task)}: return per episode", loc="left", fontweight="bold")
             row[1].set_title("Cost per 1000 env steps", loc="left")
             row[2].set_title("World model: loss / first loss", loc="left")
-            row[2].set_xlabel("thousand updates")
-            for panel in row[:2]:
-                panel.set_xlabel("thousand decision steps")
             for panel in (row[0], row[2]):
                 if panel.get_legend_handles_labels()[0]:
                     panel.legend(frameon=False, fontsize=7, handlelength=2.4)
@@ -70,12 +65,10 @@ def reliability_figure(layout: Layout, trained: Iterable[Trained], folder: Path)
         panels = figure.subplots(len(tasks), len(kinds), squeeze=False, sharex=True, sharey=True)
         for row, task in zip(panels, tasks, strict=True):
             for panel, episodes in zip(row, kinds, strict=True):
-                panel.plot([0, 1], [0, 1], color="#999999", linewidth=0.8, zorder=0)
-                for each in found:
-                    if each.task == task and each.episodes == episodes:
-                        _reliability(panel, each)
+                own = [_reliability(each) for each in found if each.task == task and each.episodes == episodes]
+                draw_lines(panel, own, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost")
+                panel.grid(visible=False)
                 panel.set_title(f"{task_title(task)}: {EPISODES[episodes]}", loc="left", fontsize=9)
-                panel.set_xlabel("predicted probability of a cost")
             row[0].set_ylabel("share with a cost")
         handles = {label: handle for handle, label in zip(*panels[0, 0].get_legend_handles_labels(), strict=True)}
         figure.legend(
@@ -84,20 +77,11 @@ def reliability_figure(layout: Layout, trained: Iterable[Trained], folder: Path)
         return figure_files(figure, folder, "reliability")
 
 
-def _lines(panel: Axes, curves: Sequence[Curve], quantity: str, names: Sequence[str], scale: float) -> None:
-    """The curves of a panel; all seeds of a name look the same."""
-    labelled: set[str] = set()
+def _lines(curves: Sequence[Curve], quantity: str, names: Sequence[str]) -> Iterator[Line]:
+    """All seeds of a name look the same. A rollout in which no episode ended has no return."""
     for curve in curves:
         i = names.index(curve.name) if curve.name in names else 0
-        values = curve.y[quantity]
-        here = np.isfinite(values)  # a rollout in which no episode ended has no return
-        panel.plot(
-            scale * curve.x[here], values[here], color=PALETTE[i % len(PALETTE)], linestyle=LINES[i % len(LINES)], linewidth=1.2,
-            alpha=0.85, label=None if curve.name in labelled else curve.name,
-        )  # fmt: skip
-        labelled.add(curve.name)
-    panel.grid(color="#dddddd", linewidth=0.6)
-    panel.set_axisbelow(True)
+        yield Line(1e-3 * curve.x, curve.y[quantity], curve.name, PALETTE[i % len(PALETTE)], LINES[i % len(LINES)], alpha=0.85)
 
 
 def _smoothed(curve: Curve) -> Curve:
@@ -107,9 +91,8 @@ def _smoothed(curve: Curve) -> Curve:
     return replace(curve, x=middle, y={name: np.convolve(values, np.ones(width) / width, "valid") for name, values in curve.y.items()})
 
 
-def _reliability(panel: Axes, each: Reliability) -> None:
+def _reliability(each: Reliability) -> Line:
     i, here = STEPS.index(each.step), each.size > 0
-    colour = PALETTE[(1, 6, 3, 4)[i]]
-    panel.plot(each.predicted[here], each.seen[here], color=colour, linestyle=LINES[i], linewidth=0.9, alpha=0.8)
-    area = 6.0 + 10.0 * np.log10(each.size[here])
-    panel.scatter(each.predicted[here], each.seen[here], area, color=colour, marker=MARKERS[i], linewidths=0, label=str(each.step))
+    colour, areas = PALETTE[(1, 6, 3, 4)[i]], 6.0 + 10.0 * np.log10(each.size[here])
+    x, y = each.predicted[here], each.seen[here]
+    return Line(x, y, str(each.step), colour, LINES[i], MARKERS[i], width=0.9, areas=areas, alpha=0.8)

@@ -11,7 +11,7 @@ from wasp_cli.plan.part import Part
 from wasp_cli.report.statistics import over_seeds
 from wasp_cli.report.table import Column, Row, Table, Value
 from wasp_cli.report.titles import task_title
-from wasp_cli.report.trained_table import Trained
+from wasp_cli.report.trained.artifacts import Trained
 
 COLUMNS = (
     ("expert", Column("return", "Expert return", digits=1)),

@@ -1,25 +1,16 @@
-"""The learning and calibration curves that trained artifacts keep, read with care: a results folder may be a stranger's.
-
-What has no valid form is no curve.
-"""
+"""The learning and calibration curves that trained artifacts keep. What has no valid form is no curve."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wasp_cli.errors import WaspError
-from wasp_cli.report.trained_table import Trained
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.read import Floats, column_of, numbers_of, read_json, rows_of
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.plain import parse, read_plain
-
-Floats = NDArray[np.float64]
 
 DRIVING = {
     "expert": ("curve.json", "Expert"),
@@ -64,30 +55,30 @@ class Reliability(NamedTuple):
 
 
 def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
-    """Return per episode (`return`) and cost per 1000 env steps (`cost_per_1000`) over the decision steps that a stage trained with."""
+    """Read return per episode (`return`) and cost per 1000 env steps (`cost_per_1000`) over the decision steps of the training."""
     found = []
     for artifact in trained:
         if artifact.kind not in DRIVING:
             continue
         file, name = DRIVING[artifact.kind]
-        rows = _rows(_read(layout, artifact, file))
-        x = _column(rows, "interactions")
+        rows = rows_of(read_json(layout, artifact, file))
+        x = column_of(rows, "interactions")
         if len(x) > 1 and np.isfinite(x).all():
-            numbers = {key: _column(rows, key) for key in ("return", "cost_per_1000")}
+            numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000")}
             found.append(Curve(artifact.task, artifact.seed, name + _round(artifact), x, numbers))
     return found
 
 
 def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
-    """Losses of the world model by LOSSES over its updates, each divided by its first value."""
+    """Read the losses of the world model by LOSSES over its updates, each divided by its first value."""
     found = []
     for artifact in trained:
         if artifact.kind != "world_model":
             continue
-        curves = _read(layout, artifact, "curves.json")
+        curves = read_json(layout, artifact, "curves.json")
         if not isinstance(curves, dict):
             continue
-        terms = {title: _numbers(curves.get(term)) for term, title in LOSSES.items()}
+        terms = {title: numbers_of(curves.get(term)) for term, title in LOSSES.items()}
         terms = {title: values / values[0] for title, values in terms.items() if len(values) > 1 and values[0] > 0}
         for title, values in terms.items():
             x = UPDATES_PER_POINT * np.arange(len(values), dtype=np.float64)
@@ -96,44 +87,20 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
-    """Of the cost head along imagined rollouts, at STEPS, where the stage `diagnostics` has judged it; of the last round."""
+    """Read how reliable the cost head is along imagined rollouts, at STEPS, where `diagnostics` has judged it; of the last round."""
     judged = [artifact for artifact in trained if artifact.kind == "diagnostics"]
     last = {(artifact.task, artifact.seed): artifact for artifact in sorted(judged, key=lambda artifact: artifact.round)}
     for artifact in last.values():
-        document = _read(layout, artifact, "diagnostics.json")
+        document = read_json(layout, artifact, "diagnostics.json")
         for episodes in ("held_out", "unseen"):
             part = document.get(episodes) if isinstance(document, dict) else None
-            for row in _rows(part.get("steps") if isinstance(part, dict) else None):
+            for row in rows_of(part.get("steps") if isinstance(part, dict) else None):
                 if (step := row.get("k")) in STEPS:
-                    bins = _rows(row.get("reliability"))
-                    columns = [_column(bins, name) for name in ("predicted", "seen", "size")]
+                    bins = rows_of(row.get("reliability"))
+                    columns = [column_of(bins, name) for name in ("predicted", "seen", "size")]
                     if bins:
                         yield Reliability(artifact.task, artifact.seed, episodes, int(step), *columns)
 
 
 def _round(artifact: Trained) -> str:
     return f", round {artifact.round}" if artifact.round > 1 else ""
-
-
-def _read(layout: Layout, artifact: Trained, name: str) -> Any:
-    """A JSON file of an artifact; None where there is none or it does not read."""
-    with suppress(OSError, ValueError, RecursionError, WaspError):
-        return parse(read_plain(layout.within(layout.artifact(artifact.kind, artifact.key) / name)))
-    return None
-
-
-def _rows(value: Any) -> list[Mapping[str, Any]]:
-    return [row for row in value if isinstance(row, dict)] if isinstance(value, list) else []
-
-
-def _column(rows: Sequence[Mapping[str, Any]], name: str) -> Floats:
-    return _numbers([row.get(name) for row in rows])
-
-
-def _numbers(values: Any) -> Floats:
-    """[n] real numbers; what is none is NaN."""
-    if not isinstance(values, list):
-        return np.empty(0)
-    plain = [float(value) if isinstance(value, int | float) else math.nan for value in values]
-    found = np.array(plain, np.float64)
-    return np.where(np.isfinite(found), found, np.nan)
