@@ -20,7 +20,7 @@ class CriticsStage:
     kind = "critics"
     config = CriticsConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "heldout")
+    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, then compare the critics with real discounted sums."""
@@ -30,21 +30,21 @@ class CriticsStage:
         from wasp_cli.learning.critics import train_critics
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.shards import read_shards
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
 
         config = cast(CriticsConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
-        latents = load_latents(job.inputs["world_model"])
-        replay = read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"])
+        latents = load_latents(job.inputs["latents"])
+        recording = read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"])
         skills = load_skills(job.inputs["policies"])
         returns = job.settings["returns"]
         torch.manual_seed(derive("critics-weights", job.task, job.seed))
         stream = derive("critics", job.task, job.seed)
-        critics, curve = train_critics(model, skills, replay, latents, config, returns, stream, job.progress)
+        critics, curve = train_critics(model, skills, recording, latents, config, returns, stream, job.progress)
         arguments = {"features": model.feature_size, "hidden": list(config.hidden), "bins": config.bins, "reach": config.reach}
         save_weights(critics, job.out_dir / "critics.safetensors", **arguments)
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
