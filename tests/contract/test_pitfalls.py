@@ -31,7 +31,7 @@ from wasp_cli.operators.base import Operator
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.report.statistics import over_seeds
+from wasp_cli.report.stats.summary import over_seeds
 
 STEPS = 50
 

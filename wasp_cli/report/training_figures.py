@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wasp_cli.report.curves import LOSSES, STEPS, Curve, Reliability, driving_curves, loss_curves, reliabilities
-from wasp_cli.report.figure import PALETTE, drawn, figure_files
-from wasp_cli.report.titles import task_title
+from wasp_cli.report.figures.style import PALETTE, drawn, figure_files
+from wasp_cli.report.tables.titles import task_title
 from wasp_cli.report.trained_table import Trained
 from wasp_cli.store.layout import Layout
 

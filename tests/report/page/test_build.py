@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from wasp_cli.report.condition_figures import latency_figure
-from wasp_cli.report.frame import Frame, Missing
-from wasp_cli.report.main_table import detail_table, main_table
+from wasp_cli.report.figures.methods import latency_figure
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.markup import Markup, element
-from wasp_cli.report.table import Table
+from wasp_cli.report.stats.frame import Frame, Missing
+from wasp_cli.report.tables.details import detail_table
+from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained_table import Trained
 from wasp_cli.store.tables import CellIdentity
 

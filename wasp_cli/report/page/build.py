@@ -7,15 +7,15 @@ from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from wasp_cli.report.assumption_list import Assumption
-from wasp_cli.report.figures import CAPTIONS
-from wasp_cli.report.frame import Missing
-from wasp_cli.report.page.film_pages import film_page
+from wasp_cli.report.figures.style import CAPTIONS
+from wasp_cli.report.page.film_page import film_page
 from wasp_cli.report.page.films import TaskFilms
 from wasp_cli.report.page.markup import Markup, data_uri, element, joined, list_of, rows_table
-from wasp_cli.report.render_html import html
-from wasp_cli.report.table import Table
-from wasp_cli.report.titles import task_title
+from wasp_cli.report.provenance import Assumption
+from wasp_cli.report.render.html import html
+from wasp_cli.report.stats.frame import Missing
+from wasp_cli.report.tables.table import Table
+from wasp_cli.report.tables.titles import task_title
 from wasp_cli.report.trained_table import Trained, duration, numbers_text
 
 FOR_TRAINING = frozenset({"training", "world_model"})

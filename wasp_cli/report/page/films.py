@@ -18,8 +18,8 @@ from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.frame import CellNumbers, Frame
-from wasp_cli.report.ladder import MODERATE
+from wasp_cli.report.stats.frame import CellNumbers, Frame
+from wasp_cli.report.stats.severity_check import MODERATE
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
