@@ -18,7 +18,6 @@ from wasp_cli.report.figures.necessity import necessity_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of
-from wasp_cli.report.page.markup import Markup
 from wasp_cli.report.provenance import Assumption, assumptions_markdown
 from wasp_cli.report.render.files import RENDERERS, make_own, write_pages
 from wasp_cli.report.render.text import markdown, terminal
@@ -121,7 +120,7 @@ class Report:
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
         """The whole report as one page that needs no other file."""
-        verdict = None if self.verdict is None else Markup(verdict_html(self.verdict))
+        verdict = None if self.verdict is None else verdict_html(self.verdict)
         return build_page(
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
             figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,

@@ -3,10 +3,12 @@ from __future__ import annotations
 from html.parser import HTMLParser
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from jinja2 import UndefinedError
 
-from wasp_cli.report.render.html import html
+from wasp_cli.report.render.html import data_uri, html, rendered
 from wasp_cli.report.stats.frame import Frame
 from wasp_cli.report.stats.summary import Interval, Value
 from wasp_cli.report.tables.main import main_table
@@ -89,3 +91,24 @@ def test_all_text_is_escaped(title: str, label: str, heading: str, note: str) ->
     ]  # fmt: skip
     assert reader.all("figure") == [{"class": "table", "id": title}]
     assert (reader.texts[2], reader.texts[5], reader.texts[9], reader.texts[12]) == (title, heading, label, note)
+
+
+LANE = {"height": 8, "levels": [], "curves": [], "marks": []}
+
+
+@given(ANY)
+def test_a_template_escapes_text_and_attributes_and_markup_only_once(name: str) -> None:
+    page = rendered("timeline.html", lanes=[{**LANE, "name": name}], decisions=3)
+    reader = Reader(page)
+    assert [tag for tag, _ in reader.found] == ["div", "div", "span", "svg", "line"]
+    assert reader.all("svg")[0]["aria-label"] == f"{name} over 3 decisions"
+    assert page.count("&amp;amp;") == 2 * name.count("&amp;")
+
+
+def test_a_name_that_a_template_is_not_given_is_an_error() -> None:
+    with pytest.raises(UndefinedError, match="decisions"):
+        rendered("timeline.html", lanes=[{**LANE, "name": "x"}])
+
+
+def test_an_address_that_needs_no_network() -> None:
+    assert data_uri(b"\x00\x01", "image/png") == "data:image/png;base64,AAE="
