@@ -13,7 +13,7 @@ from rich.text import Text
 
 from wasp_cli.plan.cell import Cell
 from wasp_cli.report.document import name_missing
-from wasp_cli.report.figures.sweep import sweep_figures
+from wasp_cli.report.figures.by_axis import sweep_figures
 from wasp_cli.report.render.files import make_own, write_pages
 from wasp_cli.report.render.text import markdown, terminal
 from wasp_cli.report.stats.frame import Missing

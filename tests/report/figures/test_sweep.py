@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.report.swept import invent_sweep
-from wasp_cli.report.figures.sweep import DASHES, MOST, curves, positions, sweep_figure, sweep_figures
+from wasp_cli.report.figures.by_axis import DASHES, MOST, positions, sweep_curves, sweep_figure, sweep_figures
 from wasp_cli.report.tables.sweep import Swept
 from wasp_cli.store.tables import CellIdentity
 
@@ -88,7 +88,7 @@ def test_ticks_that_would_print_over_each_other_are_left_to_the_axis(tmp_path: P
 def test_many_operators_become_their_mean(tmp_path: Path) -> None:
     conditions = [("noisy", number / 10) for number in range(1, MOST + 2)]
     swept = invent_sweep(tmp_path, conditions=conditions, seeds=(0,))
-    (found,) = curves(swept, "goal1").values()
+    (found,) = sweep_curves(swept, "goal1").values()
     assert [curve.label for curve in found] == ["mean of 7 operators"]
     y = panels_of(swept)[0].containers[0][0].get_ydata()
     expected = [np.mean([cell.pooled["return"] for cell in each.frame.cells if cell.identity.method == "diffusion"]) for each in swept]

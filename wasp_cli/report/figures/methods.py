@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.figures.style import PALETTE, STYLES, drawn, figure_files
+from wasp_cli.report.figures.style import drawn, figure_files, legend, ruled, style_of
 from wasp_cli.report.stats.frame import CellNumbers, Frame, Group, groups
 from wasp_cli.report.stats.summary import summarise
 from wasp_cli.report.tables.titles import assistant_title, task_title
@@ -35,13 +35,9 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
                     _draw(panel, group)
             panel.set_title(task_title(task), loc="left", fontweight="bold")
             panel.set_xlabel("Cost per episode (better: left)")
-            panel.grid(color="#dddddd", linewidth=0.6)
-            panel.set_axisbelow(True)
+            ruled(panel)
         panels[0].set_ylabel("Return per episode (better: up)")
-        handles = {label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
-        figure.legend(
-            handles.values(), handles.keys(), loc="outside right upper", frameon=False, title="large: mean\nsmall: one operator\n"
-        )
+        legend(figure, panels, loc="outside right upper", title="large: mean\nsmall: one operator\n")
         return figure_files(figure, folder, "cost_return")
 
 
@@ -67,14 +63,13 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
             panel.set_xscale("log")
             panel.set_title(task_title(task), loc="left", fontweight="bold")
             panel.set_xlabel("ms per decision: median (mark), 95 % (bar)")
-            panel.grid(axis="x", color="#dddddd", linewidth=0.6)
-            panel.set_axisbelow(True)
+            ruled(panel, "x")
         return figure_files(figure, folder, "latency")
 
 
 def _draw(panel: Axes, group: Group) -> None:
     """One method: its operator variants small, their mean large with the spread over seeds."""
-    colour, marker = STYLES.get(group.method, (PALETTE[0], "o"))
+    colour, marker = style_of(group.method)
     x, y = _point(group.cells)
     for variant in dict.fromkeys(cell.identity.variant for cell in group.cells) if METHODS[group.method].impaired else ():
         small_x, small_y = _point(group.of_variant(variant))
@@ -99,7 +94,7 @@ def _latency(panel: Axes, group: Group, y: int) -> None:
     median, late = (summarise(group.cells, f"decision_{share}_ms").mean for share in ("p50", "p95"))
     if median is None or late is None or median <= 0:
         return
-    colour, marker = STYLES.get(group.method, (PALETTE[0], "o"))
+    colour, marker = style_of(group.method)
     panel.plot([median, max(late, median)], [y, y], color=colour, linewidth=1.6)
     panel.plot([late], [y], "|", color=colour, markersize=9)
     panel.plot([median], [y], marker, color=colour, markersize=6)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wasp_cli.report.figures.style import PALETTE, STYLES, drawn, figure_files
+from wasp_cli.report.figures.style import drawn, figure_files, ruled, style_of
 from wasp_cli.report.stats.frame import Floats, Frame, Group
 from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups, row_title
 from wasp_cli.report.tables.table import Column
@@ -97,7 +97,7 @@ def _points(panel: Axes, own: Sequence[Group], column: Column) -> None:
         value = estimated(group, column)
         if value.mean is None:
             continue
-        colour, marker = STYLES.get(group.method, (PALETTE[0], "o"))
+        colour, marker = style_of(group.method)
         if value.interval is not None:
             panel.plot([value.interval.low, value.interval.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
         panel.plot(value.mean, y, marker, color=colour, markersize=8, markeredgecolor="white")
@@ -108,6 +108,5 @@ def _points(panel: Axes, own: Sequence[Group], column: Column) -> None:
         panel.locator_params(axis="x", nbins=4)
         panel.axvline(0.0, color="black", linewidth=0.8)
     panel.spines["left"].set_visible(False)
-    panel.grid(axis="x", color="#dddddd", linewidth=0.6)
-    panel.set_axisbelow(True)
+    ruled(panel, "x")
     panel.tick_params(axis="y", length=0)
