@@ -51,11 +51,10 @@ def operators(
     """
     from wasp_cli.console import out
     from wasp_cli.plan.plan import cells_with_keys
-    from wasp_cli.report.ladder import require_accepted, verdict_lines
-    from wasp_cli.report.ladder_cells import read_ladders
-    from wasp_cli.report.ladder_table import as_json, ladder_table, write_ladder
+    from wasp_cli.report.render.text import terminal
+    from wasp_cli.report.stats.severity_check import read_ladders, require_accepted, verdict_lines
     from wasp_cli.report.summarize import wanted_cells
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.tables.severity_check import as_json, ladder_table, write_ladder
     from wasp_cli.run.session import restricted, run_spec
     from wasp_cli.spec.operators import operators_alone
 

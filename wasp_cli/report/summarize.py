@@ -10,26 +10,23 @@ from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.part import Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
-from wasp_cli.report.ablation_table import ablation_table
-from wasp_cli.report.assumption_list import assumptions_in_force
-from wasp_cli.report.branches import with_branches
-from wasp_cli.report.comparison_table import comparison_tables
+from wasp_cli.report.claims.table import numbers_table
+from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
-from wasp_cli.report.frame import Frame, Wanted, read_frame
-from wasp_cli.report.ladder_cells import ladders_of
-from wasp_cli.report.ladder_table import judged, ladder_table
-from wasp_cli.report.latency_table import latency_table
-from wasp_cli.report.main_table import detail_table, main_table, operator_table
-from wasp_cli.report.necessity_table import necessity_table
-from wasp_cli.report.reused import Origins, absent_fact, absent_parts
-from wasp_cli.report.severity_table import severity_table
-from wasp_cli.report.table import Table
-from wasp_cli.report.threshold_table import threshold_table
+from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
+from wasp_cli.report.stats.branches import with_branches
+from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.stats.severity_check import ladders_of
+from wasp_cli.report.tables.by_axis import operator_table, severity_table
+from wasp_cli.report.tables.comparison import comparison_tables
+from wasp_cli.report.tables.details import detail_table, latency_table, threshold_table
+from wasp_cli.report.tables.main import ablation_table, main_table
+from wasp_cli.report.tables.necessity import necessity_table
+from wasp_cli.report.tables.severity_check import judged, ladder_table
+from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
 from wasp_cli.report.trained.pages import with_warnings
 from wasp_cli.report.trained.table import training_tables
-from wasp_cli.report.verdict import judge
-from wasp_cli.report.verdict_table import numbers_table
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record

@@ -12,12 +12,23 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.plan.cell import Cell
-from wasp_cli.report.document import make_own, name_missing, write_pages
-from wasp_cli.report.frame import Missing
+from wasp_cli.report.document import name_missing
+from wasp_cli.report.figures.by_axis import sweep_figures
+from wasp_cli.report.render.files import make_own, write_pages
+from wasp_cli.report.render.text import markdown, terminal
+from wasp_cli.report.stats.frame import Missing
 from wasp_cli.report.summarize import identity_of, report_run
-from wasp_cli.report.sweep_figure import sweep_figures
-from wasp_cli.report.sweep_table import COLUMNS, OPERATOR_COLUMNS, Swept, combined, lines, operator_lines, sweep_operator_table, sweep_table
-from wasp_cli.report.table import Table, markdown, terminal
+from wasp_cli.report.tables.sweep import (
+    COLUMNS,
+    OPERATOR_COLUMNS,
+    Swept,
+    combined,
+    lines,
+    operator_lines,
+    sweep_operator_table,
+    sweep_table,
+)
+from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.sweep import Sweep
 
 

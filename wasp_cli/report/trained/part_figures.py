@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wasp_cli.report.figure import PALETTE, drawn
+from wasp_cli.report.figures.style import PALETTE, drawn
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.curves import STEPS
 from wasp_cli.report.trained.lines import GREY, Line, draw_lines
