@@ -21,7 +21,7 @@ from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
 from wasp_cli.store.layout import Layout, is_key, is_name
-from wasp_cli.store.plain import open_plain
+from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
 HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
@@ -81,6 +81,8 @@ class NodeFacts:
     """Settings that stages share."""
     upstream: tuple[Upstream, ...] = ()
     files: tuple[StoredFile, ...] = ()
+    pictures: tuple[str, ...] = ()
+    """Folders of reports with pictures and pages of it (see `trained.evidence`)."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     failure: Mapping[str, Any] = field(default_factory=dict)
     """Why it failed last; empty when it succeeded since."""
@@ -103,6 +105,7 @@ def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
         settings=mapping(node.setting("settings")),
         upstream=tuple(_upstream(layout, node)),
         files=tuple(_files(layout, node)),
+        pictures=tuple(_pictures(layout, node)),
         provenance=provenance,
         failure=node.failure,
     )
@@ -154,6 +157,11 @@ def _files(layout: Layout, node: FoundNode) -> Iterator[StoredFile]:
         yield StoredFile(name, size if isinstance(size, int) else None, _file_state(layout, node, name, known))
 
 
+def _pictures(layout: Layout, node: FoundNode) -> Iterator[str]:
+    if node.key is not None and is_key(node.key):
+        yield from sorted(printable(str(path)) for path in (layout.root / "reports").glob(f"*/trained/*-{node.key[:8]}"))
+
+
 def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, Any]) -> FileState:
     if not is_file_name(name):
         return "not of the artifact"
@@ -190,6 +198,7 @@ def node_lines(node: NodeFacts) -> Iterator[Text]:
     yield from _section("Reads", [(each.name, f"{each.key[:8]}  {each.label}  {_unless('present', each.state)}") for each in node.upstream])
     files = [(each.name, f"{size(each.size)}  {_unless('whole', each.state)}") for each in node.files]
     yield from _section("Files, their SHA-256 read again" if files else "Files", files)
+    yield from _section("Drawn by wasp report", [("in", folder) for folder in node.pictures])
     yield from _section("Provenance", list(_provenance(node.provenance)))
 
 
