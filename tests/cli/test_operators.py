@@ -149,7 +149,7 @@ def test_the_cells_are_those_of_the_whole_spec(spec: Path) -> None:
     whole = {str(cell): node.key for cell, node in lay_out(with_expert.spec).cells if cell.method != "wasp"}
     alone = lay_out(operators_alone(spec).spec)
     assert {str(cell): node.key for cell, node in alone.cells} == whole
-    assert {node.kind for node in alone.nodes} == {"expert", "dataset", "world_model", "policies", "evaluate"}
+    assert {node.kind for node in alone.nodes} == {"expert", "dataset", "world_model", "latents", "policies", "evaluate"}
 
 
 def test_settings_do_not_bring_back_what_is_left_out(spec: Path) -> None:
