@@ -31,12 +31,22 @@ from wasp_cli.store.tables import CellIdentity
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
 TABLES = (
-    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity", "ladder",
-    "details", "latency", "thresholds",
+    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
+    "severity_check", "details", "latency", "thresholds",
 )  # fmt: skip
+FORMER = "ladder"
+"""The name of `severity_check` in reports of earlier versions."""
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
-    {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
+    {
+        *PAGES,
+        *(
+            f"{name}.{ending}"
+            for names, endings in (((*TABLES, FORMER), RENDERERS), (CAPTIONS, ENDINGS))
+            for name in names
+            for ending in endings
+        ),
+    }
 )
 """Every file that a report can write."""
 

@@ -1,4 +1,4 @@
-"""The paper's numbers beside ours, as a table; and how a column of a claim is printed."""
+"""The paper's numbers beside the measured ones, as a table; and how a column of a claim is printed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
     notes = [f"{absent} of the paper's rows are of tasks or ablations that this spec does not run."] if absent else []
     return Table(
         "paper",
-        "Beside the paper",
+        "Comparison with the paper",
         ("Table", "Task", "Method"),
         tuple(columns),
         tuple(rows),

@@ -28,7 +28,7 @@ def outcome_words(verdict: VerdictReport, outcome: Outcome) -> str:
 
 
 def label(verdict: VerdictReport, judged: Judged) -> str:
-    """What became of a claim; of one that is tested in part, what became of that."""
+    """Return the outcome of a claim; of one that is tested in part, the outcome of that part."""
     if judged.outcome != "untested" or judged.part == "untested":
         return outcome_words(verdict, judged.outcome)
     return f"in part: {outcome_words(verdict, judged.part)}"

@@ -51,7 +51,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Judged:
-    """A claim and what became of it."""
+    """A claim and its outcome."""
 
     claim: Claim
     outcome: Outcome
@@ -257,15 +257,17 @@ def _absent(rows: _Rows, paper: Paper) -> list[str]:
     return [task_title(task) for task in dict.fromkeys(asked) if task not in rows.tasks]
 
 
+def _listed(names: Sequence[str]) -> str:
+    """`Goal1, Race1 and FormulaOne1`."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
 def _notes(frame: Frame, absent: list[str], seeds: int, spec: Spec | None) -> Iterable[str]:
     if absent:
         which = "is not in this spec: what claims say of it" if len(absent) == 1 else "are not in this spec: what claims say of them"
-        yield f"{' and '.join(absent)} {which} is not tested."
+        yield f"{_listed(absent)} {which} is not tested."
     if seeds == 1:
-        yield (
-            "One seed: intervals resample its worlds, so every verdict is about these models. What another training would give, "
-            "only more seeds can say."
-        )
+        yield "One seed: intervals resample its worlds, so every verdict is about these models. Add seeds to cover retraining."
     elif spec is not None and spec.training_seed is not None:
         yield f"All seeds share the models of training seed {spec.training_seed}, so every verdict is about these models."
     elif 1 < seeds <= COARSE:

@@ -76,7 +76,7 @@ def terminal(table: Table, width: int = 120) -> Group:
         if least <= width:
             break
     if attempt != attempts[0]:
-        notes.append(f"{width} columns are too narrow for everything; the files have it.")
+        notes.append(f"{'Columns' if len(attempt[0]) < len(every) else '± and intervals'} hidden; widen the terminal, or see the files.")
     return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
 
 

@@ -50,7 +50,7 @@ def detail_table(frame: Frame) -> Table:
         "Median and worst are over all episodes of a row: a mean cost is often carried by few of them.",
         "Jump² is the mean squared change between two executed actions. Case II is its share of the planner's iterations.",
     )
-    return Table("details", "More columns", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), meanings=meanings)
+    return Table("details", "Further metrics", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), meanings=meanings)
 
 
 def latency_table(frame: Frame) -> Table | None:

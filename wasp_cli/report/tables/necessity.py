@@ -90,15 +90,11 @@ def _notes(frame: Frame) -> Iterator[str]:
         several = len({identity.seed for identity in frame.judged}) > 1
         yield (
             f"{_thresholds(frame)}. [low, high] are 95 % intervals of a bootstrap with {RESAMPLES} resamples of "
-            + (
-                "the seeds."
-                if several
-                else "the worlds of one seed: they tell of other worlds for the same models, not of another training."
-            )
+            + ("the seeds." if several else "the worlds of one seed: they cover other layouts, not retraining.")
         )
         few = [METHODS[name].title for name, count in _branched(frame).items() if count < FEW]
         if few:
-            yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: hardly more than examples."
+            yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: too few to interpret."
     if frame.unbranched:
         have = "cell has" if len(frame.unbranched) == 1 else "cells have"
         yield (
