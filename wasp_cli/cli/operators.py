@@ -51,10 +51,11 @@ def operators(
     """
     from wasp_cli.console import out
     from wasp_cli.plan.plan import cells_with_keys
+    from wasp_cli.report.render.files import make_own, write_pages
     from wasp_cli.report.render.text import terminal
     from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
     from wasp_cli.report.summarize import wanted_cells
-    from wasp_cli.report.tables.severity_check import as_json, check_table, write_checks
+    from wasp_cli.report.tables.severity_check import as_json, check_table, judged
     from wasp_cli.run.session import restricted, run_spec
     from wasp_cli.spec.operators import operators_alone
 
@@ -64,7 +65,9 @@ def operators(
     wanted, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
     checks, frame = read_checks(loaded.spec, wanted)
     table = check_table(checks, frame)
-    files = write_checks(session.layout.reports(loaded.spec.name), table, checks)
+    folder = session.layout.reports(loaded.spec.name)
+    make_own(folder)
+    files = write_pages(folder, {}, [judged(table, checks)])
     if json:
         print_json(as_json(loaded.spec.name, checks, frame))
     else:

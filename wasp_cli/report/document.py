@@ -111,7 +111,7 @@ class Report:
         return [*pages, *figures]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        """The whole report as one page."""
+        """Render the whole report as one Markdown page."""
         parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
         if self.missing:
             lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
@@ -129,7 +129,7 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
-        """The whole report as one page that needs no other file."""
+        """Render the whole report as one self-contained HTML page."""
         verdict = None if self.verdict is None else verdict_html(self.verdict)
         return build_page(
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
@@ -139,7 +139,7 @@ class Report:
 
 
 def missing_words(frame: Frame) -> str:
-    """How much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
+    """Say how much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
     parts = []
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")

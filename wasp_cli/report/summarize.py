@@ -118,7 +118,7 @@ def _severity_check(spec: Spec, frame: Frame) -> Table | None:
 def wanted_cells(
     layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]], branched: Sequence[tuple[Cell, str]] = ()
 ) -> tuple[list[Wanted], list[str]]:
-    """The cells of a run with their places, and with what is known of why they are not there; and which records do not read.
+    """List the cells of a run with their places, and with what is known of why they are not there; and which records do not read.
 
     Args:
         layout: the results folder.
@@ -161,7 +161,7 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
     """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
 
-    Not as the spec would be laid out now: that imports the environments that it names, and these results may be a stranger's.
+    Not as the spec would be laid out now: that imports the environments that it names, and these results may be untrusted.
     """
     failed = _failed(layout)
     if not failed:
@@ -177,7 +177,7 @@ def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
 
 
 def identity_of(cell: Cell) -> CellIdentity:
-    """A cell of a plan as its rows name it."""
+    """Return a cell of a plan as its rows name it."""
     return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
 
 

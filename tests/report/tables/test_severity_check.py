@@ -13,10 +13,11 @@ from rich.console import Console
 
 from tests.report.invented_check import write_returns
 from wasp_cli.plan.grid import cells_of
+from wasp_cli.report.render.files import write_pages
 from wasp_cli.report.render.text import csv_text, markdown, terminal
 from wasp_cli.report.stats.frame import Frame, Wanted
 from wasp_cli.report.stats.severity_check import SeverityCheck, judge, read_checks
-from wasp_cli.report.tables.severity_check import as_json, check_table, write_checks
+from wasp_cli.report.tables.severity_check import as_json, check_table, judged
 from wasp_cli.spec.model import Spec, validate
 
 RETURNS = {None: 12.0, 0.5: 10.0, 0.7: 8.0, 0.1: 5.0, 0.6: 6.0}
@@ -156,7 +157,8 @@ def test_the_record_has_every_number_and_verdict(tmp_path: Path) -> None:
 def test_files_have_the_verdicts_and_the_terminal_has_room_at_80_columns(tmp_path: Path) -> None:
     checks, frame = read(spec_of(), tmp_path)
     table = check_table(checks, frame)
-    pages = {path.name: path.read_text(encoding="utf-8") for path in write_checks(tmp_path / "out", table, checks)}
+    files = write_pages(tmp_path, {}, [judged(table, checks)])
+    pages = {path.name: path.read_text(encoding="utf-8") for path in files}
     assert set(pages) == {"severity_check.md", "severity_check.csv", "severity_check.tex", "severity_check.html"}
     assert "- goal1 noisy: accepted: falls at every step; " in pages["severity_check.md"]
     assert pages["severity_check.csv"].startswith("task,operator,severity,return,return_sd,share,success,")

@@ -27,7 +27,7 @@ MEANINGS = (
 
 
 def numbers_table(verdict: VerdictReport) -> Table | None:
-    """Each printed number with ours, for the tasks that are here; None where the paper prints nothing of them."""
+    """Return each printed number beside the measured one, for the tasks that are here; None where the paper prints nothing of them."""
     keys = list(dict.fromkeys(key for row in verdict.rows for key in _columns(verdict, row)))
     if not verdict.rows:
         return None
@@ -39,7 +39,7 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
     return Table(
         "paper",
         "Comparison with the paper",
-        ("Table", "Task", "Method"),
+        LABELS,
         tuple(columns),
         tuple(rows),
         tuple(notes),
@@ -50,7 +50,7 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
 
 
 def title_of(who: Who) -> str:
-    """A row as tables call it; the whole method without a word for it."""
+    """Return the name of a row in tables; the whole method has none for its ablation."""
     return METHODS[who.method].title if who.variant == "full" else who_title(who.method, who.variant)
 
 

@@ -98,7 +98,7 @@ class VerdictReport:
     notes: tuple[str, ...]
 
     def having(self, outcome: Outcome) -> list[Judged]:
-        """The claims with an outcome."""
+        """Return the claims with an outcome."""
         return [judged for judged in self.claims if judged.outcome == outcome]
 
 
@@ -125,7 +125,7 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
 
 
 def decide(interval: Interval | None, threshold: float, relation: Relation) -> Outcome:
-    """The rule for one comparison; undecided without an interval."""
+    """Apply the rule to one comparison; undecided without an interval."""
     if interval is None:
         return "undecided"
     low, high = interval.low, interval.high
@@ -138,7 +138,7 @@ def decide(interval: Interval | None, threshold: float, relation: Relation) -> O
 
 
 def any_of(answers: Sequence[Answer]) -> Outcome:
-    """Of alternatives one is enough, and none of them holds only when each was tested."""
+    """Combine alternatives: one is enough, and none of them holds only when each was tested."""
     found = {answer.outcome for answer in answers}
     for outcome in ("holds", "untested", "undecided"):
         if outcome in found:
@@ -147,7 +147,7 @@ def any_of(answers: Sequence[Answer]) -> Outcome:
 
 
 def all_of(outcomes: Sequence[Outcome]) -> Outcome:
-    """One that does not hold settles it; otherwise all have to be tested, and all have to hold."""
+    """Combine questions: one that does not hold settles it; otherwise all have to be tested, and all have to hold."""
     for outcome in ("fails", "untested", "undecided"):
         if outcome in outcomes:
             return outcome

@@ -106,11 +106,11 @@ class SeverityCheck:
         return self.levels[len(self.levels) // 2]
 
     def changes(self) -> list[Difference | None]:
-        """For each severity the return less that of the next milder one (the first: of the Expert); None without a common episode."""
+        """Return per severity the return less that of the next milder one (the first: of the Expert); None without a common episode."""
         return [difference(level.returns, milder.returns) for milder, level in pairwise((self.expert, *self.levels))]
 
     def share(self, level: SeverityLevel) -> float | None:
-        """Share of the expert's return that a level keeps, over the episodes of both; None where that return is not positive."""
+        """Return the share of the expert's return that a level keeps, over the episodes of both; None where that return is not positive."""
         common = level.returns.keys() & self.expert.returns.keys()
         expert = sum(self.expert.returns[episode] for episode in sorted(common))
         return sum(level.returns[episode] for episode in sorted(common)) / expert if expert > 0 else None
@@ -140,7 +140,7 @@ _REMEDY = {"not accepted": "rescale it in the spec", "undecided": "more episodes
 
 
 def difference(returns: Returns, reference: Returns, share: float = 1.0) -> Difference | None:
-    """Mean and standard error of `returns - share * reference` over the episodes that both have; None without any."""
+    """Return mean and standard error of `returns - share * reference` over the episodes that both have; None without any."""
     common = sorted(returns.keys() & reference.keys())
     if not common:
         return None
@@ -207,12 +207,12 @@ def _loss(check: SeverityCheck) -> _Finding:
 
 
 def without_moderate(check: SeverityCheck) -> str:
-    """Why no severity of a check is held against the expert."""
+    """Say why no severity of a check is held against the expert."""
     return f"none of {len(check.levels)} severities is named {MODERATE}, and none is in the middle"
 
 
 def verdict_lines(checks: Sequence[SeverityCheck]) -> list[str]:
-    """`goal1 laggy: accepted: falls at every step; moderate keeps 66 % of the expert's return`, for each check."""
+    """Return `goal1 laggy: accepted: falls at every step; moderate keeps 66 % of the expert's return`, for each check."""
     return [f"{check.task} {check.variant}: {judge(check)}" for check in checks]
 
 
@@ -225,12 +225,12 @@ def require_accepted(checks: Sequence[SeverityCheck]) -> None:
 
 
 def number(value: float) -> str:
-    """A return as people read it: one decimal, or two digits where that says too little."""
+    """Print a return as people read it: one decimal, or two digits where that says too little."""
     return f"{value:.1f}" if abs(value) >= 1 else f"{value:.2g}"
 
 
 def read_checks(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[SeverityCheck], Frame]:
-    """The checks of a spec, by task and then by operator variant, and the frame that they are made from.
+    """Return the checks of a spec, by task and then by operator variant, and the frame that they are made from.
 
     Args:
         spec: for tasks, operators and seeds, in its own order.
@@ -241,7 +241,7 @@ def read_checks(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[SeverityChec
 
 
 def checks_of(spec: Spec, frame: Frame) -> list[SeverityCheck]:
-    """The checks in a frame, by task and then by operator variant, in the order of the spec."""
+    """Return the checks in a frame, by task and then by operator variant, in the order of the spec."""
     numbers = {cell.identity: cell for cell in frame.cells}
 
     def level(task: str, method: str, variant: str, severity: str | None, value: float | None) -> SeverityLevel:

@@ -42,7 +42,7 @@ class _Line(NamedTuple):
 
 
 def comparison_table(frame: Frame, reference: str = HUMAN) -> Table | None:
-    """Per task, measure and method: mean, interquartile mean, paired difference to a reference and probability of improvement over it.
+    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it.
 
     Args:
         frame: the cells; ablations are left out.
@@ -55,7 +55,7 @@ def comparison_table(frame: Frame, reference: str = HUMAN) -> Table | None:
 
 
 def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
-    """`comparison_table` for several references, without computing twice what they share; empty without any readable cell."""
+    """Make `comparison_table` for several references, without computing twice what they share; empty without any readable cell."""
     if not frame.cells:
         return []
     lines = [

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.stats.frame import Frame
 from wasp_cli.report.stats.severity_check import (
     KEPT,
@@ -39,7 +37,7 @@ CHANGE_NOTE = (
 
 
 def check_table(checks: Sequence[SeverityCheck], frame: Frame) -> Table:
-    """Per task the Expert, then each operator variant at every severity."""
+    """Tabulate per task the Expert, then each operator variant at every severity."""
     rows: list[Row] = []
     for task, own in groupby(checks, lambda check: check.task):
         of_task = list(own)
@@ -55,23 +53,12 @@ def check_table(checks: Sequence[SeverityCheck], frame: Frame) -> Table:
 
 
 def judged(table: Table, checks: Sequence[SeverityCheck]) -> Table:
-    """The table with the verdicts below it."""
+    """Return the table with the verdicts below it."""
     return replace(table, notes=(*table.notes, *verdict_lines(checks)))
 
 
-def write_checks(folder: Path, table: Table, checks: Sequence[SeverityCheck]) -> list[Path]:
-    """Write the table in every format; the verdicts stand below it where the format has room for them. Returns the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    whole = judged(table, checks)
-    paths = []
-    for ending, render in RENDERERS.items():
-        paths.append(folder / f"{table.name}.{ending}")
-        paths[-1].write_text(render(whole), encoding="utf-8")
-    return paths
-
-
 def as_json(name: str, checks: Sequence[SeverityCheck], frame: Frame) -> dict[str, Any]:
-    """Every number and verdict; null is undefined.
+    """Return every number and verdict; null is undefined.
 
     Args:
         name: of the spec.
