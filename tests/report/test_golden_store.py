@@ -65,7 +65,7 @@ def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Re
         "paper",
         "statistics",
         "severity",
-        "ladder",
+        "severity_check",
         "latency",
     }
     assert report.verdict is not None

@@ -31,12 +31,22 @@ from wasp_cli.store.tables import CellIdentity
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
 TABLES = (
-    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity", "ladder",
-    "details", "latency", "thresholds",
+    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
+    "severity_check", "details", "latency", "thresholds",
 )  # fmt: skip
+FORMER = "ladder"
+"""The name of `severity_check` in reports of earlier versions."""
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
-    {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
+    {
+        *PAGES,
+        *(
+            f"{name}.{ending}"
+            for names, endings in (((*TABLES, FORMER), RENDERERS), (CAPTIONS, ENDINGS))
+            for name in names
+            for ending in endings
+        ),
+    }
 )
 """Every file that a report can write."""
 
@@ -108,7 +118,7 @@ class Report:
         return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        """The whole report as one page."""
+        """Render the whole report as one Markdown page."""
         parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
         if self.missing:
             lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
@@ -126,7 +136,7 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
-        """The whole report as one page that needs no other file."""
+        """Render the whole report as one self-contained HTML page."""
         verdict = None if self.verdict is None else verdict_html(self.verdict)
         return build_page(
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
@@ -136,7 +146,7 @@ class Report:
 
 
 def missing_words(frame: Frame) -> str:
-    """How much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
+    """Say how much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
     parts = []
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")

@@ -89,7 +89,7 @@ class NodeFacts:
 
 
 def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
-    """Everything that the manifest of a node says, its files read and compared."""
+    """Collect everything that the manifest of a node says, its files read and compared."""
     provenance = mapping(node.setting("provenance"))
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
     return NodeFacts(
@@ -175,12 +175,12 @@ def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, 
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
-    """A value of a manifest that should be a mapping; an empty one where it is none."""
+    """Return a value of a manifest that should be a mapping; an empty one where it is none."""
     return value if isinstance(value, dict) else {}
 
 
 def node_lines(node: NodeFacts) -> Iterator[Text]:
-    """One section after the other; what is not known is left out."""
+    """Yield one section after the other; what is not known is left out."""
     yield Text(node.label, style="bold")
     yield _entry("kind", node.kind)
     yield _entry("key", node.key)

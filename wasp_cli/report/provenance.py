@@ -33,7 +33,7 @@ Assumption = tuple[str, Any, str]
 
 
 def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
-    """The last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
+    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
     found: dict[str, str] = {}
     damaged: list[str] = []
     for path in sorted(layout.runs.glob("*/plan.json")):
@@ -64,7 +64,7 @@ class Origins:
             self.published.append(manifest)
 
     def facts(self) -> Iterator[str]:
-        """One sentence for each version that computed published results, and which cells these are where not all are."""
+        """Yield one sentence for each version that computed published results, and which cells these are where not all are."""
         versions: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
         for manifest in self.published:
             version = str(manifest["provenance"].get("wasp", "of an unknown version"))
@@ -81,7 +81,7 @@ class Origins:
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:
-    """Whether an artifact of the store was brought in from the published layer."""
+    """Return whether an artifact of the store was brought in from the published layer."""
     return manifest["provenance"].get(FROM_PUBLISHED) is True
 
 
@@ -101,14 +101,14 @@ def _code_since(manifests: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Hash by module; a name that is none, which a stranger may have written, would be looked up as a path."""
+    """Hash by module; a name that is none, which untrusted results may have, would be looked up as a path."""
     sources = manifest.get("sources")
     known = sources.items() if isinstance(sources, Mapping) else ()
     return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}
 
 
 def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]) -> list[Part]:
-    """The trained parts that are not there, and that nothing needs: what a spec trains by name is there, as its cells are.
+    """List the trained parts that are not there, and that nothing needs: what a spec trains by name is there, as its cells are.
 
     Args:
         layout: the results folder.
@@ -120,13 +120,13 @@ def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Seq
 
 
 def absent_fact(absent: Sequence[Part]) -> str:
-    """Why parts are not there."""
+    """Say why parts are not there."""
     kinds = ", ".join(dict.fromkeys(part.kind for part in absent))
     return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
 
 
 def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
-    """The assumptions of the stages and methods that this spec uses."""
+    """Yield the assumptions of the stages and methods that this spec uses."""
     kinds: set[str] = set()
 
     def need(kind: str) -> None:
@@ -152,7 +152,7 @@ def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
 
 
 def assumptions_markdown(found: Sequence[Assumption]) -> str:
-    """A Markdown section: every value in force that is not the paper's."""
+    """Render a Markdown section: every value in force that is not the paper's."""
     lines = [
         "## Assumptions in force",
         "",

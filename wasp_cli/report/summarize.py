@@ -16,13 +16,13 @@ from wasp_cli.report.document import Report
 from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
-from wasp_cli.report.stats.severity_check import ladders_of
+from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.details import detail_table, latency_table, threshold_table
 from wasp_cli.report.tables.main import ablation_table, main_table
 from wasp_cli.report.tables.necessity import necessity_table
-from wasp_cli.report.tables.severity_check import judged, ladder_table
+from wasp_cli.report.tables.severity_check import check_table, judged
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
 from wasp_cli.report.trained.pages import with_warnings
@@ -86,7 +86,7 @@ def report_run(
         *comparison_tables(frame),
         operator_table(frame),
         severity_table(frame),
-        _ladder(spec, frame),
+        _severity_check(spec, frame),
         detail_table(frame),
         latency_table(frame),
         threshold_table(frame),
@@ -109,18 +109,18 @@ def report_run(
     )
 
 
-def _ladder(spec: Spec, frame: Frame) -> Table | None:
+def _severity_check(spec: Spec, frame: Frame) -> Table | None:
     """The operators alone, where cells without assistance stand beside the expert's."""
     if not {"human", "expert"} <= {identity.method for identity in frame.order}:
         return None
-    ladders = ladders_of(spec, frame)
-    return judged(ladder_table(ladders, frame), ladders)
+    checks = checks_of(spec, frame)
+    return judged(check_table(checks, frame), checks)
 
 
 def wanted_cells(
     layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]], branched: Sequence[tuple[Cell, str]] = ()
 ) -> tuple[list[Wanted], list[str]]:
-    """The cells of a run with their places, and with what is known of why they are not there; and which records do not read.
+    """List the cells of a run with their places, and with what is known of why they are not there; and which records do not read.
 
     Args:
         layout: the results folder.
@@ -163,7 +163,7 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
     """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
 
-    Not as the spec would be laid out now: that imports the environments that it names, and these results may be a stranger's.
+    Not as the spec would be laid out now: that imports the environments that it names, and these results may be untrusted.
     """
     failed = _failed(layout)
     if not failed:
@@ -179,7 +179,7 @@ def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
 
 
 def identity_of(cell: Cell) -> CellIdentity:
-    """A cell of a plan as its rows name it."""
+    """Return a cell of a plan as its rows name it."""
     return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
 
 

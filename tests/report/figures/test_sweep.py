@@ -11,7 +11,7 @@ import pytest
 
 from tests.report.swept import invent_sweep
 from wasp_cli.report.figures.by_axis import DASHES, MOST, positions, sweep_curves, sweep_figure, sweep_figures
-from wasp_cli.report.tables.sweep import Swept
+from wasp_cli.report.tables.by_axis import Swept
 from wasp_cli.store.tables import CellIdentity
 
 KEY = "diffusion.ratio"

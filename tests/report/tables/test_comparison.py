@@ -116,7 +116,7 @@ def test_severities_are_columns(frame: Frame) -> None:
     assert not any("Expert" in row.labels for row in table.rows)
 
 
-def test_one_severity_is_no_ladder(grid: Grid) -> None:
+def test_one_severity_is_no_table(grid: Grid) -> None:
     frame = read_frame([cell for cell in grid(seeds=(0,)) if cell.identity.value in (0.2, 0.5, None)])
     assert severity_table(frame) is None
 

@@ -133,5 +133,5 @@ def test_terminal_leaves_out_what_does_not_fit(width: int, spread: bool, delta: 
     text = console.export_text()
     assert ("±" in text, "+1.5" in text, "Extra" in text) == (spread, delta, optional)
     assert text.count("12.25") == (4 if optional else 2)
-    assert ("too narrow" in text) == (width < 100)
+    assert ("hidden; widen" in text) == (width < 100)
     assert "[red]b" in text  # a label is no markup

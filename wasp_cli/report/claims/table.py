@@ -1,4 +1,4 @@
-"""The paper's numbers beside ours, as a table; and how a column of a claim is printed."""
+"""The paper's numbers beside the measured ones, as a table; and how a column of a claim is printed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MEANINGS = (
 
 
 def numbers_table(verdict: VerdictReport) -> Table | None:
-    """Each printed number with ours, for the tasks that are here; None where the paper prints nothing of them."""
+    """Return each printed number beside the measured one, for the tasks that are here; None where the paper prints nothing of them."""
     keys = list(dict.fromkeys(key for row in verdict.rows for key in _columns(verdict, row)))
     if not verdict.rows:
         return None
@@ -38,8 +38,8 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
     notes = [f"{absent} of the paper's rows are of tasks or ablations that this spec does not run."] if absent else []
     return Table(
         "paper",
-        "Beside the paper",
-        ("Table", "Task", "Method"),
+        "Comparison with the paper",
+        LABELS,
         tuple(columns),
         tuple(rows),
         tuple(notes),
@@ -50,7 +50,7 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
 
 
 def title_of(who: Who) -> str:
-    """A row as tables call it; the whole method without a word for it."""
+    """Return the name of a row in tables; the whole method has none for its ablation."""
     return METHODS[who.method].title if who.variant == "full" else who_title(who.method, who.variant)
 
 

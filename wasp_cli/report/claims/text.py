@@ -23,19 +23,19 @@ SIDES = {
 
 
 def outcome_words(verdict: VerdictReport, outcome: Outcome) -> str:
-    """An outcome, with what it is about."""
+    """Return an outcome, with what it is about."""
     return PLAIN[outcome] + _about(verdict, outcome)
 
 
 def label(verdict: VerdictReport, judged: Judged) -> str:
-    """What became of a claim; of one that is tested in part, what became of that."""
+    """Return the outcome of a claim; of one that is tested in part, the outcome of that part."""
     if judged.outcome != "untested" or judged.part == "untested":
         return outcome_words(verdict, judged.outcome)
     return f"in part: {outcome_words(verdict, judged.part)}"
 
 
 def headline(verdict: VerdictReport) -> str:
-    """How many claims came out how."""
+    """Count the claims by their outcome, in a sentence."""
     parts = [_counted(len(found), outcome, verdict) for outcome in ("holds", "fails", "undecided") if (found := verdict.having(outcome))]
     rest = Counter(judged.part for judged in verdict.having("untested"))
     partly = [_counted(rest[outcome], outcome, verdict) for outcome in ("holds", "undecided") if rest[outcome]]
@@ -63,7 +63,7 @@ def _about(verdict: VerdictReport, outcome: Outcome) -> str:
 
 
 def untested(verdict: VerdictReport) -> str:
-    """One line about the claims of which nothing could be asked; empty when there are none."""
+    """Return one line about the claims of which nothing could be asked; empty when there are none."""
     found = [judged for judged in verdict.claims if judged.outcome == judged.part == "untested"]
     if not found:
         return ""
@@ -73,12 +73,12 @@ def untested(verdict: VerdictReport) -> str:
 
 
 def lacking(claims: Sequence[Judged]) -> list[str]:
-    """What is not there for some claims to be tested."""
+    """List what is not there for some claims to be tested."""
     return list(dict.fromkeys(answer.reason for judged in claims for answers in judged.answers for answer in answers if answer.reason))
 
 
 def sentence(answer: Answer) -> str:
-    """A comparison that was asked, with its numbers."""
+    """Put a tested comparison into words, with its numbers."""
     asked, column = answer.asked, COLUMN_OF[answer.asked.column]
     sides = [f"{title_of(asked.left)} {column.number(answer.left)}"]
     what = f"{task_title(asked.task)} {column.title}"
@@ -89,45 +89,45 @@ def sentence(answer: Answer) -> str:
 
 
 def interval_text(answer: Answer) -> str:
-    """The interval of what is held against the threshold, in brackets."""
+    """Print the interval of what is held against the threshold, in brackets."""
     column, signed = COLUMN_OF[answer.asked.column], answer.asked.right is not None
     interval = answer.estimate.interval if answer.estimate else None
     return " (no interval)" if interval is None else f" ({column.number(interval.low, signed)} to {column.number(interval.high, signed)})"
 
 
 def needed(answer: Answer) -> str:
-    """Where the interval has to lie."""
+    """Say where the interval has to lie."""
     shown = COLUMN_OF[answer.asked.column].number(answer.threshold, answer.asked.right is not None) if answer.threshold else "0"
     return f"{SIDES[answer.asked.relation]} {shown}"
 
 
 def answered(answer: Answer) -> str:
-    """A comparison that was asked, what came out, and what the paper prints of it."""
+    """Put a tested comparison into words, with its outcome and what the paper prints of it."""
     theirs = printed(answer)
     return f"{sentence(answer)}: {PLAIN[answer.outcome]}{f' (paper: {theirs})' if theirs else ''}"
 
 
 def printed(answer: Answer) -> str:
-    """The numbers of a comparison as the paper prints them; empty where it prints none."""
+    """Return the numbers of a comparison as the paper prints them; empty where it prints none."""
     found = [f"{number.mean:g}" for number in answer.printed if number is not None]
     return " and ".join(found) if answer.shown_in_print is not None else ""
 
 
 def beyond_print(judged: Judged) -> str:
-    """Where a claim says more than the paper's own numbers; empty where it does not."""
+    """Say where a claim says more than the paper's own numbers; empty where it does not."""
     found = [answer for answers in judged.beyond_print for answer in answers]
     shown = [f"{task_title(one.asked.task)} {COLUMN_OF[one.asked.column].title} {printed(one)}" for one in found]
     return f"The paper's own means do not show it: {few(shown)}." if shown else ""
 
 
 def deciding(judged: Judged) -> list[Answer]:
-    """The answers that made the outcome, of a claim in part that of the part."""
+    """Return the answers that made the outcome, of a claim in part that of the part."""
     outcome = judged.part if judged.outcome == "untested" else judged.outcome
     return [answer for answers in judged.answers if any_of(answers) == outcome for answer in answers if answer.outcome == outcome]
 
 
 def verdict_terminal(verdict: VerdictReport) -> Group:
-    """The claims that were tested, each with the comparisons that decided it, and what the others lack."""
+    """Render the claims that were tested, each with the comparisons that decided it, and what the others lack."""
     return Group(*(Text(line) if isinstance(line, str) else line for line in _terminal(verdict)))
 
 
@@ -148,7 +148,7 @@ def _terminal(verdict: VerdictReport) -> Iterator[Text | str]:
 
 
 def verdict_markdown(verdict: VerdictReport) -> str:
-    """A section: every claim with every comparison."""
+    """Render a section: every claim with every comparison."""
     lines = [f"## {TITLE}", "", f"*{verdict.paper.title}*. {headline(verdict)}", "", *(f"- {note}" for note in verdict.notes), ""]
     for judged in verdict.claims:
         if judged.outcome != "untested" or judged.part != "untested":

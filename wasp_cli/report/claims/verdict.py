@@ -51,7 +51,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Judged:
-    """A claim and what became of it."""
+    """A claim and its outcome."""
 
     claim: Claim
     outcome: Outcome
@@ -98,7 +98,7 @@ class VerdictReport:
     notes: tuple[str, ...]
 
     def having(self, outcome: Outcome) -> list[Judged]:
-        """The claims with an outcome."""
+        """Return the claims with an outcome."""
         return [judged for judged in self.claims if judged.outcome == outcome]
 
 
@@ -125,7 +125,7 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
 
 
 def decide(interval: Interval | None, threshold: float, relation: Relation) -> Outcome:
-    """The rule for one comparison; undecided without an interval."""
+    """Apply the rule to one comparison; undecided without an interval."""
     if interval is None:
         return "undecided"
     low, high = interval.low, interval.high
@@ -138,7 +138,7 @@ def decide(interval: Interval | None, threshold: float, relation: Relation) -> O
 
 
 def any_of(answers: Sequence[Answer]) -> Outcome:
-    """Of alternatives one is enough, and none of them holds only when each was tested."""
+    """Combine alternatives: one is enough, and none of them holds only when each was tested."""
     found = {answer.outcome for answer in answers}
     for outcome in ("holds", "untested", "undecided"):
         if outcome in found:
@@ -147,7 +147,7 @@ def any_of(answers: Sequence[Answer]) -> Outcome:
 
 
 def all_of(outcomes: Sequence[Outcome]) -> Outcome:
-    """One that does not hold settles it; otherwise all have to be tested, and all have to hold."""
+    """Combine questions: one that does not hold settles it; otherwise all have to be tested, and all have to hold."""
     for outcome in ("fails", "untested", "undecided"):
         if outcome in outcomes:
             return outcome
@@ -257,15 +257,17 @@ def _absent(rows: _Rows, paper: Paper) -> list[str]:
     return [task_title(task) for task in dict.fromkeys(asked) if task not in rows.tasks]
 
 
+def _listed(names: Sequence[str]) -> str:
+    """`Goal1, Race1 and FormulaOne1`."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
 def _notes(frame: Frame, absent: list[str], seeds: int, spec: Spec | None) -> Iterable[str]:
     if absent:
         which = "is not in this spec: what claims say of it" if len(absent) == 1 else "are not in this spec: what claims say of them"
-        yield f"{' and '.join(absent)} {which} is not tested."
+        yield f"{_listed(absent)} {which} is not tested."
     if seeds == 1:
-        yield (
-            "One seed: intervals resample its worlds, so every verdict is about these models. What another training would give, "
-            "only more seeds can say."
-        )
+        yield "One seed: intervals resample its worlds, so every verdict is about these models. Add seeds to cover retraining."
     elif spec is not None and spec.training_seed is not None:
         yield f"All seeds share the models of training seed {spec.training_seed}, so every verdict is about these models."
     elif 1 < seeds <= COARSE:

@@ -37,12 +37,12 @@ ACCENTS = {
 
 
 def latex(table: Table) -> str:
-    """A `table` environment, `table*` for a wide one, with the notes in its caption and in comments above it."""
+    """Render a `table` environment, `table*` for a wide one, with the notes in its caption and in comments above it."""
     return "\n".join(_lines(table)) + "\n"
 
 
 def escaped(text: str) -> str:
-    """Any text on one line, as LaTeX prints it; a character that plain pdfLaTeX does not have is named by its code point."""
+    """Return any text on one line, as LaTeX prints it; a character that plain pdfLaTeX does not have is named by its code point."""
     pieces = JOINED.split(unicodedata.normalize("NFC", " ".join(text.split())))
     return "".join(f"{piece}{{}}" if i % 2 else "".join(map(_escaped, piece)) for i, piece in enumerate(pieces))
 

@@ -16,7 +16,7 @@ from wasp_cli.report.tables.table import Row, Table
 
 
 def markdown(table: Table) -> str:
-    """A Markdown section: title, table with the best values bold, notes."""
+    """Render a Markdown section: title, table with the best values bold, notes."""
 
     def line(cells: list[str]) -> str:
         return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
@@ -33,7 +33,7 @@ def markdown(table: Table) -> str:
 
 
 def csv_text(table: Table) -> str:
-    """Unscaled numbers, one line per row; `_sd`, `_low`, `_high` and `_delta` columns where the table has any, `seeds` last."""
+    """Render CSV: unscaled numbers, a line per row; `_sd`, `_low`, `_high` and `_delta` columns where the table has any, `seeds` last."""
     parts = [_parts(row) for row in table.rows]
     shown = [("", *(name for name in PARTS[1:] if any(row[c][name] is not None for row in parts))) for c in range(len(table.columns))]
     out = io.StringIO()
@@ -59,14 +59,14 @@ def _parts(row: Row) -> list[dict[str, float | None]]:
 
 
 def plain(number: float | None) -> str | float:
-    """A number in a data file, empty where it is undefined. Twelve decimals: the last bits of a sum differ between machines."""
+    """Return a number for a data file, empty where it is undefined. Twelve decimals: the last bits of a sum differ between machines."""
     if number is None or not math.isfinite(number):
         return ""
     return round(number, 12) + (0.0 if isinstance(number, float) else 0)
 
 
 def terminal(table: Table, width: int = 120) -> Group:
-    """For a rich console of some width; best values are bold, second best underlined. What does not fit is left out, never cut off."""
+    """Render for a console of `width` characters; best values are bold, second best underlined. What does not fit is left out."""
     notes = list(table.notes)
     every = tuple(range(len(table.columns)))
     needed = tuple(c for c in every if not table.columns[c].optional)
@@ -76,7 +76,7 @@ def terminal(table: Table, width: int = 120) -> Group:
         if least <= width:
             break
     if attempt != attempts[0]:
-        notes.append(f"{width} columns are too narrow for everything; the files have it.")
+        notes.append(f"{'Columns' if len(attempt[0]) < len(every) else '± and intervals'} hidden; widen the terminal, or see the files.")
     return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
 
 

@@ -87,7 +87,7 @@ class _Clusters:
 
 @lru_cache(maxsize=8)
 def drawn(clusters: int) -> Floats:
-    """[R, K] how often each of K clusters is in each resample of K; do not write into it."""
+    """Return [R, K]: how often each of K clusters is in each resample of K; do not write into it."""
     # The raw stream of a bit generator is the same in every version of NumPy, unlike what its distributions make of it.
     bits = np.random.PCG64(SEED).random_raw((RESAMPLES, clusters)) >> np.uint64(32)
     picks = ((bits * np.uint64(clusters)) >> np.uint64(32)).astype(np.intp)
@@ -97,7 +97,7 @@ def drawn(clusters: int) -> Floats:
 
 
 def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
-    """Mean over seeds of the means of pooled cells, as tables print it (`statistics.summarise`); None where nothing defines it."""
+    """Return the mean over seeds of the means of pooled cells, as tables print it (`summarise`); None where nothing defines it."""
     cells = _defining(cells, key)
     value = summarise(cells, key).mean
     if value is None:
@@ -107,7 +107,7 @@ def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
 
 
 def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
-    """Interquartile mean over the cells of a row: the mean of the middle half of the sorted pooled cells.
+    """Return the interquartile mean over the cells of a row: the mean of the middle half of the sorted pooled cells.
 
     Each of C cells has the mass 1 / C, and a quarter of the mass is cut off on either side, from a cell in part where C / 4 is no whole
     number: of three cells the middle one counts four times as much as the others. Where it is whole, this is a mean trimmed by 25 %.
@@ -125,7 +125,7 @@ def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
 
 
 def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> Estimate | None:
-    """Mean of the paired differences to the cells of a reference under the same conditions (`statistics.paired_difference`)."""
+    """Return the mean of the paired differences to the cells of a reference under the same conditions (`paired_difference`)."""
     value = paired_difference(cells, reference, key)
     if value is None:
         return None
@@ -142,7 +142,7 @@ def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
 def improvement_over(
     cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str, better: Literal["up", "down"]
 ) -> Estimate | None:
-    """Probability of improvement (Agarwal et al. 2021): that an episode is better than one of the reference under the same condition.
+    """Return the probability of improvement (Agarwal et al. 2021) over a reference: that an episode is better under the same condition.
 
     Ties count one half: the Mann-Whitney U of the episodes of two cells of the same task, operator, severity and seed, divided by the
     number of pairs; then the mean over seeds of the means over conditions. 0.5 is no difference.

@@ -24,7 +24,7 @@ WEIGHT = "branches"
 
 
 def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
-    """The frame with `frame.JUDGED` and their weight `branches` as columns of the cells that have branches.
+    """Return the frame with `frame.JUDGED` and their weight `branches` as columns of the cells that have branches.
 
     An episode's number is the mean over its branched interventions, undefined where there are none; so is that of a cell. The cells that
     have rows, and not the branches that they should have, are named in `unbranched`.
@@ -69,7 +69,7 @@ def _require_cell(stored: Branches, cell: CellNumbers) -> None:
 
 
 def worth_of(stored: Branches) -> Judged:
-    """Eq. 19-21 of the branches of a cell."""
+    """Compute Eq. 19-21 from the branches of a cell."""
     cost, reward = stored.cost, stored.reward
     worth = necessity(cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R)
     return Judged(worth, stored.episode, stored.cell.window, stored.cell.tau_R)
@@ -87,7 +87,7 @@ def _with_columns(cell: CellNumbers, judged: Judged) -> CellNumbers:
 
 
 def numbers_of(worth: Necessity) -> dict[str, Floats]:
-    """[N] per column."""
+    """Return [N] per column: one number for each branched intervention."""
     return {
         "uir": worth.unnecessary.astype(np.float64),
         "rho": worth.rho,

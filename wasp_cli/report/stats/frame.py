@@ -94,8 +94,10 @@ class CellNumbers:
         return len(self.episodes["world"])
 
     def weighted(self, key: str) -> tuple[Floats, Floats]:
-        """[E] each: weight x value, and weight, of a column of WEIGHT_OF; both 0 where it is undefined. The pooled value is the ratio of
-        their sums."""
+        """Return [E] each: weight x value, and weight, of a column of WEIGHT_OF; both 0 where it is undefined.
+
+        The pooled value is the ratio of their sums.
+        """
         values, weight = self.episodes[key], WEIGHT_OF[key]
         mass = np.where(np.isnan(values), 0.0, 1.0 if weight is None else self.episodes[weight])
         return mass * np.nan_to_num(values), mass
@@ -144,12 +146,12 @@ class Group:
         return self.absent == 0
 
     def of_variant(self, variant: str) -> list[CellNumbers]:
-        """The cells of one operator variant."""
+        """Return the cells of one operator variant."""
         return [cell for cell in self.cells if cell.identity.variant == variant]
 
 
 def groups(frame: Frame) -> list[Group]:
-    """The rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
+    """List the rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
     rows: dict[tuple[str, str, str], list[CellNumbers]] = {row_of(identity): [] for identity in frame.order}
     for cell in frame.cells:
         rows.setdefault(row_of(cell.identity), []).append(cell)
@@ -161,7 +163,7 @@ def groups(frame: Frame) -> list[Group]:
 
 
 def row_of(identity: CellIdentity) -> tuple[str, str, str]:
-    """What the cells of a row have in common: task, method, ablation."""
+    """Return what the cells of a row have in common: task, method, ablation."""
     return identity.task, identity.method, identity.assistant_variant
 
 
@@ -208,7 +210,7 @@ def _read_closely(path: Path) -> Numbers:
 
 @contextmanager
 def odd_tables_refused(path: Path) -> Iterator[None]:
-    """What `store.tables` never writes, but a Parquet file may hold, is damage as well."""
+    """Raise StoreError inside the block also for what `store.tables` never writes, but a Parquet file may hold."""
     try:
         if not path.is_file():  # a pipe would hold the reader for ever
             raise StoreError(f"{path} is no plain file")
@@ -219,7 +221,7 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
 
 
 def absence(wanted: Wanted) -> str:
-    """Why something has no rows."""
+    """Say why something has no rows."""
     if wanted.failure:
         return f"failed: {wanted.failure}"
     return f"blocked by {wanted.blocked}" if wanted.blocked else "not computed yet"

@@ -1,4 +1,4 @@
-"""The simulated operators alone, held against the rule that accepts their severities.
+"""Check of the severities of the simulated operators, from Human-only beside the Expert.
 
 The rule, for one task and one operator variant, on the return of Human-only:
 
@@ -38,7 +38,7 @@ Returns = Mapping[tuple[int, int], float]
 
 
 @dataclass(frozen=True, eq=False)
-class Rung:
+class SeverityLevel:
     """Human-only at one severity, or the Expert."""
 
     severity: str | None
@@ -83,42 +83,42 @@ class Difference:
 
 
 @dataclass(frozen=True, eq=False)
-class Ladder:
+class SeverityCheck:
     """One operator variant on one task, from mild to severe, beside the Expert."""
 
     task: str
     variant: str
-    expert: Rung
-    rungs: tuple[Rung, ...]
+    expert: SeverityLevel
+    levels: tuple[SeverityLevel, ...]
     """One for each severity, in the order of the spec."""
 
     @property
     def absent(self) -> int:
         """Cells that are missing, those of the Expert too."""
-        return self.expert.absent + sum(rung.absent for rung in self.rungs)
+        return self.expert.absent + sum(level.absent for level in self.levels)
 
     @property
-    def moderate(self) -> Rung | None:
+    def moderate(self) -> SeverityLevel | None:
         """The severity that is held against the expert: that of this name, or the middle one; None where there is neither."""
-        named = [rung for rung in self.rungs if rung.severity == MODERATE]
-        if named or len(self.rungs) % 2 == 0:
+        named = [level for level in self.levels if level.severity == MODERATE]
+        if named or len(self.levels) % 2 == 0:
             return named[0] if named else None
-        return self.rungs[len(self.rungs) // 2]
+        return self.levels[len(self.levels) // 2]
 
     def changes(self) -> list[Difference | None]:
-        """For each severity the return less that of the next milder one (the first: of the Expert); None without a common episode."""
-        return [difference(rung.returns, milder.returns) for milder, rung in pairwise((self.expert, *self.rungs))]
+        """Return per severity the return less that of the next milder one (the first: of the Expert); None without a common episode."""
+        return [difference(level.returns, milder.returns) for milder, level in pairwise((self.expert, *self.levels))]
 
-    def share(self, rung: Rung) -> float | None:
-        """Share of the expert's return that a rung keeps, over the episodes of both; None where that return is not positive."""
-        common = rung.returns.keys() & self.expert.returns.keys()
+    def share(self, level: SeverityLevel) -> float | None:
+        """Return the share of the expert's return that a level keeps, over the episodes of both; None where that return is not positive."""
+        common = level.returns.keys() & self.expert.returns.keys()
         expert = sum(self.expert.returns[episode] for episode in sorted(common))
-        return sum(rung.returns[episode] for episode in sorted(common)) / expert if expert > 0 else None
+        return sum(level.returns[episode] for episode in sorted(common)) / expert if expert > 0 else None
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the rule says of a ladder, and why."""
+    """What the rule says of a check, and why."""
 
     outcome: Outcome
     reason: str
@@ -140,7 +140,7 @@ _REMEDY = {"not accepted": "rescale it in the spec", "undecided": "more episodes
 
 
 def difference(returns: Returns, reference: Returns, share: float = 1.0) -> Difference | None:
-    """Mean and standard error of `returns - share * reference` over the episodes that both have; None without any."""
+    """Return mean and standard error of `returns - share * reference` over the episodes that both have; None without any."""
     common = sorted(returns.keys() & reference.keys())
     if not common:
         return None
@@ -149,11 +149,11 @@ def difference(returns: Returns, reference: Returns, share: float = 1.0) -> Diff
     return Difference(float(np.mean(values)), se, len(values))
 
 
-def judge(ladder: Ladder) -> Verdict:
-    """Hold a ladder against the rule; of several findings the worst ones count."""
-    if ladder.absent:
-        return Verdict("incomplete", f"{ladder.absent} of its cells, or of the expert's, {'are' if ladder.absent > 1 else 'is'} missing")
-    findings = [*_steps(ladder), _loss(ladder)]
+def judge(check: SeverityCheck) -> Verdict:
+    """Hold a check against the rule; of several findings the worst ones count."""
+    if check.absent:
+        return Verdict("incomplete", f"{check.absent} of its cells, or of the expert's, {'are' if check.absent > 1 else 'is'} missing")
+    findings = [*_steps(check), _loss(check)]
     outcomes: tuple[Outcome, ...] = ("not accepted", "undecided", "accepted")
     worst = next(outcome for outcome in outcomes if any(finding.outcome == outcome for finding in findings))
     named = [finding for finding in findings if finding.outcome == worst]
@@ -161,43 +161,43 @@ def judge(ladder: Ladder) -> Verdict:
     return Verdict(worst, ": ".join(filter(None, ("; ".join(finding.text for finding in named), ", ".join(advice)))))
 
 
-def _steps(ladder: Ladder) -> Iterator[_Finding]:
+def _steps(check: SeverityCheck) -> Iterator[_Finding]:
     """What speaks against a return that falls with the severity; the step from the expert to the first one is not part of it."""
-    if len(ladder.rungs) == 1:
-        yield _Finding("accepted", "one severity alone, which nothing is compared with")
+    if len(check.levels) == 1:
+        yield _Finding("accepted", "only one severity; trend not tested")
         return
     falls = True
-    for milder, rung in pairwise(ladder.rungs):
-        change = difference(rung.returns, milder.returns)
+    for milder, level in pairwise(check.levels):
+        change = difference(level.returns, milder.returns)
         if change is None:  # the cells of a plan have the same episodes
-            raise ValueError(f"{ladder.task} {ladder.variant}: no episode is in both {milder.title} and {rung.title}")
+            raise ValueError(f"{check.task} {check.variant}: no episode is in both {milder.title} and {level.title}")
         if change.mean < 0:
             continue
         falls = False
         outcome: Outcome = "not accepted" if change.sure else "undecided"
         if outcome == "undecided":
-            text = f"from {milder.title} to {rung.title} it rises by {change}, which may be chance"
+            text = f"from {milder.title} to {level.title} it rises by {change}, which may be chance"
         elif change.mean == 0:
-            text = f"stays at {number(rung.mean)} from {milder.title} to {rung.title}"
+            text = f"stays at {number(level.mean)} from {milder.title} to {level.title}"
         else:
-            text = f"rises from {number(milder.mean)} ({milder.title}) to {number(rung.mean)} ({rung.title}), {change}"
+            text = f"rises from {number(milder.mean)} ({milder.title}) to {number(level.mean)} ({level.title}), {change}"
         yield _Finding(outcome, text, _REMEDY[outcome])
     if falls:
         yield _Finding("accepted", "falls at every step")
 
 
-def _loss(ladder: Ladder) -> _Finding:
+def _loss(check: SeverityCheck) -> _Finding:
     """Whether the moderate severity loses enough of the expert's return."""
-    rung = ladder.moderate
-    if rung is None:
-        return _Finding("accepted", f"how much it loses is not judged: {without_moderate(ladder)}")
-    share, above = ladder.share(rung), difference(rung.returns, ladder.expert.returns, KEPT)
+    level = check.moderate
+    if level is None:
+        return _Finding("accepted", f"how much it loses is not judged: {without_moderate(check)}")
+    share, above = check.share(level), difference(level.returns, check.expert.returns, KEPT)
     if above is None:
-        raise ValueError(f"{ladder.task} {ladder.variant}: no episode is in both {rung.title} and the expert")
+        raise ValueError(f"{check.task} {check.variant}: no episode is in both {level.title} and the expert")
     if share is None:
-        text = f"the expert's return is {number(ladder.expert.mean)}, so that no share of it is defined"
+        text = f"the expert's return is {number(check.expert.mean)}, so that no share of it is defined"
         return _Finding("undecided", text, "train the expert longer")
-    keeps = f"{rung.severity} keeps {100 * share:.0f} % of the expert's return"
+    keeps = f"{level.severity} keeps {100 * share:.0f} % of the expert's return"
     if above.mean <= 0:
         return _Finding("accepted", keeps)
     keeps += f", {above} above {100 * KEPT:.0f} % of it"
@@ -206,57 +206,57 @@ def _loss(ladder: Ladder) -> _Finding:
     return _Finding("undecided", f"{keeps}, which may be chance", _REMEDY["undecided"])
 
 
-def without_moderate(ladder: Ladder) -> str:
-    """Why no severity of a ladder is held against the expert."""
-    return f"none of {len(ladder.rungs)} severities is named {MODERATE}, and none is in the middle"
+def without_moderate(check: SeverityCheck) -> str:
+    """Say why no severity of a check is held against the expert."""
+    return f"none of {len(check.levels)} severities is named {MODERATE}, and none is in the middle"
 
 
-def verdict_lines(ladders: Sequence[Ladder]) -> list[str]:
-    """`goal1 laggy: accepted: falls at every step; moderate keeps 66 % of the expert's return`, for each ladder."""
-    return [f"{ladder.task} {ladder.variant}: {judge(ladder)}" for ladder in ladders]
+def verdict_lines(checks: Sequence[SeverityCheck]) -> list[str]:
+    """Return `goal1 laggy: accepted: falls at every step; moderate keeps 66 % of the expert's return`, for each check."""
+    return [f"{check.task} {check.variant}: {judge(check)}" for check in checks]
 
 
-def require_accepted(ladders: Sequence[Ladder]) -> None:
+def require_accepted(checks: Sequence[SeverityCheck]) -> None:
     """Raise NotAccepted when an operator does not keep the rule; what is undecided is no failure."""
-    names = [f"{ladder.task} {ladder.variant}" for ladder in ladders if judge(ladder).outcome == "not accepted"]
+    names = [f"{check.task} {check.variant}" for check in checks if judge(check).outcome == "not accepted"]
     if names:
-        text = f"{len(names)} of {len(ladders)} operators {'are' if len(names) > 1 else 'is'} not accepted: {', '.join(names)}"
+        text = f"{len(names)} of {len(checks)} operators {'are' if len(names) > 1 else 'is'} not accepted: {', '.join(names)}"
         raise NotAccepted(text, "change its severities in the spec, and say so there")
 
 
 def number(value: float) -> str:
-    """A return as people read it: one decimal, or two digits where that says too little."""
+    """Print a return as people read it: one decimal, or two digits where that says too little."""
     return f"{value:.1f}" if abs(value) >= 1 else f"{value:.2g}"
 
 
-def read_ladders(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[Ladder], Frame]:
-    """The ladders of a spec, by task and then by operator variant, and the frame that they are made from.
+def read_checks(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[SeverityCheck], Frame]:
+    """Return the checks of a spec, by task and then by operator variant, and the frame that they are made from.
 
     Args:
         spec: for tasks, operators and seeds, in its own order.
         wanted: its cells of Human-only and of the Expert; of other methods nothing is taken.
     """
     frame = read_frame(wanted)
-    return ladders_of(spec, frame), frame
+    return checks_of(spec, frame), frame
 
 
-def ladders_of(spec: Spec, frame: Frame) -> list[Ladder]:
-    """The ladders in a frame, by task and then by operator variant, in the order of the spec."""
+def checks_of(spec: Spec, frame: Frame) -> list[SeverityCheck]:
+    """Return the checks in a frame, by task and then by operator variant, in the order of the spec."""
     numbers = {cell.identity: cell for cell in frame.cells}
 
-    def rung(task: str, method: str, variant: str, severity: str | None, value: float | None) -> Rung:
+    def level(task: str, method: str, variant: str, severity: str | None, value: float | None) -> SeverityLevel:
         identities = [CellIdentity(task, method, "full", variant, value, seed) for seed in spec.seeds]
         cells = tuple(numbers[identity] for identity in identities if identity in numbers)
         returns = {place: value for cell in cells for place, value in _returns(cell).items()}
-        return Rung(severity, value, returns, cells, len(identities) - len(cells))
+        return SeverityLevel(severity, value, returns, cells, len(identities) - len(cells))
 
-    ladders = []
+    checks = []
     for task in spec.tasks:
-        expert = rung(task, "expert", UNIMPAIRED, None, None)
+        expert = level(task, "expert", UNIMPAIRED, None, None)
         for variant, severities in spec.operators.items():
-            rungs = (rung(task, "human", variant, name, value) for name, value in severities.items())
-            ladders.append(Ladder(task, variant, expert, tuple(rungs)))
-    return ladders
+            levels = (level(task, "human", variant, name, value) for name, value in severities.items())
+            checks.append(SeverityCheck(task, variant, expert, tuple(levels)))
+    return checks
 
 
 def _returns(cell: CellNumbers) -> dict[tuple[int, int], float]:

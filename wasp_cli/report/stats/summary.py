@@ -48,7 +48,7 @@ UNDEFINED = Value(None, ranked=False)
 
 
 def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
-    """Per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
+    """Return per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
     by_seed: dict[int, list[float]] = {}
     for cell in cells:
         number = cell.pooled.get(key, math.nan)
@@ -58,7 +58,7 @@ def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
 
 
 def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
-    """Mean and sample standard deviation of seed-level numbers."""
+    """Return mean and sample standard deviation of seed-level numbers."""
     numbers = list(means)
     if not numbers:
         return UNDEFINED
@@ -68,12 +68,12 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
 
 
 def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
-    """A pooled column over cells: mean over seeds of the seed-level means."""
+    """Summarise a pooled column over cells: mean over seeds of the seed-level means."""
     return over_seeds(seed_means(cells, key).values(), ranked)
 
 
 def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]) -> Value:
-    """A statistic of a column over the episodes of all cells together; it has no spread."""
+    """Reduce a column [E] over the episodes of all cells together; the value has no spread."""
     columns = [cell.episodes[key] for cell in cells]
     defined = np.concatenate([column[~np.isnan(column)] for column in columns]) if columns else np.empty(0)
     if not len(defined):
@@ -82,7 +82,7 @@ def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floa
 
 
 def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:
-    """Mean difference to the reference over the cells that both have (same task, operator, severity and seed)."""
+    """Return the mean difference to the reference over the cells that both have (same task, operator, severity and seed)."""
     by_condition = {condition(cell.identity): cell.pooled.get(key, math.nan) for cell in reference}
     differences: dict[int, list[float]] = {}
     for cell in cells:
@@ -93,12 +93,12 @@ def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumb
 
 
 def distinct_resamples(seeds: int) -> int:
-    """How many different bootstrap resamples a number of seeds has: C(2n - 1, n)."""
+    """Count the different bootstrap resamples that a number of seeds has: C(2n - 1, n)."""
     return math.comb(2 * seeds - 1, seeds) if seeds > 0 else 0
 
 
 def spread_note(cells: Sequence[CellNumbers]) -> str:
-    """What the ± of a table means, and how much it can be trusted."""
+    """Say what the ± of a table means, and how much it can be trusted."""
     seeds = len({cell.identity.seed for cell in cells})
     if not seeds:
         return "No cell has been computed yet."
@@ -112,5 +112,5 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
 
 
 def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
-    """What two cells have in common that can be compared in pairs: task, operator, severity and seed."""
+    """Return what two cells have in common that can be compared in pairs: task, operator, severity and seed."""
     return identity.task, identity.variant, identity.value, identity.seed

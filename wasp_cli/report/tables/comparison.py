@@ -1,4 +1,4 @@
-"""How sure the numbers of Table 1 are, and how the methods compare with a reference: `statistics`, and `statistics_best`."""
+"""Confidence intervals of the numbers of Table 1, and how the methods compare with a reference: `statistics`, and `statistics_best`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class _Line(NamedTuple):
 
 
 def comparison_table(frame: Frame, reference: str = HUMAN) -> Table | None:
-    """Per task, measure and method: mean, interquartile mean, paired difference to a reference and probability of improvement over it.
+    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it.
 
     Args:
         frame: the cells; ablations are left out.
@@ -55,7 +55,7 @@ def comparison_table(frame: Frame, reference: str = HUMAN) -> Table | None:
 
 
 def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
-    """`comparison_table` for several references, without computing twice what they share; empty without any readable cell."""
+    """Make `comparison_table` for several references, without computing twice what they share; empty without any readable cell."""
     if not frame.cells:
         return []
     lines = [
@@ -84,7 +84,9 @@ def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Ta
     difference = Column("difference", f"Difference to {against}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
     notes = (*_interval_notes(rows), *_reference_notes(chosen, reference), *missing_notes(frame))
-    name, title = ("statistics_best", "Compared with the best other method") if reference == BEST else ("statistics", "How sure")
+    name, title = (
+        ("statistics_best", "Compared with the best other method") if reference == BEST else ("statistics", "Confidence intervals")
+    )
     return Table(name, title, ("Task", "Measure", "Method"), columns, tuple(rows), notes, MEANINGS, grouping=2)
 
 
@@ -128,7 +130,7 @@ def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
         yield f"Resampled are {count} seeds, each with its models and worlds; {distinct_resamples(count):,} resamples differ{coarse}."
     if worlds:
         counts = " or ".join(map(str, worlds))
-        yield f"Resampled are the {counts} worlds of one seed: intervals tell of other worlds for the same models, not of another training."
+        yield f"Resampled are the {counts} worlds of one seed: intervals cover other layouts, not retraining."
     yield f"These are {len(found)} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
 
 
@@ -140,4 +142,4 @@ def _reference_notes(chosen: Sequence[_Line], reference: str) -> Iterator[str]:
         for task, found in groupby(chosen, lambda line: line.group.task):
             named = ", ".join(f"{line.measure.title} {assistant_title(line.group)}" for line in found)
             yield f"Best other methods on {task_title(task)}: {named}."
-        yield "They were chosen on these very episodes, which flatters them a little."
+        yield "They were chosen on the same episodes, which flatters them a little."

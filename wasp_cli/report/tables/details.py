@@ -41,7 +41,7 @@ REDUCE: dict[str, Callable[[Floats], float]] = {"median": np.median, "worst": np
 
 
 def detail_table(frame: Frame) -> Table:
-    """The stored columns that Table 1 leaves out."""
+    """Tabulate the stored columns that Table 1 leaves out."""
     rows = []
     for group in full_groups(frame):
         spread = (over_episodes(group.cells, "cost", np.median), over_episodes(group.cells, "cost", np.max))
@@ -50,11 +50,11 @@ def detail_table(frame: Frame) -> Table:
         "Median and worst are over all episodes of a row: a mean cost is often carried by few of them.",
         "Jump² is the mean squared change between two executed actions. Case II is its share of the planner's iterations.",
     )
-    return Table("details", "More columns", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), meanings=meanings)
+    return Table("details", "Further metrics", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), meanings=meanings)
 
 
 def latency_table(frame: Frame) -> Table | None:
-    """Per task and method the median and 95th percentile of the time of a decision, in milliseconds; None where nothing has been timed."""
+    """Tabulate per task and method median and 95th percentile of the time of a decision (ms); None where nothing has been timed."""
     rows = [
         Row(labels_of(group), tuple(over_episodes(group.cells, name, REDUCE[over]) for name in TIMES for over in REDUCE))
         for group in full_groups(frame)
@@ -70,7 +70,7 @@ def latency_table(frame: Frame) -> Table | None:
 
 
 def threshold_table(frame: Frame) -> Table:
-    """Per task and assistant the mean threshold over seeds; without rows when no method has one."""
+    """Tabulate per task and assistant the mean threshold over seeds; without rows when no method has one."""
     rows = []
     for group in groups(frame):
         numbers = tuple(_threshold(group.cells, column.key) for column in THRESHOLD_COLUMNS)

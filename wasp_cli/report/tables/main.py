@@ -37,7 +37,7 @@ REFERENCE_NOTE = "Expert is the unimpaired operator without assistance, for refe
 
 
 def main_table(frame: Frame) -> Table:
-    """Table 1: per task and method the mean over all operator variants and severities."""
+    """Make Table 1: per task and method the mean over all operator variants and severities."""
     columns = PAPER_COLUMNS + MORE_COLUMNS
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
@@ -47,12 +47,12 @@ def main_table(frame: Frame) -> Table:
 
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
-    """The numbers of a row."""
+    """Return the numbers of a row."""
     return tuple(part_of(group, group.cells, column) for column in columns)
 
 
 def missing_notes(frame: Frame) -> list[str]:
-    """One line when cells are missing; the report names each of them."""
+    """Return one line when cells are missing; the report names each of them."""
     if not frame.missing:
         return []
     total = len(frame.cells) + len(frame.missing)
@@ -60,7 +60,7 @@ def missing_notes(frame: Frame) -> list[str]:
 
 
 def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
-    """A column over some of the cells of a row."""
+    """Summarise a column over some of the cells of a row."""
     if not cells:
         return UNDEFINED
     value = summarise(cells, column.key)
@@ -70,17 +70,17 @@ def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value
 
 
 def full_groups(frame: Frame) -> list[Group]:
-    """The rows of assistants as a whole, without ablations."""
+    """List the rows of assistants as a whole, without ablations."""
     return [group for group in groups(frame) if group.assistant_variant == "full"]
 
 
 def labels_of(group: Group) -> tuple[str, str]:
-    """Task and method of a row."""
+    """Return task and method of a row."""
     return task_title(group.task), assistant_title(group)
 
 
 def ablation_table(frame: Frame) -> Table | None:
-    """Per task and variant the values and, in brackets, the paired difference to the full method; None without ablations."""
+    """Make Table 2: per task and variant the values and, in brackets, the paired difference to the full method; None without ablations."""
     found = groups(frame)
     ablated = {group.method for group in found if group.assistant_variant != "full"}
     found = sorted((group for group in found if group.method in ablated), key=_order(found))

@@ -35,7 +35,7 @@ MEANINGS = (
 
 
 def necessity_table(frame: Frame) -> Table | None:
-    """Table `figure3`; None where no interventions were to be branched.
+    """Make table `figure3`; None where no interventions were to be branched.
 
     Args:
         frame: with branches (`report.stats.branches.with_branches`).
@@ -55,7 +55,7 @@ def necessity_table(frame: Frame) -> Table | None:
 
 
 def judged_groups(frame: Frame) -> Iterator[Group]:
-    """The rows whose interventions were to be branched, each with the cells that have branches; the others are absent."""
+    """Yield the rows whose interventions were to be branched, each with the cells that have branches; the others are absent."""
     gaps = Counter(row_of(gap.identity) for gap in frame.unbranched)
     for group in groups(frame):
         cells = tuple(cell for cell in group.cells if cell.identity in frame.judged)
@@ -64,12 +64,12 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
 
 
 def row_title(group: Group) -> str:
-    """The method of a row, with its ablation where it is one."""
+    """Return the method of a row, with its ablation where it is one."""
     return assistant_title(group, ablation=group.assistant_variant != "full")
 
 
 def estimated(group: Group, column: Column) -> Value:
-    """A column of a row with its interval."""
+    """Return a column of a row with its interval."""
     estimate = mean_of(group.cells, column.key) if group.cells else None
     value = part_of(group, group.cells, column)
     return value if estimate is None else replace(value, interval=estimate.interval)
@@ -90,15 +90,11 @@ def _notes(frame: Frame) -> Iterator[str]:
         several = len({identity.seed for identity in frame.judged}) > 1
         yield (
             f"{_thresholds(frame)}. [low, high] are 95 % intervals of a bootstrap with {RESAMPLES} resamples of "
-            + (
-                "the seeds."
-                if several
-                else "the worlds of one seed: they tell of other worlds for the same models, not of another training."
-            )
+            + ("the seeds." if several else "the worlds of one seed: they cover other layouts, not retraining.")
         )
         few = [METHODS[name].title for name, count in _branched(frame).items() if count < FEW]
         if few:
-            yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: hardly more than examples."
+            yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: too few to interpret."
     if frame.unbranched:
         have = "cell has" if len(frame.unbranched) == 1 else "cells have"
         yield (

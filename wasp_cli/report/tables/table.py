@@ -40,14 +40,14 @@ class Column:
         return self.title + {"up": " ↑", "down": " ↓", None: ""}[self.better]
 
     def number(self, value: float | None, sign: bool = False) -> str:
-        """A printed number; no negative zero."""
+        """Print a number; no negative zero."""
         if value is None or not math.isfinite(value):
             return MISSING
         rounded = round(value * self.scale, self.digits) + 0.0
         return f"{rounded:{'+' if sign else ''}.{self.digits}f}"
 
     def cell(self, value: Value, spread: bool = True, delta: bool = True) -> str:
-        """`mean ± sd [low, high] (difference)`."""
+        """Print `mean ± sd [low, high] (difference)`."""
         if value.mean is None:
             return MISSING
         text = self.number(value.mean, self.signed)
@@ -106,19 +106,19 @@ class Table:
         object.__setattr__(self, "seconds", frozenset(where for where, place, last in placed if place == 1 and last > 1))
 
     def group(self, row: int) -> tuple[str, ...]:
-        """What a row is compared within."""
+        """Return what a row is compared within."""
         return self.rows[row].labels[: self.grouping] if self.grouped else ()
 
     def starts_group(self, row: int) -> bool:
-        """Whether a row is the first of its group."""
+        """Return whether a row is the first of its group."""
         return row == 0 or self.group(row) != self.group(row - 1)
 
     def text(self, row: int, column: int, spread: bool = True, delta: bool = True) -> str:
-        """A value as it is printed."""
+        """Print a value."""
         return self._column(row, column).cell(self.rows[row].values[column], spread, delta)
 
     def shown_labels(self, row: int) -> list[str]:
-        """The labels of a row as people read them: a group is named once."""
+        """Return the labels of a row as people read them: a group is named once."""
         labels = list(self.rows[row].labels)
         if self.grouped and not self.starts_group(row):
             labels[: self.grouping] = [""] * self.grouping

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def task_table(tasks: Sequence[Description]) -> Table:
-    """A row per task."""
+    """Make a row per task."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("Task", "Spaces", "Costs", "Limit"):
         table.add_column(heading, no_wrap=True)

@@ -18,17 +18,17 @@ ABLATIONS = {
 
 
 def task_title(task: str) -> str:
-    """A task in tables."""
+    """Return the name of a task in tables."""
     return TASKS[task].title
 
 
 def operator_title(variant: str) -> str:
-    """An operator variant in tables."""
+    """Return the name of an operator variant in tables."""
     return "Unimpaired" if variant == UNIMPAIRED else OPERATORS[variant].title
 
 
 def assistant_title(group: Group, ablation: bool = False) -> str:
-    """The label of a row; an incomplete one says of how many cells it is the mean."""
+    """Return the label of a row; an incomplete one says of how many cells it is the mean."""
     title = who_title(group.method, group.assistant_variant) if ablation else METHODS[group.method].title
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
@@ -36,5 +36,5 @@ def assistant_title(group: Group, ablation: bool = False) -> str:
 
 
 def who_title(method: str, variant: str) -> str:
-    """A method with one of its ablations."""
+    """Return the name of a method with one of its ablations."""
     return f"{METHODS[method].title}, {ABLATIONS.get(variant, variant)}"
