@@ -117,7 +117,10 @@ def test_the_second_round_trains_on_the_first_and_on_what_wasp_did(results: Path
     assert told["wasp"]["steps"] > 0
     upstream = json.loads((of_round(results, "world_model", 2) / "manifest.json").read_text())["upstream"]
     assert upstream == {"dataset": after.name, "previous": of_round(results, "world_model", 1).name}
-    reading = {"world_model": ("latents", "policies", "critics", "heldout", "residual"), "latents": ("policies", "critics", "ida_q", "denoiser")}
+    reading = {
+        "world_model": ("latents", "policies", "critics", "heldout", "residual"),
+        "latents": ("policies", "critics", "ida_q", "denoiser"),
+    }
     for needed, kinds in reading.items():
         for kind in kinds:
             read = json.loads((of_round(results, kind, 2) / "manifest.json").read_text())["upstream"]

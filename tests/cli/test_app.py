@@ -269,13 +269,13 @@ def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(fakes: F
 
 def test_a_second_run_computes_nothing(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     first = wasp("run", small_spec, "--results", tmp_path / "results", "-j", "0", fake=True)
-    assert (first.returncode, "34 computed" in first.stderr) == (0, True), first.stderr
-    assert "[34/34] done" in first.stderr
+    assert (first.returncode, "36 computed" in first.stderr) == (0, True), first.stderr
+    assert "[36/36] done" in first.stderr
     start = time.perf_counter()
     second = wasp("run", small_spec, "--results", tmp_path / "results", fake=True)
     assert time.perf_counter() - start < 10
-    assert "0 computed, 34 computed before" in second.stderr
-    assert len(fakes.executions()) == 34
+    assert "0 computed, 36 computed before" in second.stderr
+    assert len(fakes.executions()) == 36
 
 
 def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Path) -> None:
@@ -291,6 +291,6 @@ def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Pa
 def test_doctor_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:
     done = wasp("doctor", "--results", tmp_path / "results")
     assert done.returncode == 0
-    for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "OpenGL", "results"):
+    for word in ("Python", "torch", "mujoco", "cores", "memory", "GPU", "results"):
         assert word in done.stdout
     assert not (tmp_path / "results").exists()
