@@ -30,7 +30,7 @@ from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.report.statistics import over_seeds
+from wasp_cli.report.stats.summary import over_seeds
 
 STEPS = 50
 

@@ -37,6 +37,7 @@ from wasp_cli.operators.laggy import LaggyOperator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.plan.part import Part
 from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.pages import signals_markdown
 from wasp_cli.report.trained.table import training_tables
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import DEFAULT_STAGES, validate
@@ -314,6 +315,7 @@ def test_the_stage_judges_every_operator_that_can_be_built(
     assert list(found["curves"]) == ["0.99"]
     assert summaries[0]["auprc"] == pytest.approx(found["sets"]["all"]["signals"][GATE]["auprc"], abs=5e-4)
     assert summaries[0]["auprc_bootstrap"] == pytest.approx(found["sets"]["all"]["signals"][bootstrap(0.95)]["auprc"], abs=5e-4)
+    assert "limited-skill 0.5" in signals_markdown(found)
 
 
 def test_the_report_shows_the_gate_where_it_was_judged() -> None:

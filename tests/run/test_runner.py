@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.run.harness import Fakes, data_of, prepared, run
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.journal import read_journal
 from wasp_cli.run.order import Order, Outcome
 from wasp_cli.run.pool import InlinePool, LokyPool

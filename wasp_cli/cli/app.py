@@ -157,7 +157,7 @@ def report(
     """Print the tables of what has run, and write them, the figures and one HTML page, from the results folder alone."""
     from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
     from wasp_cli.report.document import missing_words
-    from wasp_cli.report.runs import last_runs
+    from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
     from wasp_cli.spec.paper import load_paper
 
@@ -263,7 +263,7 @@ def tasks(
     from dataclasses import asdict
 
     from wasp_cli.console import out
-    from wasp_cli.report.task_table import task_table
+    from wasp_cli.report.tables.tasks import task_table
     from wasp_cli.tasks.describe import describe
 
     found = describe()

@@ -3,7 +3,8 @@ from __future__ import annotations
 from typing import Any
 
 from wasp_cli.plan.part import Part
-from wasp_cli.report.table import Table, csv_text, markdown
+from wasp_cli.report.render.text import csv_text, markdown
+from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.table import training_tables
 

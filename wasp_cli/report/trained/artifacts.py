@@ -9,8 +9,8 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.reused import Origins, is_from_published
-from wasp_cli.report.titles import task_title
+from wasp_cli.report.provenance import Origins, is_from_published
+from wasp_cli.report.tables.titles import task_title
 from wasp_cli.spec.names import OF_CELLS
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout

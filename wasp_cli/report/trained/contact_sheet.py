@@ -20,6 +20,8 @@ BEHAVIOURS = 40
 """Behaviours that are drawn at most."""
 FRAME, GAP, EDGE, TITLE, CAPTION = 128, 8, 3, 26, 18
 """Sides and heights in px; a camera image is shown at twice its size."""
+NAME = 200
+"""Characters of a name that are drawn at most."""
 COSTLY = (214, 39, 40)
 _INK, _PAPER = (20, 20, 20), (255, 255, 255)
 _BATCH = 256
@@ -68,7 +70,7 @@ def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
     decision = np.arange(len(steps.first)) - np.maximum.accumulate(np.where(steps.first, np.arange(len(steps.first)), 0))
     for line, name in enumerate(names):
         top = GAP + line * block
-        draw.text((GAP, top + 3), f"{name}: front over rear", _INK, font)
+        draw.text((GAP, top + 3), f"{name[:NAME]}: front over rear", _INK, font)
         for column, row in enumerate(chosen[name].tolist()):
             x, y = GAP + column * (FRAME + 2 * EDGE + GAP), top + TITLE
             colour = COSTLY if steps.cost[row] else _PAPER
@@ -77,7 +79,7 @@ def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
                 image = Image.fromarray(np.ascontiguousarray(images[row][3 * camera : 3 * camera + 3].transpose(1, 2, 0)))
                 sheet.paste(image.resize((FRAME, FRAME), Image.Resampling.NEAREST), (x + EDGE, y + EDGE + camera * (FRAME + EDGE)))
             by = " + ".join(kind for kind, costs in zip(steps.names, steps.sources[row], strict=True) if costs)
-            text = _fitting(by or f"episode {steps.episode[row]}, step {decision[row]}", small)
+            text = _fitting(by[:NAME] or f"episode {steps.episode[row]}, step {decision[row]}", small)
             draw.text((x + EDGE, y + 2 * FRAME + 3 * EDGE + 1), text, colour if by else _INK, small)
     sheet.save(path, format="PNG")
 
@@ -138,4 +140,4 @@ def _fitting(text: str, font: Any) -> str:
     """As much of a text as a frame is wide."""
     if font.getlength(text) <= FRAME:
         return text
-    return next(short for end in range(min(len(text), FRAME) - 1, -1, -1) if font.getlength(short := text[:end] + "...") <= FRAME)
+    return next(short for end in range(len(text) - 1, -1, -1) if font.getlength(short := text[:end] + "...") <= FRAME)

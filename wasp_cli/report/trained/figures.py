@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wasp_cli.report.figure import PALETTE, drawn, figure_files
-from wasp_cli.report.titles import task_title
+from wasp_cli.report.figures.style import PALETTE, drawn, figure_files
+from wasp_cli.report.tables.titles import task_title
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.curves import LOSSES, STEPS, Curve, Reliability, driving_curves, loss_curves, reliabilities
 from wasp_cli.report.trained.lines import Line, draw_lines

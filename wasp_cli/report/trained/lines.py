@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wasp_cli.report.figure import PALETTE
+from wasp_cli.report.figures.style import PALETTE
 from wasp_cli.report.trained.read import Floats
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wasp_cli.report.figure import PALETTE, drawn
+from wasp_cli.report.figures.style import PALETTE, drawn
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.curves import STEPS
 from wasp_cli.report.trained.lines import GREY, Line, draw_lines
@@ -37,6 +37,10 @@ PAIRS = 5_000_000
 """Decisions that a file of pairs may have."""
 OPERATORS = 200
 """Operators of the gate signals that are drawn at most."""
+NAME = 60
+"""Characters of a name that are drawn at most."""
+HORIZON = 500
+"""Imagined steps that are drawn at most."""
 TICKS = (0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 7.0, 10.0)
 
 
@@ -143,7 +147,7 @@ def draw_value_reliability(layout: Layout, artifact: Trained, path: Path) -> Non
             points = Line(x[shown], y[shown], colour=PALETTE[2], style="none", marker=".", size=2.0, alpha=0.4)
             lines = [points, Line(mean_x, mean_y, colour=PALETTE[4], marker="o", size=4.0)]
             ends = (float(min(x.min(), y.min())), float(max(x.max(), y.max())))
-            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name}, predicted", ylabel="discounted sum that followed")
+            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name[:NAME]}, predicted", ylabel="discounted sum that followed")
 
 
 def draw_gate_reliability(layout: Layout, artifact: Trained, path: Path) -> None:
@@ -152,7 +156,7 @@ def draw_gate_reliability(layout: Layout, artifact: Trained, path: Path) -> None
     Left the discounted costs that followed, right the share of the decisions that any cost followed.
     """
     document = read_json(layout, artifact, "signals.json")
-    groups = {name: rows_of(table["reliability"]) for name, table in list(document["sets"].items())[:OPERATORS]}
+    groups = {name[:NAME]: rows_of(table["reliability"]) for name, table in list(document["sets"].items())[:OPERATORS]}
     threshold = float(document["threshold"])
     values, shares = [], []
     most = 1e-3
@@ -183,7 +187,7 @@ def draw_gate_reliability(layout: Layout, artifact: Trained, path: Path) -> None
 def _diagnosed(layout: Layout, artifact: Trained) -> Mapping[str, list[Mapping[str, Any]]]:
     """The rows per imagined step, by set of episodes."""
     document = read_json(layout, artifact, "diagnostics.json")
-    return {name: rows_of(document[name]["steps"]) for name in SETS if name in document}
+    return {name: rows_of(document[name]["steps"])[:HORIZON] for name in SETS if name in document}
 
 
 def _root(values: Any) -> Any:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from wasp_cli.plan.part import Part
-from wasp_cli.report.statistics import over_seeds
-from wasp_cli.report.table import Column, Row, Table, Value
-from wasp_cli.report.titles import task_title
+from wasp_cli.report.stats.summary import Value, over_seeds
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import task_title
 from wasp_cli.report.trained.artifacts import Trained
 
 COLUMNS = (
