@@ -9,9 +9,10 @@ import numpy as np
 
 from wasp_cli.console import duration
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.main_table import PAPER_COLUMNS
-from wasp_cli.report.table import Column, Row, Table, Value
-from wasp_cli.report.titles import ABLATIONS, operator_title, task_title
+from wasp_cli.report.stats.summary import Value
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import ABLATIONS, operator_title, task_title
 
 if TYPE_CHECKING:
     from wasp_cli.studies.oracle import Cell, Outcome

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from wasp_cli.report.table import Column, Row, Table, Value
+from wasp_cli.report.stats.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 if TYPE_CHECKING:
     from wasp_cli.studies.planner_timing import Bench
