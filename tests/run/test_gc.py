@@ -121,21 +121,25 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     fakes.set(seconds=0.1)
     process = start("run", small_spec, "--results", results, "-j", "2")
     wait_until(lambda: len(artifacts(results)) >= 5)
+    (journal,) = results.glob("runs/*/journal.jsonl")
+    process.send_signal(signal.SIGSTOP)  # or it could end before gc looks, and what it computed could go
+    fakes.set(seconds=0.0)
     run(other_spec, results)  # newer, and of the same name
     looked = 0
-    while process.poll() is None:
-        process.send_signal(signal.SIGSTOP)  # or it could end before gc looks, and what it computed could go
-        if process.poll() is None:
-            before = artifacts(results)
-            collect(results, "--yes", "--runs")
-            assert before <= artifacts(results)
-            looked += 1
-            process.send_signal(signal.SIGCONT)
+    while process.poll() is None and read_journal(journal)[-1]["event"] != "run ended":
+        before = artifacts(results)
+        collect(results, "--yes", "--runs")
+        assert before <= artifacts(results)
+        looked += 1
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.1)
+        process.send_signal(signal.SIGSTOP)
+    process.send_signal(signal.SIGCONT)
     assert looked
-    assert process.returncode == 0, process.communicate()
+    output = process.communicate()
+    assert process.returncode == 0, output
     wanted = {path.parent.name for path in (tmp_path / "undisturbed").glob("store/*/*/manifest.json")}
     assert wanted <= artifacts(results)
-    process.communicate()
 
 
 def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spec: Path, tmp_path: Path) -> None:
