@@ -20,8 +20,8 @@ from wasp_cli.learning.denoiser_quality import denoiser_quality, noise_loss, qua
 from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
 from wasp_cli.learning.lagrangian import ReturnRule
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
 from wasp_cli.learning.residual import AssistedTask, huber, train_residual
+from wasp_cli.learning.shards import Replay
 from wasp_cli.methods.base import Heldout, Parts
 from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule

@@ -15,8 +15,8 @@ from tests.learning.recordings import replay
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, reliability_picture, returns_ahead, spearman
 from wasp_cli.learning.critics import Starts, imagine, train_critics
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills

@@ -22,9 +22,8 @@ from wasp_cli.learning.configs import DatasetConfig
 from wasp_cli.learning.contact_sheet import _COSTLY, EDGE, FRAME, FRAMES, GAP, TITLE, contact_sheet
 from wasp_cli.learning.contents import ALL, contents, contents_markdown, contents_of, unseen_sources, warnings
 from wasp_cli.learning.dataset import STICKY, Behaviour, record
-from wasp_cli.learning.expert import checkpoint_name
-from wasp_cli.learning.replay import cost_sources, read_replay, write_shard
-from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.learning.shards import cost_sources, read_replay, write_shard
+from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
 from wasp_cli.stages import dataset as stage
 from wasp_cli.stages.base import Job

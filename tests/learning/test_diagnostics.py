@@ -21,12 +21,12 @@ from wasp_cli.learning import pictures
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.dataset import behaviours
 from wasp_cli.learning.diagnostics import Forecast
-from wasp_cli.learning.replay import Replay, read_replay
-from wasp_cli.learning.trained import save_world_model
+from wasp_cli.learning.shards import Replay, read_replay
 from wasp_cli.learning.unseen import unseen_behaviours
 from wasp_cli.learning.world_model import build
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
+from wasp_cli.models.world_model import save_world_model
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5

@@ -22,6 +22,7 @@ from wasp_cli.learning import gate_signals, gate_signals_page
 from wasp_cli.learning.closed_loop import Loop
 from wasp_cli.learning.configs import CriticsConfig, GateSignalsConfig, ReturnsConfig
 from wasp_cli.learning.dataset import record
+from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.gate_signals import (
     EXPERT,
     FIRST,
@@ -37,13 +38,13 @@ from wasp_cli.learning.gate_signals import (
     watched,
 )
 from wasp_cli.learning.gate_signals_judge import SWEEP, judged, reliability_groups
-from wasp_cli.learning.latents import encode, save_latents
-from wasp_cli.learning.replay import read_replay, write_shard
-from wasp_cli.learning.trained import load_world_model
+from wasp_cli.learning.latents import save_latents
+from wasp_cli.learning.shards import read_replay, write_shard
 from wasp_cli.methods.noise import DecisionNoise, gumbel
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
+from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.laggy import LaggyOperator
 from wasp_cli.operators.noise import EpisodeNoise

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.learning.replay import Replay, cost_sources, read_replay
+from wasp_cli.learning.shards import Replay, cost_sources, read_replay
 
 COLUMNS = ("reward", "cost", "cost_env", "sources", "goals", "terminal", "first", "episode", "behaviour")
 """The columns that the table is made from."""

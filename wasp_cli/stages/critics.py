@@ -20,7 +20,7 @@ class CriticsStage:
     kind = "critics"
     config = CriticsConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "heldout")
+    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, then compare the critics with real discounted sums."""
@@ -30,15 +30,15 @@ class CriticsStage:
         from wasp_cli.learning.critics import train_critics
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.shards import read_replay
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
 
         config = cast(CriticsConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
-        latents = load_latents(job.inputs["world_model"])
+        latents = load_latents(job.inputs["latents"])
         replay = read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"])
         skills = load_skills(job.inputs["policies"])
         returns = job.settings["returns"]

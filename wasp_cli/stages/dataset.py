@@ -1,6 +1,6 @@
 """Dataset: episodes with images from a mixture of behaviours.
 
-Artifact: `shard-NNNN.parquet` (see `learning.replay`), `contents.json` and `contents.md` (what there is per behaviour, see
+Artifact: `shard-NNNN.parquet` (see `learning.shards`), `contents.json` and `contents.md` (what there is per behaviour, see
 `learning.contents`), `contact_sheet.png` (frames of every behaviour).
 """
 
@@ -29,8 +29,8 @@ class DatasetStage:
         from wasp_cli.learning.contact_sheet import contact_sheet
         from wasp_cli.learning.contents import ALL, contents_markdown, contents_of, unseen_sources, warnings
         from wasp_cli.learning.dataset import Commander, behaviours, record
-        from wasp_cli.learning.expert import load_skill
-        from wasp_cli.learning.replay import count_rows, hand_over, write_shard
+        from wasp_cli.learning.shards import count_rows, hand_over, write_shard
+        from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
@@ -38,8 +38,8 @@ class DatasetStage:
         observe = ("pixels", "privileged")
         task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
         # Episodes may end early, so shards are added until the steps are there; the behaviours of a shard are drawn from its number.
-        fractions = _checkpoints(job)
-        skills = [load_skill(job.inputs["expert"], f) for f in fractions]
+        expert = job.inputs["expert"]
+        skills = [load_privileged(expert, f) for f in checkpoint_fractions(expert)]
         steps = shard = 0
         planned = max(1, round(config.steps / (config.envs * task.max_decisions)))
         schedule = behaviours(
@@ -75,8 +75,3 @@ class DatasetStage:
         summary |= {"sources_not_seen": len(unseen), "return": round(whole["return_per_episode"], 2)}
         summary |= {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}
         return summary | ({"warning": "; ".join(warnings(contents))} if warnings(contents) else {})
-
-
-def _checkpoints(job: Job) -> list[float]:
-    found = json.loads((job.inputs["expert"] / "evaluation.json").read_text())
-    return sorted(float(fraction) for fraction in found)

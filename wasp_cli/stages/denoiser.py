@@ -23,7 +23,7 @@ class DenoiserStage:
     kind = "denoiser"
     config = DenoiserConfig
     settings = ("action_repeat",)
-    needs: tuple[str, ...] = ("expert", "dataset", "world_model")
+    needs: tuple[str, ...] = ("expert", "dataset", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train on the expert's own actions at recorded states, and judge it on held-out ones."""
@@ -32,18 +32,18 @@ class DenoiserStage:
 
         from wasp_cli.learning.denoiser import train_denoiser
         from wasp_cli.learning.denoiser_quality import denoiser_quality, noise_loss, quality_markdown
-        from wasp_cli.learning.draws import generator
-        from wasp_cli.learning.expert import load_skill
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.replay import HELD_OUT, read_replay
+        from wasp_cli.learning.sampling import generator
+        from wasp_cli.learning.shards import HELD_OUT, read_replay
+        from wasp_cli.models.policy import load_privileged
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 
         config = cast(DenoiserConfig, job.config)
         replay = read_replay(job.inputs["dataset"], ["privileged", "action", "cost_env", "first", "episode", "behaviour"])
         with torch.inference_mode():
-            labels = load_skill(job.inputs["expert"], 1.0)(torch.from_numpy(replay.privileged))
-        latents = load_latents(job.inputs["world_model"])
+            labels = load_privileged(job.inputs["expert"], 1.0)(torch.from_numpy(replay.privileged))
+        latents = load_latents(job.inputs["latents"])
         torch.manual_seed(derive("denoiser-weights", job.task, job.seed))
         denoiser, schedule, summary = train_denoiser(
             replay, labels.clone(), latents, config, derive("denoiser", job.task, job.seed), job.progress

@@ -6,7 +6,6 @@ Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -33,11 +32,11 @@ class DiagnosticsStage:
         from wasp_cli.learning import diagnostics as judge
         from wasp_cli.learning import pictures
         from wasp_cli.learning.diagnostics_table import open_loop_markdown
-        from wasp_cli.learning.expert import load_skill
-        from wasp_cli.learning.latents import encode
-        from wasp_cli.learning.replay import HELD_OUT, Replay, cost_sources, read_replay
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.encoding import encode
+        from wasp_cli.learning.shards import HELD_OUT, Replay, cost_sources, read_replay
         from wasp_cli.learning.unseen import unseen_episodes
+        from wasp_cli.models.policy import checkpoint_fractions, load_privileged
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
@@ -48,10 +47,10 @@ class DiagnosticsStage:
         held = read_replay(folder, ["episode"]).held_out(HELD_OUT)
         observe = ("pixels", "privileged")
         task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
-        fractions = sorted(map(float, json.loads((job.inputs["expert"] / "evaluation.json").read_text())))
+        fractions = checkpoint_fractions(job.inputs["expert"])
         job.progress(0.0, "driving fresh episodes")
         replays: dict[str, Replay] = {
-            "unseen": unseen_episodes(task, [load_skill(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
+            "unseen": unseen_episodes(task, [load_privileged(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
             "held_out": read_replay(folder, mask=held),
         }
         sets: dict[str, dict[str, Any]] = {}

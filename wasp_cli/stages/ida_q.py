@@ -20,7 +20,7 @@ class IDAQStage:
     kind = "ida_q"
     config = EnsembleConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "heldout")
+    needs: tuple[str, ...] = ("dataset", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train on the dataset's latents; say how far Q tells the expert's action from a random one."""
@@ -30,14 +30,14 @@ class IDAQStage:
         from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.replay import read_replay
+        from wasp_cli.learning.shards import read_replay
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 
         config = cast(EnsembleConfig, job.config)
         replay = read_replay(job.inputs["dataset"], ["action", "reward", "terminal", "first", "episode", "behaviour"])
-        latents = load_latents(job.inputs["world_model"])
+        latents = load_latents(job.inputs["latents"])
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("ida-weights", job.task, job.seed))
         seed, gamma = derive("ida", job.task, job.seed), job.settings["returns"].gamma_r

@@ -25,10 +25,10 @@ class ResidualStage:
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train and store the mean residual."""
         from wasp_cli.learning.learning_curve import draw_curve
-        from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.residual import train_residual
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.tasks.make import make_task
 
         config = cast(ResidualConfig, job.config)
