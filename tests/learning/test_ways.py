@@ -17,9 +17,7 @@ from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.video.imagined import ROLLOUTS, Outset, imagined, outset
 
 HORIZON, ROWS, ROW, T = 6, 3, 1, 9

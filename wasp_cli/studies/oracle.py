@@ -27,9 +27,7 @@ from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, episode_metrics, pool
 from wasp_cli.models.policy import load_privileged
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import OperatorContext, Policy
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext, Policy, build_operator
 from wasp_cli.studies.simulator import NoCritics, SimulatorModel, on_features
 from wasp_cli.tasks.base import VectorTask
 from wasp_cli.tasks.make import make_task

@@ -17,8 +17,7 @@ from torch import Tensor
 from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.operators.base import DrawnNoise, Operator
 
 ROLLOUTS = 6
 """M: enough to show how far imagined futures lie apart."""

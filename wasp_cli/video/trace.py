@@ -18,9 +18,7 @@ from wasp_cli import seeds
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.tasks.base import Floats, HasScene, Pixels, VectorTask
 from wasp_cli.tasks.camera.look import Look, Scene
 from wasp_cli.tasks.make import make_task
