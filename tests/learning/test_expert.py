@@ -117,7 +117,7 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, A
     assert summary == expected
     names = sorted(path.name for path in whole.iterdir())
     assert names == [
-        "curve.json", "curve.png", "evaluation.json", "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors"
+        "curve.json", "evaluation.json", "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors"
     ]  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     for name in names:

@@ -22,7 +22,15 @@ from wasp_cli.tasks.registry import TASKS
 
 EVERY = "config seeds learning learning.configs stages stages.base tasks tasks.*"
 """The worlds are roots of every node, so that all of `tasks` is allowed but what checks and shows them (see NEVER)."""
-NEVER = ("tasks.*conformance", "tasks.comparison", "tasks.describe", "tasks.sheet", "tasks.driver", "tasks.camera.topdown", "tasks.camera.view3d")
+NEVER = (
+    "tasks.*conformance",
+    "tasks.comparison",
+    "tasks.describe",
+    "tasks.sheet",
+    "tasks.driver",
+    "tasks.camera.topdown",
+    "tasks.camera.view3d",
+)
 WEIGHTS = "models models.nets models.weights"
 POLICY = f"{WEIGHTS} models.policy"
 WORLD = f"{WEIGHTS} models.base models.rssm models.world_model"
@@ -55,9 +63,7 @@ MAY_HAVE = {
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
         "methods.configs methods.noise methods.wasp.imagine metrics metrics.ranking metrics.windows stages.finite"
     ),
-    "rollouts": (
-        f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} learning.contents learning.dataset learning.rollouts learning.shards"
-    ),
+    "rollouts": (f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} learning.contents learning.dataset learning.rollouts learning.shards"),
     "heldout": f"{DRIVING} learning.heldout learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout",
     "denoiser": (
@@ -141,10 +147,7 @@ def test_nothing_in_a_key_draws_lays_out_or_belongs_to_a_report() -> None:
     everything = frozenset().union(*closures().values())
     forbidden = (*DRAWS, *(f"wasp_cli.{room}" for room in ROOMS))
     found = {
-        (module, name)
-        for module in everything
-        for name in imported(module)
-        if any(f"{name}.".startswith(f"{part}.") for part in forbidden)
+        (module, name) for module in everything for name in imported(module) if any(f"{name}.".startswith(f"{part}.") for part in forbidden)
     }
     assert found == set()
     assert not {module for module in everything if module.split(".")[1] in ROOMS}

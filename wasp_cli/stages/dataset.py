@@ -1,7 +1,6 @@
 """Dataset: episodes with images from a mixture of behaviours.
 
-Artifact: `shard-NNNN.parquet` (see `learning.shards`), `contents.json` and `contents.md` (what there is per behaviour, see
-`learning.contents`), `contact_sheet.png` (frames of every behaviour).
+Artifact: `shard-NNNN.parquet` (see `learning.shards`), `contents.json` (what there is per behaviour, see `learning.contents`).
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ class DatasetStage:
         """Collect shard after shard until there are enough decision steps."""
         import numpy as np
 
-        from wasp_cli.learning.contact_sheet import contact_sheet
-        from wasp_cli.learning.contents import ALL, contents_markdown, contents_of, unseen_sources, warnings
+        from wasp_cli.learning.contents import ALL, contents_of, unseen_sources
         from wasp_cli.learning.dataset import Commander, behaviours, record
         from wasp_cli.learning.shards import count_rows, hand_over, write_shard
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged
@@ -68,10 +66,7 @@ class DatasetStage:
             hand_over(path, job.out_dir / path.name)
         contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
-        (job.out_dir / "contents.md").write_text(contents_markdown(contents))
-        contact_sheet(job.out_dir, job.out_dir / "contact_sheet.png")
         whole, unseen = contents[ALL], unseen_sources(contents)
         summary: dict[str, Any] = {"steps": steps, "episodes": whole["episodes"], "costly_share": round(whole["costly_share"], 4)}
         summary |= {"sources_not_seen": len(unseen), "return": round(whole["return_per_episode"], 2)}
-        summary |= {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}
-        return summary | ({"warning": "; ".join(warnings(contents))} if warnings(contents) else {})
+        return summary | {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}

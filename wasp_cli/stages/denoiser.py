@@ -1,7 +1,7 @@
 """Diffusion's denoiser of expert actions.
 
-Artifact: `denoiser.safetensors` (+ .json with the noise schedule), `quality.json` and `quality.md` (on held-out episodes: how near the
-denoised commands are to the expert's actions and to the commands, see `learning.denoiser_quality`).
+Artifact: `denoiser.safetensors` (+ .json with the noise schedule), `quality.json` (on held-out episodes: how near the denoised
+commands are to the expert's actions and to the commands, see `learning.denoiser_quality`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class DenoiserStage:
         import torch
 
         from wasp_cli.learning.denoiser import train_denoiser
-        from wasp_cli.learning.denoiser_quality import denoiser_quality, noise_loss, quality_markdown
+        from wasp_cli.learning.denoiser_quality import denoiser_quality, noise_loss
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.sampling import generator
         from wasp_cli.learning.shards import HELD_OUT, read_replay
@@ -61,6 +61,5 @@ class DenoiserStage:
         recorded = torch.from_numpy(replay.action)[held + 1]
         quality = denoiser_quality(denoiser, schedule, seen, labels[held], recorded, source)
         (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
-        (job.out_dir / "quality.md").write_text(quality_markdown(quality))
         asked, given = (quality["recorded"][ratio]["conformity"] for ratio in ("0", "0.4"))
         return summary | {"off_expert": round(asked, 3), "off_expert_denoised": round(given, 3)}

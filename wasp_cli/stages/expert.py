@@ -1,7 +1,7 @@
 """Expert: PPO with an adaptive Lagrange multiplier on privileged observations; a skill per checkpoint.
 
-Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, `curve.json` (a row per rollout), `curve.png`, `evaluation.json`
-(a row per checkpoint; episodes of the deterministic policy on seeds of their own).
+Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, `curve.json` (a row per rollout), `evaluation.json` (a row per
+checkpoint; episodes of the deterministic policy on seeds of their own).
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ class ExpertStage:
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, then evaluate every checkpoint on seeds of its own; goes on from its own state in the work folder."""
         from wasp_cli.learning.expert import best_checkpoint, train_expert
-        from wasp_cli.learning.learning_curve import draw_curve
         from wasp_cli.learning.privileged import evaluate_privileged
         from wasp_cli.models.policy import load_privileged
         from wasp_cli.seeds import derive
@@ -39,7 +38,6 @@ class ExpertStage:
         for path in sorted(job.work_dir.glob("skill-*")):
             shutil.copy(path, job.out_dir)
         (job.out_dir / "curve.json").write_text(finite_json(curve))  # no episode may have ended in a rollout: its mean is undefined
-        draw_curve(curve, config.cost_limit, job.out_dir / "curve.png")
         judge = make_task(job.task, config.evaluation_episodes, **options)
         multiplier = sum(row["multiplier"] for row in curve) / len(curve)  # of the whole training
         evaluation, validation = {}, {}

@@ -1,7 +1,7 @@
 """Gate signals: which number foresees costs best, measured on fresh Human-only episodes under several operators.
 
-Artifact: `signals.json` (every signal by operator and for all of them, the gate at its threshold, its reliability, curves of the further
-critics), `signals.md` (the same as tables) and `reliability.png` (the gate's value beside the costs that really followed).
+Artifact: `signals.json` (every signal by operator and for all of them, the gate at its threshold, its reliability: its value beside the
+costs that really followed, curves of the further critics).
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ class GateSignalsStage:
         """Train V_c at the other discounts, let every operator drive, and judge what was signalled."""
         from wasp_cli.learning.closed_loop import run_episodes
         from wasp_cli.learning.gate_signals import GATE, Watched, Watcher, bootstrap, cost_critics, joined, watched
-        from wasp_cli.learning.gate_signals_judge import judged
-        from wasp_cli.learning.gate_signals_page import POOLED, reliability_picture, signals_markdown
+        from wasp_cli.learning.gate_signals_judge import POOLED, judged
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.shards import read_replay
         from wasp_cli.models.critics import LatentCritics
@@ -80,8 +79,6 @@ class GateSignalsStage:
         left_out = [_name(*one) for one in asked if one not in there]
         facts = {"gamma_c": returns.gamma_c, "gate": GATE, **json.loads(config.model_dump_json()), "left_out": left_out}
         (job.out_dir / "signals.json").write_text(finite_json({**facts, "sets": sets, "curves": curves}))
-        (job.out_dir / "signals.md").write_text(signals_markdown(sets, left_out, config, returns.gamma_c))
-        reliability_picture(sets, config.threshold, job.out_dir / "reliability.png")
         pooled = sets[POOLED]
         eq8 = pooled["signals"][rival]
         numbers = {

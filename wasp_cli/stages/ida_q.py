@@ -1,7 +1,7 @@
 """IDA's Q ensemble: TD on real and noisy transitions for the expert policy.
 
-Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `quality.json` and `q.png` (Q of the expert's actions beside the
-discounted reward that followed on held-out episodes).
+Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `pairs.parquet` (Q of the expert's actions beside the
+discounted reward that followed on held-out episodes) and `quality.json` (what it is worth).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class IDAQStage:
         """Train on the dataset's latents; say how far Q tells the expert's action from a random one."""
         import torch
 
-        from wasp_cli.learning.critic_quality import quality, reliability_picture
+        from wasp_cli.learning.critic_quality import quality, write_pairs
         from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
@@ -53,6 +53,6 @@ class IDAQStage:
         judged = quality(found)
         (job.out_dir / "curve.json").write_text(json.dumps(curve))
         (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        reliability_picture({"Q": found}, job.out_dir / "q.png")
+        write_pairs(job.out_dir / "pairs.parquet", {"Q": found})
         told = {name: judged[name] for name in ("rank", "predicted_over_real", "cut_off")}
         return {"td_loss": curve[-1], "expert_over_opposite": float(gap), **told}

@@ -34,8 +34,7 @@ class RolloutsStage:
         import numpy as np
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
-        from wasp_cli.learning.contact_sheet import contact_sheet
-        from wasp_cli.learning.contents import ALL, contents_markdown, contents_of
+        from wasp_cli.learning.contents import ALL, contents_of
         from wasp_cli.learning.rollouts import assisted_episodes, in_turn
         from wasp_cli.learning.shards import count_rows, hand_over, read_replay, shards, write_shard
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext
@@ -77,8 +76,6 @@ class RolloutsStage:
             hand_over(path, job.out_dir / path.name)
         contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
-        (job.out_dir / "contents.md").write_text(contents_markdown(contents))
-        contact_sheet(job.out_dir, job.out_dir / "contact_sheet.png")
         size = sum(path.stat().st_size for path in job.out_dir.glob("shard-*.parquet"))
         own = contents[BEHAVIOUR]
         return {
