@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wasp_cli.learning.configs import WorldModelConfig
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.shards import Replay
 
 TINY = WorldModelConfig(
     deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, batch=3, length=6, updates=8, warmup=2, refit_updates=3, refit_horizon=4,

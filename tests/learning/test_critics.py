@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 import torch
 from scipy.stats import spearmanr
@@ -13,10 +15,10 @@ from torch import Tensor
 
 from tests.learning.recordings import replay
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
-from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, reliability_picture, returns_ahead, spearman
+from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, returns_ahead, spearman, write_pairs
 from wasp_cli.learning.critics import Starts, imagine, train_critics
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
@@ -138,7 +140,12 @@ def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path: 
     assert judged["r"]["predicted_over_real"] == pytest.approx(1.0, rel=1e-4)
     assert judged["c"]["rank"] is None
     assert judged["c"]["predicted_over_real"] == 0.0
-    reliability_picture(found, tmp_path / "critics.png")
-    once = (tmp_path / "critics.png").read_bytes()
-    reliability_picture(found, tmp_path / "critics.png")
-    assert (tmp_path / "critics.png").read_bytes() == once
+    write_pairs(tmp_path / "pairs.parquet", found)
+    once = (tmp_path / "pairs.parquet").read_bytes()
+    write_pairs(tmp_path / "pairs.parquet", found)
+    assert (tmp_path / "pairs.parquet").read_bytes() == once
+    stored = pq.read_table(tmp_path / "pairs.parquet")
+    for name, one in found.items():
+        mine = stored.filter(pc.field("critic") == name)
+        np.testing.assert_array_equal(mine["predicted"].to_numpy(), one.predicted)
+        np.testing.assert_array_equal(mine["real"].to_numpy(), one.real)

@@ -18,11 +18,12 @@ from tests.learning.test_dataset import job as dataset_job
 from tests.learning.test_dataset import root as root  # a fixture
 from wasp_cli.learning import policies, reinforce
 from wasp_cli.learning.configs import PoliciesConfig, WorldModelConfig
-from wasp_cli.learning.latents import encode, save_latents
-from wasp_cli.learning.replay import read_replay
-from wasp_cli.learning.trained import save_world_model
+from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.latents import save_latents
+from wasp_cli.learning.shards import read_replay
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.policy import LatentPolicy, Skills
+from wasp_cli.models.world_model import save_world_model
 from wasp_cli.stages.base import no_progress
 from wasp_cli.stages.policies import PoliciesStage
 

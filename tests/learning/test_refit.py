@@ -6,10 +6,10 @@ import numpy as np
 import torch
 
 from tests.learning.recordings import TINY, replay
-from wasp_cli.learning.draws import generator, gumbel
-from wasp_cli.learning.latents import encode
+from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.refit import refit_heads
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.sampling import generator, gumbel
+from wasp_cli.learning.shards import Replay
 from wasp_cli.learning.world_model import build
 
 

@@ -14,15 +14,14 @@ import pytest
 from tests.artifacts import tiny_artifacts
 from wasp_cli.learning import rollouts
 from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.closed_loop import human, run_episodes
+from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ReturnsConfig, RolloutsConfig
 from wasp_cli.learning.dataset import record
-from wasp_cli.learning.replay import Replay, hand_over, read_replay, write_shard
 from wasp_cli.learning.rollouts import assisted_episodes, in_turn
+from wasp_cli.learning.shards import Replay, hand_over, read_replay, write_shard
 from wasp_cli.methods.base import Parts
-from wasp_cli.operators.base import Operator
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
 from wasp_cli.operators.limited import LimitedSkillOperator
-from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.operators.noisy import NoisyOperator
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.rollouts import RolloutsStage
@@ -61,14 +60,16 @@ def short_task(batch: int, **_: Any) -> Any:
 
 def test_operators_take_turns_and_begin_with_the_unimpaired_one(parts: Parts) -> None:
     ladder = {"noisy": (0.2, 0.4), "limited-skill": (0.25,)}
-    mixed = in_turn(ladder, human(parts.skills, 0.08, 2), EpisodeNoise([0] * 5), 5, first=6)
+    mixed = in_turn(ladder, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * 5), 5, first=6)
     assert [type(each) for each in mixed.operators] == [Operator, LimitedSkillOperator, NoisyOperator, NoisyOperator]
     assert mixed.choice.tolist() == [2, 3, 0, 1, 2]
 
 
 def test_recorded_episodes_are_those_that_the_assistant_drove(parts: Parts) -> None:
     def fresh() -> tuple[Any, ...]:
-        operator = in_turn({"noisy": (0.4,), "laggy": (0.7,)}, human(parts.skills, 0.08, 2), EpisodeNoise([4, 5, 6]), 3, first=0)
+        operator = in_turn(
+            {"noisy": (0.4,), "laggy": (0.7,)}, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([4, 5, 6]), 3, first=0
+        )
         return short_task(3), parts.world_model, operator, build_assistant("wasp", EAGER, parts), [7, 8, 9], [1, 2, 3]
 
     loop = run_episodes(*fresh())

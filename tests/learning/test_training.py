@@ -14,10 +14,10 @@ from wasp_cli.errors import ArtifactError, TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.learning.denoiser import demonstrations
-from wasp_cli.learning.draws import generator
+from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.lagrangian import MultiplierRule
-from wasp_cli.learning.latents import encode
-from wasp_cli.learning.replay import cost_sources, read_replay, write_shard
+from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import cost_sources, read_replay, write_shard
 from wasp_cli.learning.world_model import build, train
 
 

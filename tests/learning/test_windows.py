@@ -8,8 +8,8 @@ import torch
 
 from tests.learning.recordings import MIRROR, ROWS, TINY, replay
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import encode
+from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.base import Latent

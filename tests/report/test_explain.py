@@ -252,7 +252,7 @@ def test_another_methods_signal_is_shown_as_it_is(tmp_path: Path) -> None:
     made.signal[:] = np.arange(8) / 8
     episode = made.read(tmp_path)
     assert "0.250, the method's own decision value" in looked(episode, 2)
-    assert "What moves 'theirs', its own documentation says" in told(episode)
+    assert "not described: see the documentation of 'theirs'" in told(episode)
 
 
 def test_gates_compare_in_single_precision() -> None:

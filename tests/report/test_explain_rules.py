@@ -17,13 +17,13 @@ def test_a_method_that_votes(tmp_path: Path) -> None:
     made.pay(3, 4)
     episode = made.read(tmp_path)
     text = looked(episode, 3)
-    assert "1.000 on a scale from -1 (no member of the ensemble finds the copilot's action better by more than 0.100 (τ_Q))" in text
-    assert "it takes over above 0.990: IDA took over" in text
+    assert "1.000, on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1" in text
+    assert "(τ_Q = 0.100); IDA intervenes above 0.990: it intervened" in text
     assert "The plan" not in text
     assert "safety gate" not in text
     assert "the command stood" in looked(episode, 4)
     story = told(episode)
-    assert "IDA took over 12.5%, silent 87.5% of decisions" in story
+    assert "IDA 12.5%, silent 87.5% of decisions" in story
     assert tell(episode).totals.missed == (4,)
     assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2  -" in story
 
@@ -35,13 +35,11 @@ def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) 
     made.pay(3, 4)
     episode = made.read(tmp_path)
     assert not episode.gated
-    assert "Q_c             0.700 costly decisions from here on, discounted, are to be expected of the command; 0.400 are" in looked(
-        episode, 3
-    )
-    assert "the least correction below it" in " ".join(looked(episode, 3).split())
+    assert "Q_c             0.700, costly decisions to be expected of the command, discounted" in looked(episode, 3)
+    assert "Safety filter intervenes above 0.400: it intervened" in " ".join(looked(episode, 3).split())
     assert "the command stood" in looked(episode, 4)
     story = told(episode)
-    assert "the filter corrected 12.5%, silent 87.5% of decisions" in story
+    assert "Safety filter 12.5%, silent 87.5% of decisions" in story
     assert "safety gate" not in story + looked(episode, 3)
     assert "looks one imagined step ahead" in story
     assert tell(episode).totals.missed == (4,)

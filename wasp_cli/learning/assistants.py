@@ -9,10 +9,10 @@ from typing import Any
 
 from wasp_cli.config import Config
 from wasp_cli.learning.configs import ReturnsConfig
-from wasp_cli.learning.policies import load_skills
-from wasp_cli.learning.trained import load_world_model
 from wasp_cli.methods.base import Assistant, AssistantClass, Parts
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.models.policy import load_skills
+from wasp_cli.models.world_model import load_world_model
 from wasp_cli.registry import load_target
 
 

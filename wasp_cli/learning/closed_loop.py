@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.methods.base import Assistant, Decision
-from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
-from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Human, Operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.base import Observation, VectorTask
 
 Array = NDArray[Any]
@@ -65,11 +62,6 @@ class Filter:
     def executed(self, action: Tensor) -> None:
         """Tell the filter what was executed: [B, A]."""
         self._action = action
-
-
-def human(skills: Skills, decision_seconds: float, action_size: int) -> Human:
-    """What the operators of a task are built from."""
-    return Human(skill=skills.at, action_size=action_size, decision_seconds=decision_seconds)
 
 
 @torch.inference_mode()
@@ -135,9 +127,3 @@ def run_episodes(
     h = torch.stack([latent.h for latent in kept]) if keep_latents else None
     z = torch.stack([latent.z for latent in kept]) if keep_latents else None
     return Loop(**stacked, decisions=decisions, decision_ms=np.array(times, np.float32), h=h, z=z)
-
-
-def expert_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, seeds: Sequence[int], *, keep_latents: bool = False) -> Loop:
-    """Episodes of the unimpaired latent expert without assistance."""
-    operator = Operator.build(1.0, human(skills, task.decision_seconds, task.action_size), EpisodeNoise(seeds), task.batch)
-    return run_episodes(task, model, operator, HumanOnly(), seeds, seeds, keep_latents=keep_latents)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import torch
 from numpy.typing import NDArray
 
@@ -15,7 +18,6 @@ from wasp_cli.models.base import Critics
 
 CUT_OFF = 0.05
 """Largest share of a discounted return that may lie beyond the time limit."""
-BINS = 10
 
 Floats = NDArray[np.float64]
 
@@ -100,28 +102,11 @@ def _ranks(values: Floats) -> Floats:
     return average
 
 
-def reliability_picture(found: dict[str, Pairs], path: Path) -> None:
-    """Every decision as a point, and the means of ten equally large groups by prediction; on the diagonal critics are right on average.
-
-    Args:
-        found: by the name of the critic.
-        path: of the PNG.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.0 * len(found), 3.8), layout="constrained", dpi=110)
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, len(found), squeeze=False)[0]
-    for panel, (name, (predicted, real, _)) in zip(panels, found.items(), strict=True):
-        if not len(real):
-            continue
-        shown = np.linspace(0, len(real) - 1, min(1500, len(real))).astype(int)
-        panel.plot(predicted[shown], real[shown], ".", color="#56B4E9", markersize=2, alpha=0.4)
-        groups = [group for group in np.array_split(np.argsort(predicted, kind="stable"), BINS) if len(group)]
-        panel.plot([predicted[g].mean() for g in groups], [real[g].mean() for g in groups], "o-", color="#D55E00", markersize=4)
-        ends = [min(predicted.min(), real.min()), max(predicted.max(), real.max())]
-        panel.plot(ends, ends, color="#000000", linewidth=0.7)
-        panel.set_xlabel(f"{name}, predicted")
-        panel.set_ylabel("discounted sum that followed")
-    figure.savefig(path, metadata={"Software": None})
+def write_pairs(path: Path, found: Mapping[str, Pairs]) -> None:
+    """Write the pairs of every critic to a Parquet file: `critic` (its name), `predicted` and `real` (float64), a row per decision."""
+    columns = {
+        "critic": pa.array([name for name, one in found.items() for _ in one.real], pa.string()),
+        "predicted": pa.array(np.concatenate([one.predicted for one in found.values()]), pa.float64()),
+        "real": pa.array(np.concatenate([one.real for one in found.values()]), pa.float64()),
+    }
+    pq.write_table(pa.table(columns), path, compression="zstd", compression_level=3, use_dictionary=["critic"])

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
-from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.sampling import generator, gumbel
+from wasp_cli.learning.shards import Replay
 from wasp_cli.methods.wasp.returns import td_lambda_all
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics

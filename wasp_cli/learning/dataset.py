@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.replay import HELD_OUT, Replay, held_out_period
+from wasp_cli.learning.shards import HELD_OUT, Replay, held_out_period
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.tasks.base import VectorTask
 

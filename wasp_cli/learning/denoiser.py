@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.configs import DenoiserConfig
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import HELD_OUT, Replay
+from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import HELD_OUT, Replay
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 
 

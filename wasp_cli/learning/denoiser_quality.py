@@ -6,8 +6,6 @@ After Yoneda et al. 2023: the forward diffusion ratio trades *conformity* (what 
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -53,11 +51,3 @@ def denoiser_quality(
 
 def _distances(executed: Tensor, command: Tensor, expert: Tensor) -> dict[str, float]:
     return {"conformity": float((executed - expert).norm(dim=-1).mean()), "fidelity": float((executed - command).norm(dim=-1).mean())}
-
-
-def quality_markdown(found: dict[str, Any]) -> str:
-    """The distances as a table, a row for each kind of command and ratio."""
-    lines = ["| command | ratio | to the expert's action | to the command |", "| --- | ---: | ---: | ---: |"]
-    for kind, by_ratio in found.items():
-        lines += [f"| {kind} | {ratio} | {row['conformity']:.3f} | {row['fidelity']:.3f} |" for ratio, row in by_ratio.items()]
-    return "\n".join(lines) + "\n"

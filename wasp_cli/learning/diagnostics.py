@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import Latents, roll_prior
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator, roll_prior
+from wasp_cli.learning.shards import Replay
 from wasp_cli.metrics.ranking import average_precision, average_precision_interval, recall_at
 from wasp_cli.metrics.reliability import calibration_error, reliability
 from wasp_cli.models.world_model import SafetyWorldModel

@@ -10,9 +10,9 @@ import torch
 
 from wasp_cli.learning.configs import EnsembleConfig
 from wasp_cli.learning.critic_quality import Pairs, pairs
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import HELD_OUT, Replay
+from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import HELD_OUT, Replay
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.policy import Skills

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,42 +18,9 @@ from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.ppo_state import TrainingState
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv, actor_layers
-from wasp_cli.models.policy import PrivilegedPolicy
-from wasp_cli.models.weights import load_module, save_weights
+from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privileged
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask
-
-
-class EpisodeSums(NamedTuple):
-    """Sums of whole episodes, one entry each."""
-
-    returns: np.ndarray[Any, Any]
-    costs: np.ndarray[Any, Any]
-    """Env steps that cost."""
-    costly: np.ndarray[Any, Any]
-    """Decision steps that cost."""
-    goals: np.ndarray[Any, Any]
-    env_steps: np.ndarray[Any, Any]
-
-    def statistics(self, success_goals: int) -> dict[str, float | None]:
-        """Means and standard deviations over the episodes (undefined for one), and the share with at least `success_goals` goals."""
-        found: dict[str, float | None] = {}
-        for name, values in (("return", self.returns), ("cost", self.costs), ("goals", self.goals)):
-            found |= {name: float(values.mean()), f"{name}_sd": float(values.std(ddof=1)) if len(values) > 1 else None}
-        return found | {
-            "cost_per_1000": float(1000.0 * self.costs.sum() / self.env_steps.sum()),
-            "success": float((self.goals >= success_goals).mean()),
-            "episodes": len(self.goals),
-        }
-
-    def penalised(self, multiplier: float) -> np.ndarray[Any, Any]:
-        """Return minus `multiplier` per costly decision step, one entry per episode: what training maximises without discount."""
-        return self.returns - multiplier * self.costly
-
-
-def checkpoint_name(fraction: float) -> str:
-    """File name of the skill at a fraction of the interactions."""
-    return f"skill-{fraction:g}.safetensors"
 
 
 def train_expert(
@@ -86,7 +53,8 @@ def train_expert(
     )  # fmt: skip
 
     def store(fraction: float) -> None:
-        save_skill(export_actor(model, normalised), work / checkpoint_name(fraction), task, config)
+        path = work / checkpoint_name(fraction)
+        save_privileged(export_actor(model, normalised), path, task.privileged_size, config.hidden, task.action_size)
 
     state = TrainingState(work / "training.safetensors", model, env, normalised, seeds)
     rule = MultiplierRule(
@@ -120,32 +88,6 @@ def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
         policy.std.copy_(torch.as_tensor(np.sqrt(statistics.var + normalised.epsilon)))
         policy.log_std.copy_(model.policy.log_std)
     return policy
-
-
-def save_skill(policy: PrivilegedPolicy, path: Path, task: VectorTask, config: ExpertConfig) -> None:
-    """Weights and constructor arguments."""
-    save_weights(policy, path, inputs=task.privileged_size, hidden=list(config.hidden), action=task.action_size)
-
-
-def load_skill(folder: Path, fraction: float) -> PrivilegedPolicy:
-    """The privileged policy of a checkpoint."""
-    return load_module(PrivilegedPolicy, folder / checkpoint_name(fraction))
-
-
-def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:
-    """One episode per row under the deterministic policy."""
-    seen = task.reset(seeds)
-    sums = EpisodeSums(*(np.zeros(task.batch) for _ in EpisodeSums._fields))
-    with torch.inference_mode():
-        for _ in range(task.max_decisions):
-            assert seen.privileged is not None
-            step = task.step(policy(torch.from_numpy(seen.privileged)).numpy())
-            seen = step.observation
-            for total, now in zip(sums, (step.reward, step.cost_env, step.cost, step.goals, step.env_steps), strict=True):
-                total += now
-            if step.ended.all():
-                break
-    return sums
 
 
 def best_checkpoint(penalised: dict[float, np.ndarray[Any, Any]]) -> float:

@@ -19,7 +19,7 @@ from wasp_cli.learning.closed_loop import Loop
 from wasp_cli.learning.configs import GateSignalsConfig, ReturnsConfig
 from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.shards import Replay
 from wasp_cli.methods.base import Decision
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, uniform

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from wasp_cli.learning.gate_signals import GATE, Watched
 from wasp_cli.metrics.ranking import average_precision, average_precision_resampled, percentiles, recall_at
 
+POOLED = "all"
+"""The set of all operators together."""
 FALSE_ALARMS = 0.1
 """Share of the decisions without a cost ahead at which a recall is read."""
 RESAMPLES = 400

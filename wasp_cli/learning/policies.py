@@ -6,7 +6,6 @@ Reinforcement is in `learning.reinforce`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,16 +17,14 @@ from torch.nn import functional as F
 from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour, Commander
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import Latents, roll_prior
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator, roll_prior
+from wasp_cli.learning.shards import Replay
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy, Skills
-from wasp_cli.models.weights import load_module, save_weights
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.tasks.base import VectorTask
 
 Report = Callable[[float, str], None]
@@ -256,14 +253,3 @@ def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, f
     """Episodes of one latent skill without mistakes and without assistance."""
     operator = Operator(skills.at(fraction), task.action_size, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds)
-
-
-def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:
-    """Write `skills.safetensors` and its arguments."""
-    path = folder / "skills.safetensors"
-    save_weights(skills, path, fractions=list(skills.fractions), features=features, hidden=list(hidden), action=action)
-
-
-def load_skills(folder: Path) -> Skills:
-    """The frozen policies of a policies artifact."""
-    return load_module(Skills, folder / "skills.safetensors")

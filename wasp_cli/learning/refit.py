@@ -9,9 +9,9 @@ import torch
 from numpy.typing import NDArray
 
 from wasp_cli.learning.configs import WorldModelConfig
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import Latents, roll_prior
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator, roll_prior
+from wasp_cli.learning.shards import Replay
 from wasp_cli.models.world_model import SafetyWorldModel
 
 RATE = 1e-3

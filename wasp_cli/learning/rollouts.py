@@ -14,30 +14,28 @@ from numpy.typing import NDArray
 
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.dataset import record
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.shards import Replay
 from wasp_cli.methods.base import Assistant
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Human, Operator
-from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.base import NoiseSource, Operator, OperatorContext, build_operator
 from wasp_cli.operators.mixed import MixedOperator
-from wasp_cli.operators.noise import NoiseSource
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.tasks.base import VectorTask
 
 
-def in_turn(ladder: Mapping[str, Sequence[float]], owner: Human, noise: NoiseSource, batch: int, first: int) -> MixedOperator:
+def in_turn(ladder: Mapping[str, Sequence[float]], context: OperatorContext, noise: NoiseSource, batch: int, first: int) -> MixedOperator:
     """Operators for a batch of episodes: the unimpaired one, then every severity of every variant, then from the beginning.
 
     Args:
         ladder: severities by variant.
-        owner: what the operators are built from.
+        context: what the operators are built from.
         noise: of the batch.
         batch: episodes side by side.
         first: index of the first episode among all; it decides who drives whom.
     """
     named: list[tuple[str, float | None]] = [(UNIMPAIRED, None)]
     named += [(variant, value) for variant in sorted(ladder) for value in ladder[variant]]
-    mixed = MixedOperator([build_operator(variant, value, owner, noise, batch) for variant, value in named], noise, seed=0)
+    mixed = MixedOperator([build_operator(variant, value, context, noise, batch) for variant, value in named], noise, seed=0)
     mixed.choice = (first + torch.arange(batch)) % len(named)
     return mixed
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wasp_cli.learning.dataset import Behaviour, Commander, record
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.shards import Replay
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask

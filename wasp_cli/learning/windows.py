@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.draws import gumbel
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.sampling import gumbel
+from wasp_cli.learning.shards import Replay
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import Ahead, Batch
 

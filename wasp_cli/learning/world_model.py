@@ -16,9 +16,9 @@ from wasp_cli.errors import TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.device import mixed_precision
-from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.sampling import generator, gumbel
+from wasp_cli.learning.shards import Replay
 from wasp_cli.learning.windows import Context, Window, Windows
 from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
 

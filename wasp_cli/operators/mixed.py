@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Memory, Operator
-from wasp_cli.operators.noise import NoiseSource
+from wasp_cli.operators.base import Memory, NoiseSource, Operator
 
 
 class MixedOperator(Operator):

@@ -13,7 +13,7 @@ from wasp_cli.report.figure import LOOK, PALETTE, save
 from wasp_cli.report.main_table import PAPER_COLUMNS
 from wasp_cli.report.sweep_table import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
 from wasp_cli.report.table import UNDEFINED, Column
-from wasp_cli.report.titles import ABLATIONS, task_title
+from wasp_cli.report.titles import task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:
@@ -185,5 +185,4 @@ def _assistant(line: Line) -> tuple[str, str]:
 
 
 def _title(assistant: tuple[str, str]) -> str:
-    method, variant = assistant
-    return METHODS[method].title + ("" if variant == "full" else f", {ABLATIONS.get(variant, variant)}")
+    return who_title(*assistant)

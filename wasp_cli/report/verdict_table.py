@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.main_table import DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.report.necessity_table import MEANS as NECESSITY
@@ -49,7 +48,7 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
 
 def title_of(who: Who) -> str:
     """A row as tables call it; the whole method without a word for it."""
-    return METHODS[who.method].title if who.variant == "full" else who_title(who.method, who.variant)
+    return who_title(who.method, who.variant)
 
 
 def _columns(verdict: VerdictReport, row: Beside) -> tuple[str, ...]:

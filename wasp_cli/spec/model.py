@@ -119,7 +119,7 @@ class Spec(Config):
 
     def variants_of(self, method: str) -> tuple[str, ...]:
         """The ablations of a method that this spec asks for; a method without ablations runs in its only one."""
-        known = METHODS[method].variants
+        known = tuple(METHODS[method].variants)
         return known if len(known) == 1 else tuple(variant for variant in self.variants if variant in known)
 
     def chain_seed(self, seed: int) -> int:

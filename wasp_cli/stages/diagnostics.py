@@ -1,12 +1,11 @@
 """Diagnostics: what the world model is worth on held-out episodes, and under operators that are not in the dataset.
 
-Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `open_loop.md` (a table with the trivial baselines),
-`reliability.png`, `horizon.png`, `reconstruction.png`, `open_loop.png` and `open_loop.gif` (true and imagined images).
+Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `images.parquet` (true, decoded and imagined frames of
+held-out episodes, see `learning.image_samples`).
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -15,7 +14,7 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 
 SHOWN = (1, 5, 10, 15)
-"""Imagined steps that the summary and the pictures of reliability show."""
+"""Imagined steps that the summary shows."""
 
 
 class DiagnosticsStage:
@@ -27,17 +26,16 @@ class DiagnosticsStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Judge both sets of episodes, then draw."""
+        """Judge both sets of episodes, and sample images of the held-out ones."""
         import numpy as np
 
         from wasp_cli.learning import diagnostics as judge
-        from wasp_cli.learning import pictures
-        from wasp_cli.learning.diagnostics_table import open_loop_markdown
-        from wasp_cli.learning.expert import load_skill
-        from wasp_cli.learning.latents import encode
-        from wasp_cli.learning.replay import HELD_OUT, Replay, cost_sources, read_replay
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.encoding import encode
+        from wasp_cli.learning.image_samples import decoded_sample, imagined_samples, sampled_windows, write_samples
+        from wasp_cli.learning.shards import HELD_OUT, Replay, cost_sources, read_replay
         from wasp_cli.learning.unseen import unseen_episodes
+        from wasp_cli.models.policy import checkpoint_fractions, load_privileged
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
@@ -48,10 +46,10 @@ class DiagnosticsStage:
         held = read_replay(folder, ["episode"]).held_out(HELD_OUT)
         observe = ("pixels", "privileged")
         task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
-        fractions = sorted(map(float, json.loads((job.inputs["expert"] / "evaluation.json").read_text())))
+        fractions = checkpoint_fractions(job.inputs["expert"])
         job.progress(0.0, "driving fresh episodes")
         replays: dict[str, Replay] = {
-            "unseen": unseen_episodes(task, [load_skill(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
+            "unseen": unseen_episodes(task, [load_privileged(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
             "held_out": read_replay(folder, mask=held),
         }
         sets: dict[str, dict[str, Any]] = {}
@@ -76,16 +74,10 @@ class DiagnosticsStage:
                 "filter": judge.judged_filter(model, replay, latents, config.image_starts),
             }  # fmt: skip
             if name == "held_out":
-                pictures.reconstruction_sheet(model, replay, latents, job.out_dir / "reconstruction.png")
-                if len(few):
-                    windows = pictures.shown_windows(replay, seen)
-                    strips = pictures.strips(model, replay, latents, seen, windows, seed)
-                    pictures.open_loop_sheet(strips, job.out_dir / "open_loop.png")
-                    pictures.open_loop_film(strips, job.out_dir / "open_loop.gif")
-        pictures.reliability_figure(sets, SHOWN, job.out_dir / "reliability.png")
-        pictures.horizon_figure(sets, job.out_dir / "horizon.png")
+                windows = sampled_windows(replay, seen) if len(few) else []
+                imagined = imagined_samples(model, replay, latents, seen, windows, seed) if windows else []
+                write_samples(job.out_dir / "images.parquet", replay, decoded_sample(model, replay, latents), imagined)
         (job.out_dir / "diagnostics.json").write_text(finite_json(sets))
-        (job.out_dir / "open_loop.md").write_text(open_loop_markdown(sets))
         return _summary(sets)
 
 

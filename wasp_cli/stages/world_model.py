@@ -1,7 +1,7 @@
-"""World model: Eq. 6 on sequences, refit of the heads on prior latents, latents of the whole dataset.
+"""World model: Eq. 6 on sequences, then a refit of the heads on prior latents.
 
-Artifact: `world_model.safetensors` (+ .json sizes), `latents.safetensors` (h float16, z class indices, one row per recorded row),
-`curves.json`. What the model is worth is said by the stage `diagnostics`.
+Artifact: `world_model.safetensors` (+ .json sizes), `curves.json`. What it infers at every recorded row is stored by the stage `latents`;
+what the model is worth is said by the stage `diagnostics`.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class WorldModelStage:
 
         from wasp_cli.learning import world_model as learning
         from wasp_cli.learning.device import training_device
-        from wasp_cli.learning.latents import encode, save_latents
+        from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.refit import refit_heads
-        from wasp_cli.learning.replay import HELD_OUT, read_replay
-        from wasp_cli.learning.trained import load_world_model, save_world_model
+        from wasp_cli.learning.shards import HELD_OUT, read_replay
+        from wasp_cli.models.world_model import load_world_model, save_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.mirror import mirror_of
 
@@ -71,7 +71,6 @@ class WorldModelStage:
         refit_heads(model, replay, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
         model.cpu()
         save_world_model(model, job.out_dir)
-        save_latents(latents, job.out_dir)
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
         summary = {f"final_{TERMS[name]}": round(values[-1], 4) for name, values in curves.items() if values and name in TERMS}
         return {**summary, "skipped": skipped}

@@ -11,7 +11,7 @@ from wasp_cli.console import duration
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.main_table import PAPER_COLUMNS
 from wasp_cli.report.table import Column, Row, Table, Value
-from wasp_cli.report.titles import ABLATIONS, operator_title, task_title
+from wasp_cli.report.titles import operator_title, task_title, who_title
 
 if TYPE_CHECKING:
     from wasp_cli.studies.oracle import Cell, Outcome
@@ -45,8 +45,7 @@ def ceiling_table(cell: Cell, found: Sequence[Outcome]) -> Table:
 def _title(outcome: Outcome) -> str:
     if outcome.variant is None:
         return METHODS["human"].title
-    ablation = "" if outcome.variant == "full" else f", {ABLATIONS.get(outcome.variant, outcome.variant)}"
-    return METHODS["wasp"].title + ablation
+    return who_title("wasp", outcome.variant)
 
 
 def _value(outcome: Outcome, alone: Outcome, column: Column) -> Value:

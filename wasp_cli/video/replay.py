@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.explain.words import SIGNALS
+from wasp_cli.report.explain.words import signal_of
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
@@ -146,7 +146,7 @@ def told(stored: Episode) -> Any:
         title=title_of(stored),
         gate=stored.gate, costly=stored.costly, a_h=stored.a_h, a=stored.a, **{name: numbers[name] for name in names},
         gated=stored.gated, tau_c=stored.thresholds.tau_c, tau_r=stored.thresholds.tau_r,
-        signal_name=SIGNALS.get(row["method"], "signal"),
+        signal_name=signal_of(row["method"]).name,
         signal_limit=stored.signal_limit,
         decision_seconds=stored.constants.decision_seconds or 0.1,
     )  # fmt: skip

@@ -18,6 +18,7 @@ from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.make import make_task
+from wasp_cli.video.sprite import sprite_of
 
 REPEAT = 100
 """Ten decisions an episode."""
@@ -73,7 +74,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Stored:
 @pytest.fixture(scope="module")
 def films(stored: Stored) -> TaskFilms:
     told: list[str] = []
-    (found,) = films_of(*stored, told.append)
+    (found,) = films_of(*stored, sprite_of, told.append)
     assert told == ["goal1: Human-only", "goal1: WASP", "goal1: Expert"]
     return found
 
@@ -104,14 +105,14 @@ def test_the_frames_are_those_of_the_recorded_actions(films: TaskFilms) -> None:
 def test_an_episode_that_does_not_repeat_has_no_film_but_a_reason(stored: Stored) -> None:
     layout, frame, keys = stored
     wrong = {identity: next(iter(keys.values())) for identity in keys}  # the rows of another severity in every place
-    (found,) = films_of(layout, frame, wrong, lambda text: None)
+    (found,) = films_of(layout, frame, wrong, sprite_of, lambda text: None)
     assert all(film.sprite is not None for film in found.films)  # they are whole cells, and played as they are
     cell = layout.artifact("evaluate", keys[frame.cells[1].identity])
     manifest = cell / "manifest.json"
     text = manifest.read_text()
     manifest.write_text(text.replace(f'"action_repeat": {REPEAT}', '"action_repeat": 50'))
     try:
-        (found,) = films_of(layout, frame, keys, lambda text: None)
+        (found,) = films_of(layout, frame, keys, sprite_of, lambda text: None)
     finally:
         manifest.write_text(text)
     human, *others = found.films
@@ -134,7 +135,8 @@ def test_environments_of_others_are_not_imported_for_a_film(stored: Stored, tmp_
     monkeypatch.syspath_prepend(str(tmp_path))
     layout, frame, keys = stored
     cells = tuple(_renamed(frame, "evil_module:Evil-v0"))
-    found = list(films_of(layout, Frame(cells), {cell.identity: next(iter(keys.values())) for cell in cells}, lambda text: None))
+    every = {cell.identity: next(iter(keys.values())) for cell in cells}
+    found = list(films_of(layout, Frame(cells), every, sprite_of, lambda text: None))
     assert found == []
     assert not (tmp_path / "imported").exists()
 

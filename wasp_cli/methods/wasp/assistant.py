@@ -15,10 +15,9 @@ from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, normal, uniform
 from wasp_cli.methods.record import Planned, blank_record
-from wasp_cli.methods.wasp.calibration import TAU_R_FALLBACK, Signals
-from wasp_cli.methods.wasp.gates import Gain, probe, safety_gate
+from wasp_cli.methods.wasp.gates import TAU_R_FALLBACK, Gain, Signals, probe, safety_gate
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.residual import Plan, plan_residuals, propose
+from wasp_cli.methods.wasp.planner import Plan, plan_residuals, propose
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics

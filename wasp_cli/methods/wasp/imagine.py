@@ -17,8 +17,7 @@ from torch import Tensor
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
 from wasp_cli.models.base import Critics, Latent
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.operators.base import DrawnNoise, Operator
 
 
 class Dynamics(Protocol):

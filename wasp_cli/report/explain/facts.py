@@ -206,7 +206,8 @@ class Look:
     g_return: float | None
     signal: float | None
     tau_q: float | None
-    tau_c: float | None
+    signal_limit: float | None
+    """what the signal must exceed for an intervention"""
     plan: Planned | None
     now: Happened
     """this decision"""

@@ -36,7 +36,7 @@ def look(episode: Episode, t: int) -> Look:
         g_return=episode.at("g_return", t),
         signal=episode.at("signal", t),
         tau_q=episode.thresholds.tau_q,
-        tau_c=episode.thresholds.tau_c,
+        signal_limit=episode.signal_limit,
         plan=_plan(episode, t),
         now=_happened(episode, t, 1),
         ahead=_happened(episode, t, window),

@@ -6,11 +6,11 @@ from rich.text import Text
 
 from wasp_cli.report.explain.facts import Gate, Happened, Look, Planned, exceeds
 from wasp_cli.report.explain.words import (
-    SIGNALS,
     STYLES,
     action,
     beside,
     count,
+    decider,
     entry,
     expected_cost,
     ms,
@@ -18,6 +18,7 @@ from wasp_cli.report.explain.words import (
     plain,
     rule,
     short,
+    signal_of,
     span,
     title,
     whose,
@@ -43,7 +44,7 @@ def look_lines(look: Look, width: int) -> list[Text]:
     else:
         lines += entry("rule", rule(who), width)
         if look.signal is not None:
-            lines += entry(SIGNALS.get(who.method, "signal"), _signal(look), width)
+            lines += entry(signal_of(who.method).name, _signal(look), width)
 
     lines += [Text(), title("What then happened")]
     lines += entry("this decision", _happened(look.now), width)
@@ -156,17 +157,12 @@ def _predicted(look: Look, plan: Planned) -> str:
 
 
 def _signal(look: Look) -> str:
-    value = short(look.signal)
-    if look.who.method == "filter":
-        value, limit = beside(look.signal, look.tau_c)
-        does = "the least correction below it" if look.gate == "method" else "the command stood"
-        return f"{value} costly decisions from here on, discounted, are to be expected of the command; {limit} are allowed (τ_c): {does}"
-    if look.who.method != "ida":
-        return f"{value}, the method's own decision value"
-    above = "" if look.constants.vote is None else f"; it takes over above {short(look.constants.vote)}"
-    margin = "" if look.tau_q is None else f" by more than {short(look.tau_q)} (τ_Q)"
-    does = "IDA took over" if look.gate == "method" else "the command stood"
-    return f"{value} on a scale from -1 (no member of the ensemble finds the copilot's action better{margin}) to 1 (all do){above}: {does}"
+    value, limit = beside(look.signal, look.signal_limit)
+    meaning, method = signal_of(look.who.method).meaning, look.who.method
+    above = "" if look.signal_limit is None else f"; {decider(method)} intervenes above {limit}"
+    margin = "" if look.tau_q is None else f" (τ_Q = {short(look.tau_q)})"
+    does = "it intervened" if look.gate == "method" else "the command stood"
+    return f"{value}, {meaning}{margin}{above}: {does}"
 
 
 def _happened(what: Happened) -> str:

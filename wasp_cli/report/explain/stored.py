@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.report.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
@@ -28,6 +29,7 @@ GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHO
 """The gate that called for a correction; `method` is a rule of a method without WASP's gates."""
 
 NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
+THRESHOLDS = ("tau_c", "tau_r", "tau_q")
 PREDICTED = ("plan_cost", "plan_return", "alone_cost", "alone_return")
 
 
@@ -104,12 +106,17 @@ class Episode:
     @property
     def thresholds(self) -> Thresholds:
         """In force; None where the method has none."""
-        return Thresholds(*(number(self.row[name]) for name in ("tau_c", "tau_r", "tau_q")))
+        return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
 
     @property
     def signal_limit(self) -> float | None:
         """Above which the method's own signal calls for a correction; None where nothing says it."""
-        return self.thresholds.tau_c if self.constants.vote is None else self.constants.vote
+        method = str(self.row["method"])
+        limit = METHODS[method].signal.limit if method in METHODS else ""
+        if limit in THRESHOLDS:
+            return number(self.row[limit])
+        stated = self.cell.setting("axes", "method_config", limit) if limit else None
+        return float(stated) if isinstance(stated, (int, float)) and not isinstance(stated, bool) else None
 
     def at(self, name: str, t: int) -> float | None:
         """A number of decision t; None where it is undefined."""

@@ -12,13 +12,12 @@ from wasp_cli.report.explain.facts import Run, Story, Who
 from wasp_cli.report.explain.strip import strip_lines
 from wasp_cli.report.explain.tell import merged
 from wasp_cli.report.explain.words import (
-    DECIDERS,
     INDENT,
-    SIGNALS,
     STYLES,
     action,
     between,
     count,
+    decider,
     entry,
     expected_cost,
     ms,
@@ -27,6 +26,7 @@ from wasp_cli.report.explain.words import (
     plain,
     rule,
     short,
+    signal_of,
     span,
     title,
     whose,
@@ -123,7 +123,7 @@ def _interventions(story: Story) -> str:
 
 
 def _shares(story: Story) -> str:
-    names = {"safety": "safety gate", "task": "task gate", "method": _took(story.who)}
+    names = {"safety": "safety gate", "task": "task gate", "method": decider(story.who.method)}
     shares = [f"{names[gate]} {share:.1%}" for gate, share in story.totals.gate_share.items() if gate != "none"]
     shares.append(f"silent {story.totals.gate_share.get('none', 0.0):.1%}")
     text = ", ".join(shares) + " of decisions"
@@ -134,11 +134,6 @@ def _shares(story: Story) -> str:
     if story.totals.case2 is not None:
         text += f"; while planning, {story.totals.case2:.0%} of the search steps found too few safe candidates (Case II)"
     return text
-
-
-def _took(who: Who) -> str:
-    """Name of a method's own rule."""
-    return {"ida": "IDA took over", "filter": "the filter corrected"}.get(who.method, "its own rule")
 
 
 def _costs(story: Story) -> str:
@@ -169,7 +164,7 @@ def _timeline(story: Story, pieces: Sequence[Run], width: int) -> list[Text]:
         Column("command → executed (means)", tuple(_change(run) for run in pieces), left=True, rank=2),
         Column(f"G^c (τ_c {short(tau_c)})", tuple(between(run.g_cost, tau_c) for run in pieces)),
         Column(f"ΔG (τ_r {short(tau_r)})", tuple(between(run.delta_g, tau_r) for run in pieces), rank=4),
-        Column(SIGNALS.get(story.who.method, "signal"), tuple(between(run.signal, None) for run in pieces), rank=3),
+        Column(signal_of(story.who.method).name, tuple(between(run.signal, None) for run in pieces), rank=3),
         Column("cost", tuple(str(run.cost) if run.cost else "-" for run in pieces)),
         Column("missed at", tuple(places(run.missed) for run in pieces), left=True),
     ]
@@ -194,7 +189,7 @@ def _timeline(story: Story, pieces: Sequence[Run], width: int) -> list[Text]:
 
 def _gate(run: Run, who: Who) -> str:
     """`safety`, or of merged runs `safety 12/15`."""
-    name = {"none": "-", "method": DECIDERS.get(who.method, "own rule")}.get(run.gate, run.gate)
+    name = {"none": "-", "method": decider(who.method)}.get(run.gate, run.gate)
     return name if len(run.gates) == 1 else f"{name} {run.gates[run.gate]}/{run.decisions}"
 
 

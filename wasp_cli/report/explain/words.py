@@ -7,33 +7,16 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
-from wasp_cli.methods.registry import METHODS
+from wasp_cli.methods.registry import METHODS, Signal
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.explain.facts import Range, Who
 from wasp_cli.report.explain.stored import Constants
-from wasp_cli.report.titles import ABLATIONS
+from wasp_cli.report.titles import who_title
 from wasp_cli.tasks.registry import TASKS
 
 INDENT = 2
 LABEL = 16
 """Columns of the indentation and of the names at the left."""
-
-RULES = {
-    "human": "Human-only never intervenes: the command is executed as it is.",
-    "expert": "The unimpaired operator without assistance: the command is executed as it is.",
-    "ida": "IDA puts its copilot's action (the expert's, unless the spec says otherwise) in the place of the command where an ensemble "
-    "of Q functions votes for it.",
-    "diffusion": "Diffusion has no gate: every command is blurred with noise and led back towards what an expert would do.",
-    "filter": "The safety filter looks one imagined step ahead: where that step and V_c behind it cost more than τ_c, it makes the least "
-    "correction towards the safest action that brings the cost below.",
-    "saferl": "SafeRL-Res has no gate: a trained policy adds its correction to every command.",
-}
-"""How a method without WASP's gates decides."""
-
-SIGNALS = {"ida": "vote", "filter": "Q_c"}
-"""What a method decides by; others call it their signal."""
-DECIDERS = {"ida": "IDA", "filter": "filter"}
-"""Who decides by it."""
 
 STYLES = {"safety": "yellow", "task": "cyan", "method": "magenta", "none": "dim"}
 
@@ -41,9 +24,7 @@ STYLES = {"safety": "yellow", "task": "cyan", "method": "magenta", "none": "dim"
 def whose(who: Who, width: int) -> list[Text]:
     """Task, method, operator, seed and key."""
     task = TASKS[who.task].title if who.task in TASKS else who.task
-    method = METHODS[who.method].title if who.method in METHODS else who.method
-    if who.assistant_variant != "full":
-        method += f", {ABLATIONS.get(who.assistant_variant, who.assistant_variant)}"
+    method = who_title(who.method, who.assistant_variant)
     of = f"{task}, {method}, operator: {operator(who)}, seed {who.seed} (world {who.episode_seed})"
     return entry("cell", of, width) + entry("key", who.key or f"none; read from {who.path}", width)
 
@@ -60,8 +41,19 @@ def operator(who: Who) -> str:
 
 
 def rule(who: Who) -> str:
-    """How a method without gates decides."""
-    return RULES.get(who.method, f"What moves '{who.method}', its own documentation says; it has none of WASP's gates.")
+    """Return how a method decides."""
+    said = METHODS[who.method].rule if who.method in METHODS else ""
+    return said or f"not described: see the documentation of '{who.method}'"
+
+
+def signal_of(method: str) -> Signal:
+    """Return what a method decides by; of one that no registry knows, a signal without a meaning."""
+    return METHODS[method].signal if method in METHODS else Signal()
+
+
+def decider(method: str) -> str:
+    """Return who decides by a method's own rule: its title."""
+    return METHODS[method].title if method in METHODS else method
 
 
 def expected_cost(amount: str, constants: Constants) -> str:

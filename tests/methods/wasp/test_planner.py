@@ -8,9 +8,8 @@ from tests.worlds import Corridor, NoCritics
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.gates import probe, safe_score, task_score
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.residual import plan_residuals, propose
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.methods.wasp.planner import plan_residuals, propose
+from wasp_cli.operators.base import DrawnNoise, Operator
 
 TAU = 0.3
 

@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from wasp_cli.models.base import Latent
-from wasp_cli.models.critics import LatentCritics
-from wasp_cli.models.two_hot import TwoHot
+from wasp_cli.models.critics import LatentCritics, TwoHot
 
 
 def values() -> torch.Tensor:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.learning.contents import COLUMNS
-from wasp_cli.learning.replay import PIXELS, Replay, cost_sources, read_replay, shards
+from wasp_cli.learning.shards import PIXELS, Replay, cost_sources, read_replay, shards
 
 FRAMES = 4
 """Frames of a behaviour that are spread over all its steps, and as many costly ones."""

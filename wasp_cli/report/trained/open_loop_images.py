@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.learning.diagnostics import Forecast, imagined_images
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import Replay
 from wasp_cli.models.world_model import SafetyWorldModel
 
 COSTLY, CALM = 3, 2
