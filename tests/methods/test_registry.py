@@ -10,7 +10,8 @@ from wasp_cli.config import Config
 from wasp_cli.methods.configs import WASPVariant
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.registry import load_target
-from wasp_cli.report.explain.words import decider, signal_of
+from wasp_cli.report.explain.layout import decider
+from wasp_cli.report.explain.stored import signal_of
 from wasp_cli.report.titles import variant_title, who_title
 from wasp_cli.store.tables import Thresholds
 

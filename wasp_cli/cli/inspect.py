@@ -136,17 +136,16 @@ def explain(
     import shlex
 
     from wasp_cli.console import out
-    from wasp_cli.report.explain.facts import Story, as_json
-    from wasp_cli.report.explain.look import look
-    from wasp_cli.report.explain.look_text import look_lines
+    from wasp_cli.report.explain.collect import decision_facts, summarize
+    from wasp_cli.report.explain.decision_text import decision_lines
+    from wasp_cli.report.explain.episode_text import episode_lines
+    from wasp_cli.report.explain.facts import EpisodeSummary, as_json
     from wasp_cli.report.explain.stored import read_episode
-    from wasp_cli.report.explain.story_text import story_lines
-    from wasp_cli.report.explain.tell import tell
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.layout import Layout
 
     stored = read_episode(find_cell(Layout(results), cell), episode)
-    facts = tell(stored) if step is None else look(stored, step)
+    facts = summarize(stored) if step is None else decision_facts(stored, step)
     if json:
         print_json(as_json(facts))
         return
@@ -154,7 +153,7 @@ def explain(
     again = "wasp explain " + shlex.quote(stored.cell.key[:8] if stored.cell.key else str(stored.cell.path))
     if results != Path("results"):
         again += f" --results {shlex.quote(str(results))}"
-    lines = story_lines(facts, width, again) if isinstance(facts, Story) else look_lines(facts, width)
+    lines = episode_lines(facts, width, again) if isinstance(facts, EpisodeSummary) else decision_lines(facts, width)
     for line in lines:
         out().print(line, soft_wrap=True)
 
