@@ -26,7 +26,7 @@ def test_a_method_that_votes(tmp_path: Path) -> None:
     summary = episode_text(episode)
     assert "  IDA   vote > 0.990          1  12.5%\n  none  -                     7  87.5%\n" in summary
     assert summarize(episode).totals.missed == (4,)
-    assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2  -" in summary
+    assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2          -" in summary
 
 
 def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) -> None:
