@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.explain.words import signal_of
+from wasp_cli.report.explain.stored import Episode, read_episode, signal_of
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.methods.registry import METHODS
+from wasp_cli.methods.registry import METHODS, Signal
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.report.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
@@ -111,8 +111,7 @@ class Episode:
     @property
     def signal_limit(self) -> float | None:
         """Above which the method's own signal calls for a correction; None where nothing says it."""
-        method = str(self.row["method"])
-        limit = METHODS[method].signal.limit if method in METHODS else ""
+        limit = signal_of(str(self.row["method"])).limit
         if limit in THRESHOLDS:
             return number(self.row[limit])
         stated = self.cell.setting("axes", "method_config", limit) if limit else None
@@ -146,8 +145,13 @@ class Episode:
         return missed
 
 
+def signal_of(method: str) -> Signal:
+    """Return what a method decides by; of one that no registry knows, a signal without a meaning."""
+    return METHODS[method].signal if method in METHODS else Signal()
+
+
 def read_episode(cell: FoundCell, episode: int) -> Episode:
-    """One episode of a cell.
+    """Read one episode of a cell.
 
     Raises:
         UsageError: the cell has no such episode.

@@ -10,8 +10,7 @@ from itertools import groupby
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.stored import Episode, Floats
-from wasp_cli.report.explain.words import signal_of
+from wasp_cli.report.explain.stored import Episode, Floats, signal_of
 from wasp_cli.report.page.markup import Markup, element
 
 CURVE, STRIP = 36, 8
