@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,11 @@ class Home:
         assert done.returncode == 0, done.stderr
         return done.stdout
 
+    @cached_property
+    def first_keys(self) -> dict[str, str]:
+        """Of the package as it is."""
+        return self.keys()
+
     def keys(self) -> dict[str, str]:
         return {node["label"]: node["key"] for node in json.loads(self.wasp("plan", "careful.yaml", "--json"))["nodes"]}
 
@@ -81,7 +87,7 @@ def test_its_own_tests_pass(home: Home) -> None:
 
 def test_its_spec_is_checked_and_planned(home: Home) -> None:
     assert "ok, 5 cells" in home.wasp("check", "careful.yaml")
-    assert {"goal1 s0 risk, round 2", "goal1 s0 careful sluggish=0.8"} <= set(home.keys())
+    assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(home.first_keys)
     wrong = home.python("-m", "wasp_cli", "check", "careful.yaml", "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3")
     assert wrong.returncode == 3
     assert "careful.limit: should be less than 1" in wrong.stderr
@@ -98,7 +104,7 @@ def test_its_spec_is_checked_and_planned(home: Home) -> None:
     ],
 )
 def test_a_key_covers_what_its_node_runs(home: Home, file: str, old: str, new: str, moved: str) -> None:
-    path, before = home.site / "wasp_example" / file, home.keys()
+    path, before = home.site / "wasp_example" / file, home.first_keys
     text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new), encoding="utf-8")
@@ -106,9 +112,7 @@ def test_a_key_covers_what_its_node_runs(home: Home, file: str, old: str, new: s
         after = home.keys()
     finally:
         path.write_text(text, encoding="utf-8")
-    assert {label for label in before if before[label] != after[label]} == {
-        label for label in before if moved and re.search(moved, label)
-    }
+    assert {label for label in before if before[label] != after[label]} == {label for label in before if moved and re.search(moved, label)}
 
 
 def test_its_stage_trains_what_its_assistant_reads(home: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,8 +155,8 @@ def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home: Home) -> 
     story = home.wasp("explain", CELL, "--episode", "0")
     assert "operator: sluggish 0.8 (weight of the last command)" in story
     assert "Careful executes the least risky of the command" in story
-    assert "Careful 100.0%" in story
+    assert re.search(r"Careful +risk > 0.020 +\d+ +[1-9]", story)
     decision = home.wasp("explain", CELL, "--episode", "0", "--step", "0")
-    assert "the predicted probability that the command leads to cost; Careful intervenes above 0.020" in decision
+    assert "risk: the predicted probability that the command leads to cost" in decision
     plan = json.loads(home.wasp("plan", "careful.yaml", "--json", sets=SMALL))
     assert not [node["label"] for node in plan["nodes"] if node["state"] != "done"]
