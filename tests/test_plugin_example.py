@@ -153,7 +153,7 @@ def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home: Home) -> 
     printed = home.wasp("report", "results")
     assert re.search(r"Careful +\S+", printed)
     story = home.wasp("explain", CELL, "--episode", "0")
-    assert "operator: sluggish 0.8 (weight of the last command)" in story
+    assert re.search(r"operator +sluggish 0.8 \(weight of the last command\)", story)
     assert "Careful executes the least risky of the command" in story
     assert re.search(r"Careful +risk > 0.020 +\d+ +[1-9]", story)
     decision = home.wasp("explain", CELL, "--episode", "0", "--step", "0")

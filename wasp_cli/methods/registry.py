@@ -59,7 +59,7 @@ class MethodInfo:
     """What it decides by, where its records hold a signal."""
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
-        """The stage kinds that it reads under a configuration (resolved, as JSON values)."""
+        """Return the stage kinds that it reads under a configuration (resolved, as JSON values)."""
         return (*self.needs, *(kind for field, value, kind in self.needs_with if config.get(field) == value))
 
     def config_model(self) -> type[Config]:

@@ -39,7 +39,7 @@ class TwoHot(nn.Module):
         self.register_buffer("bins", whole.float(), persistent=False)
 
     def encode(self, value: Tensor) -> Tensor:
-        """[...] to weights [..., K] whose expectation over the bins is the value; beyond the reach the last bin has all."""
+        """Encode values [...] as weights [..., K] whose expectation over the bins is the value; beyond the reach the last bin has all."""
         value = value.clamp(self.bins[0], self.bins[-1]).unsqueeze(-1)
         upper = torch.searchsorted(self.bins, value, right=True).clamp(1, len(self.bins) - 1)
         low, high = self.bins[upper - 1], self.bins[upper]
@@ -48,7 +48,7 @@ class TwoHot(nn.Module):
         return weights.scatter(-1, upper, share).scatter(-1, upper - 1, 1.0 - share)
 
     def decode(self, logits: Tensor) -> Tensor:
-        """Expectation [...] of the distribution with these logits [..., K]; exactly zero for equal logits.
+        """Return the expectation [...] of the distribution with these logits [..., K]; exactly zero for equal logits.
 
         Bins are summed in pairs of opposite sign: rounding of far bins would otherwise outweigh small values.
         """
@@ -58,7 +58,7 @@ class TwoHot(nn.Module):
         return (difference * self.bins[half + 1 :]).sum(-1)
 
     def loss(self, logits: Tensor, value: Tensor) -> Tensor:
-        """Cross-entropy [...] between logits [..., K] and the encoded value [...]."""
+        """Return the cross-entropy [...] between logits [..., K] and the encoded value [...]."""
         return -(self.encode(value) * F.log_softmax(logits.float(), -1)).sum(-1)
 
 
@@ -72,13 +72,13 @@ class LatentCritics(nn.Module):
         self.scale = TwoHot(bins, reach)
 
     def value_r(self, latent: Latent) -> Tensor:
-        """[...] discounted reward from here on."""
+        """Return the discounted reward [...] from here on."""
         return self.scale.decode(self.reward_net(latent.features))
 
     def value_c(self, latent: Latent) -> Tensor:
-        """[...] discounted costly decision steps from here on; never negative."""
+        """Return the discounted costly decision steps [...] from here on; never negative."""
         return self.scale.decode(self.cost_net(latent.features)).clamp(min=0)
 
     def losses(self, features: Tensor, target_r: Tensor, target_c: Tensor) -> tuple[Tensor, Tensor]:
-        """Cross-entropies [...] of both critics at features [..., F] against their targets [...]."""
+        """Return the cross-entropies [...] of both critics at features [..., F] against their targets [...]."""
         return self.scale.loss(self.reward_net(features), target_r), self.scale.loss(self.cost_net(features), target_c)

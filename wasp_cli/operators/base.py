@@ -27,14 +27,16 @@ class NoiseSource(Protocol):
     """Uniform draws for one decision of B rows at a time."""
 
     def next(self, size: int) -> Tensor:
-        """Uniforms in [0, 1), [B, size]; every call moves on by one decision."""
+        """Draw uniforms in [0, 1), [B, size]; every call moves on by one decision."""
         ...
 
     def position(self) -> Tensor:
-        """Where the streams are, as a tensor; `seek` of it brings the same draws back."""
+        """Return where the streams are, as a tensor; `seek` of it brings the same draws back."""
         ...
 
-    def seek(self, position: Tensor) -> None: ...
+    def seek(self, position: Tensor) -> None:
+        """Return to a position."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class Operator:
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
-        """An operator of severity `value`."""
+        """Build an operator of severity `value`."""
         return cls(context.skill(1.0), context.action_size, noise, batch)
 
     @property
@@ -72,15 +74,15 @@ class Operator:
         return self.noise_size + (self.action_size if self.draws_action else 0)
 
     def initial(self, batch: int) -> Memory:
-        """The memory at the start of an episode."""
+        """Return the memory at the start of an episode: tensors [B, ...]."""
         return {}
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
-        """From the intended command [B, A] and uniforms [B, draws] to the issued command and the next memory."""
+        """Turn the intended command [B, A] and uniforms [B, draws] into the issued command [B, A] and the next memory."""
         return intended, memory
 
     def command(self, features: Tensor) -> Tensor:
-        """a^H [B, A] for what the operator sees now; moves memory and noise on by one decision."""
+        """Return a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision."""
         issued, self.memory = self.act(self.policy(features), self.memory, self.noise.next(self.draws))
         return issued
 
@@ -92,7 +94,7 @@ class Operator:
             self.memory[name] = torch.where(mask, fresh[name], old)
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
-        """The same operator in imagination: `copies` adjacent copies of each of `rows` (indices), with other noise."""
+        """Return the same operator in imagination: `copies` adjacent copies of each of `rows` (indices), with other noise."""
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
         forked.noise, forked.batch = noise, len(rows) * copies
@@ -100,7 +102,7 @@ class Operator:
         return forked
 
     def snapshot(self) -> Memory:
-        """Memory and position of the noise: after `restore` of it the same commands follow, bit for bit."""
+        """Return memory and position of the noise: after `restore` of it the same commands follow, bit for bit."""
         return {"noise": self.noise.position(), **{name: value.clone() for name, value in self.memory.items()}}
 
     def restore(self, snapshot: Memory) -> None:
@@ -110,7 +112,7 @@ class Operator:
 
 
 def build_operator(variant: str, value: float | None, context: OperatorContext, noise: NoiseSource, batch: int) -> Operator:
-    """An operator of `batch` rows; the variant "none" is the unimpaired expert.
+    """Build an operator of `batch` rows; the variant "none" is the unimpaired expert.
 
     Raises:
         UnknownName: no such variant.
@@ -133,7 +135,7 @@ class EpisodeNoise:
         self.seeds[row], self.step[row] = seed, 0
 
     def next(self, size: int) -> Tensor:
-        """[B, size]"""
+        """Draw [B, size]."""
         draws = np.empty((len(self.seeds), size), np.float32)
         for row, (seed, step) in enumerate(zip(self.seeds, self.step, strict=True)):
             if size:
@@ -143,7 +145,7 @@ class EpisodeNoise:
         return torch.from_numpy(draws)
 
     def position(self) -> Tensor:
-        """[B] decisions of each episode so far."""
+        """Return the decisions [B] of each episode so far."""
         return torch.tensor(self.step)
 
     def seek(self, position: Tensor) -> None:
@@ -159,13 +161,13 @@ class DrawnNoise:
         self.step = 0
 
     def next(self, size: int) -> Tensor:
-        """[B, size]"""
+        """Draw [B, size]."""
         drawn = self.draws[self.step, :, :size]
         self.step += 1
         return drawn
 
     def position(self) -> Tensor:
-        """The step of the loop."""
+        """Return the step of the loop."""
         return torch.tensor(self.step)
 
     def seek(self, position: Tensor) -> None:

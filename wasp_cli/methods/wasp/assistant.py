@@ -26,14 +26,14 @@ from wasp_cli.operators.base import Operator
 
 
 def effective(config: WASPConfig) -> WASPConfig:
-    """The configuration that a variant stands for: `no-rollout` is a single imagined step with both critics."""
+    """Return the configuration that a variant stands for: `no-rollout` is a single imagined step with both critics."""
     if config.variant == "no-rollout":
         return config.model_copy(update={"horizon": 1, "residual_steps": 1, "bootstrap_cost": True})
     return config
 
 
 def wasp(config: Config, parts: Parts) -> WASP:
-    """WASP over the trained world model and critics."""
+    """Build WASP over the trained world model and critics."""
     critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors")
     whole = cast(WASPConfig, config)
     imagination = Imagination(parts.world_model, critics, effective(whole), parts.gamma_r, parts.gamma_c, parts.lam)
@@ -133,7 +133,7 @@ class WASP:
         return Decision(action, record._replace(g_cost=nominal.cost, g_return=nominal.reward), planned)
 
     def nominal(self, latent: Latent, a_h: Tensor, operator: Operator) -> Returns:
-        """What the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
+        """Return what the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
         return self._nominal(Situation(latent, a_h, operator, torch.arange(len(a_h))), self.noise.next())[0]
 
     def _nominal(self, start: Situation, generators: Sequence[np.random.Generator]) -> tuple[Returns, Draws]:
@@ -148,7 +148,7 @@ class WASP:
         self.kept = torch.where((self.kept_for > 0).view(-1, 1, 1), kept, 0.0)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """The distribution of both gates' signals under the unimpaired expert: tau_r and quantiles for tau_c."""
+        """Return tau_r, tau_c, and the distributions of both gates' signals under the unimpaired expert."""
         everyone = torch.ones(len(heldout.a_h), dtype=torch.bool)
         self.reset(everyone, [seed + i for i in range(len(heldout.a_h))])
         generators = self.noise.next()
@@ -190,7 +190,7 @@ class WASP:
         return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first=first, fresh=fresh, kept=kept)
 
     def _rechecked(self, made: Plan) -> Plan:
-        """The command stands where the gate had fired by chance: it is safe on fresh rollouts, and the plan gains no more than noise."""
+        """Let the command stand where the gate had fired by chance: it is safe on fresh rollouts, and the plan gains no more than noise."""
         if not (self.config.recheck and self.config.finalists):
             return made
         worth = made.predicted.reward - made.alone.reward > (torch.inf if self.config.variant == "safety-only" else self.tau_r)
@@ -201,7 +201,7 @@ class WASP:
         )
 
     def _start_distribution(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""
+        """Return mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""
         mean = torch.where(self.warm[rows].view(-1, 1, 1), shifted(self.plan[rows]), 0.0)
         return mean, torch.full_like(mean, self.config.initial_std)
 
@@ -213,5 +213,5 @@ class WASP:
 
 
 def shifted(plan: Tensor) -> Tensor:
-    """What is left of plans [B, L, A] one decision later, with 0 appended."""
+    """Return what is left of plans [B, L, A] one decision later, with 0 appended."""
     return torch.cat([plan[:, 1:], torch.zeros_like(plan[:, :1])], 1)

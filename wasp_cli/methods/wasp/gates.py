@@ -29,12 +29,12 @@ class Gain(NamedTuple):
 
 
 def safety_gate(nominal_cost: Tensor, tau_c: float) -> Tensor:
-    """Eq. 9: intervene where the nominal cost return [B] exceeds tau_c."""
+    """Return where to intervene [B]: the nominal cost return [B] exceeds tau_c (Eq. 9)."""
     return nominal_cost > tau_c
 
 
 def probe(imagination: Imagination, start: Situation, candidates: Tensor, draws: Draws, fresh: Draws, tau_c: float) -> Gain:
-    """Eq. 11-12: the feasible candidate of highest penalised return, and its gain over the operator alone.
+    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over the operator alone (Eq. 12).
 
     The maximum of many noisy estimates is biased, so the winner and the operator are scored again with fresh rollouts, common to both.
 
@@ -58,13 +58,13 @@ def probe(imagination: Imagination, start: Situation, candidates: Tensor, draws:
 
 
 def task_score(returns: Returns, alpha: float) -> Tensor:
-    """S_task of Eq. 16 (and the objective of Eq. 11): G^(r) - alpha sum ||delta||^2; minus infinity where undefined."""
+    """Return S_task [B, N] of Eq. 16 (the objective of Eq. 11): G^(r) - alpha sum ||delta||^2; minus infinity where undefined."""
     score = returns.reward - alpha * returns.effort
     return torch.where(score.isnan(), -torch.inf, score)
 
 
 def safe_score(returns: Returns, alpha: float, tau_c: float) -> Tensor:
-    """S_safe of Eq. 17: [G^(c) - tau_c]_+ + alpha sum ||delta||^2, to be minimised; infinity where undefined."""
+    """Return S_safe [B, N] of Eq. 17, to be minimised: [G^(c) - tau_c]_+ + alpha sum ||delta||^2; infinity where undefined."""
     score = (returns.cost - tau_c).clamp(min=0) + alpha * returns.effort
     return torch.where(score.isnan(), torch.inf, score)
 
@@ -80,12 +80,12 @@ class Signals(NamedTuple):
     """[K] costly decisions that really followed within the window; NaN where the episode has fewer left"""
 
     def own_tau_c(self, tau_c: float) -> float:
-        """The threshold that lets through as many of the expert's decisions as `tau_c` does for the whole method."""
+        """Return the threshold that lets through as many of the expert's decisions as `tau_c` does for the whole method."""
         rate = float((self.whole_cost > tau_c).float().mean())
         return quantile(self.cost, 1.0 - rate)
 
     def thresholds(self, tau_c: float, gains: Tensor, config: WASPConfig) -> dict[str, float]:
-        """tau_c and tau_r, and the distributions that they stand in.
+        """Return tau_c and tau_r, and the distributions that they stand in.
 
         Args:
             tau_c: in force.
@@ -104,5 +104,5 @@ class Signals(NamedTuple):
 
 
 def quantile(values: Tensor, q: float) -> float:
-    """A quantile, NaN of nothing."""
+    """Return a quantile of values [K]; NaN of nothing."""
     return float(torch.quantile(values, q)) if len(values) else float("nan")

@@ -62,7 +62,7 @@ class _Search:
 
 
 def propose(mean: Tensor, std: Tensor, normals: Tensor, kept: Tensor | None = None) -> Tensor:
-    """Candidates [B, N, L, A]: the first without residual, the second the mean, the third an older plan if there is one, others sampled.
+    """Sample candidates [B, N, L, A]: the first without residual, the second the mean, the third an older plan if there is one.
 
     Args:
         mean, std: [B, L, A].
@@ -145,7 +145,7 @@ def plan_residuals(
 
 
 def _ranked(plans: Tensor, returns: Returns, config: WASPConfig, tau_c: float) -> tuple[Pool, Pool]:
-    """The best of a batch by S_task among its feasible ones, and by -S_safe among all."""
+    """Return the best of a batch by S_task among its feasible ones, and by -S_safe among all."""
     none = Pool(plans.new_full((len(plans), 1), -torch.inf), torch.zeros_like(plans[:, :1]))
     feasible = returns.cost <= tau_c
     by_task = none.add(torch.where(feasible, task_score(returns, config.alpha), -torch.inf), plans)
@@ -201,5 +201,5 @@ def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPC
 
 
 def _over_plans(index: Tensor, plans: Tensor) -> Tensor:
-    """Indices [B, K] into the second dimension of [B, N, L, A], shaped for `gather`."""
+    """Shape indices [B, K] into the second dimension of [B, N, L, A] for `gather`."""
     return index.view(*index.shape, 1, 1).expand(-1, -1, *plans.shape[2:])
