@@ -159,4 +159,4 @@ def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home: Home) -> 
     decision = home.wasp("explain", CELL, "--episode", "0", "--step", "0")
     assert "risk: the predicted probability that the command leads to cost" in decision
     plan = json.loads(home.wasp("plan", "careful.yaml", "--json", sets=SMALL))
-    assert not [node["label"] for node in plan["nodes"] if node["state"] != "done"]
+    assert not [node["label"] for node in plan["nodes"] if node["state"] != "cached"]
