@@ -1,4 +1,4 @@
-"""What is known of one node from its manifest: what it is, where it came from, what it reads, and whether its files are whole."""
+"""What the manifest of a node says: what it is, where it came from, its inputs, and whether its files are undamaged."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Setting:
 
 @dataclass(frozen=True)
 class Upstream:
-    """An artifact that the node read."""
+    """An input of the node."""
 
     name: str
-    """Under which it read it."""
+    """The name under which the node reads it."""
     kind: str
     key: str
     label: str
@@ -57,7 +57,7 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class NodeFacts:
-    """What is known of a node. Of one that has only failed: its label, its kind and its failure."""
+    """What is known of a node; of one that has only failed, its label, kind and failure."""
 
     key: str
     kind: str
@@ -79,7 +79,7 @@ class NodeFacts:
 
 
 def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
-    """Everything that the manifest of a node says, its files read and compared."""
+    """Collect what the manifest of a node says; its files are read and their SHA-256 compared."""
     provenance = mapping(node.setting("provenance"))
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
     return NodeFacts(
@@ -159,5 +159,5 @@ def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, 
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
-    """A value of a manifest that should be a mapping; an empty one where it is none."""
+    """Return a value of a manifest if it is a mapping, else an empty one."""
     return value if isinstance(value, dict) else {}

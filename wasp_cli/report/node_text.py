@@ -1,4 +1,4 @@
-"""A node in words."""
+"""A node as text: one section after the other."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from wasp_cli.report.node import NodeFacts, Setting
 from wasp_cli.report.trained_table import scalars, short
 
 HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
-"""Provenance that is told in lines of its own."""
+"""Provenance with lines of its own."""
 
 
 def node_lines(node: NodeFacts) -> Iterator[Text]:
-    """One section after the other; what is not known is left out."""
+    """Set out a node; what is not known is left out."""
     yield Text(node.label, style="bold")
     yield _entry("kind", node.kind)
     yield _entry("key", node.key)
@@ -26,15 +26,17 @@ def node_lines(node: NodeFacts) -> Iterator[Text]:
         yield _entry("computed", f"{node.started_at[:16].replace('T', ' ')} UTC{took}")
     if node.attempt is not None:
         yield _entry("attempt", str(node.attempt))
-    yield _entry("in", node.folder)
+    yield _entry("folder", node.folder)
     yield from _failure(node.failure)
     yield from _section("Numbers", [(name, short(value)) for name, value in scalars(node.summary)])
     changes = [(each.name, _change(each)) for each in node.changed]
-    yield from _section("Configuration that is not the default", changes)
+    yield from _section("Configuration (without defaults)", changes)
     yield from _section("Shared settings", [(name, short(value)) for name, value in scalars(node.settings)])
-    yield from _section("Reads", [(each.name, f"{each.key[:8]}  {each.label}  {_unless('present', each.state)}") for each in node.upstream])
+    yield from _section(
+        "Inputs", [(each.name, f"{each.key[:8]}  {each.label}  {_unless('present', each.state)}") for each in node.upstream]
+    )
     files = [(each.name, f"{size(each.size)}  {_unless('whole', each.state)}") for each in node.files]
-    yield from _section("Files, their SHA-256 read again" if files else "Files", files)
+    yield from _section("Files (SHA-256 checked)", files)
     yield from _section("Provenance", list(_provenance(node.provenance)))
 
 
@@ -47,7 +49,7 @@ def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:
     if not failure:
         return
     yield Text()
-    yield Text("Failed last", style="bold red")
+    yield Text("Last failure", style="bold red")
     for name in ("message", "hint", "log", "run", "attempt"):
         if failure.get(name) is not None:
             yield _entry(name, str(failure[name]))
@@ -56,7 +58,7 @@ def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:
 def _provenance(provenance: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     git = provenance.get("git")
     if isinstance(git, dict):
-        state = f"changed since ({git.get('changes') or 'outside of the package'})" if git.get("dirty") else "as committed"
+        state = f"with uncommitted changes ({git.get('changes') or 'outside of the package'})" if git.get("dirty") else "as committed"
         yield "git", f"{git.get('sha')}, {state}"
     for name, value in provenance.items():
         if name not in HIDDEN:
