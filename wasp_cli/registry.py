@@ -32,19 +32,32 @@ class Registry(Mapping[str, E], Generic[E]):
     def __init__(self, kind: str, group: str | None, entries: tuple[E, ...]) -> None:
         self.kind = kind
         self._group = group
+        self._type = type(entries[0]) if entries else object
         self._own = {entry.name: entry for entry in entries}
         self._all: dict[str, E] | None = None
 
+    @property
+    def own(self) -> Mapping[str, E]:
+        """The entries of this package, without those of plugins."""
+        return self._own
+
     def _entries(self) -> dict[str, E]:
         if self._all is None:
-            found = dict(self._own)
+            entries = dict(self._own)
             # A plugin's entry point names an object that is an entry of this registry.
             for point in entry_points(group=self._group) if self._group else ():
                 entry: E = _loaded(point)
+                if not isinstance(entry, self._type):
+                    raise WaspError(
+                        f"the entry point '{point.name}' of group '{point.group}' is of type {type(entry).__name__}",
+                        f"it should be of type {self._type.__name__}",
+                    )
                 if entry.name in self._own:
                     raise WaspError(f"plugin '{point.value}' redefines the built-in {self.kind} '{entry.name}'")
-                found[entry.name] = entry
-            self._all = found
+                if entry.name in entries:
+                    raise WaspError(f"two plugins name a {self.kind} '{entry.name}'", "uninstall one of them")
+                entries[entry.name] = entry
+            self._all = entries
         return self._all
 
     def __getitem__(self, name: str) -> E:

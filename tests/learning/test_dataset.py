@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import torch
 
-from tests.learning.recordings import SOURCES, replay
+from tests.learning.recordings import SOURCES, recording
 from tests.learning.test_behaviours import commander
 from wasp_cli.learning.configs import DatasetConfig
 from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
 from wasp_cli.learning.dataset import STICKY, Behaviour, record
-from wasp_cli.learning.shards import cost_sources, read_replay, write_shard
+from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
 from wasp_cli.stages import dataset as stage
@@ -97,7 +97,7 @@ def test_shards_are_linked_or_where_that_fails_copied(root: Path, monkeypatch: p
 def test_the_stage_says_what_it_collected(root: Path) -> None:
     table = json.loads((root / "whole" / "contents.json").read_text())
     summary = json.loads((root / "summary.json").read_text())
-    data = read_replay(root / "whole")
+    data = read_shards(root / "whole")
     assert cost_sources(root / "whole") == make_task(TASK, 1).cost_sources
     assert summary["episodes"] == table[ALL]["episodes"] == ENVS * SHARDS
     assert summary["steps"] == len(data.first) - ENVS * SHARDS
@@ -109,7 +109,7 @@ def test_the_stage_says_what_it_collected(root: Path) -> None:
 
 
 def test_the_table_is_what_can_be_counted_by_hand() -> None:
-    data = replay()  # episodes of 12, 9 and 15 rows: expert, noisy, expert
+    data = recording()  # episodes of 12, 9 and 15 rows: expert, noisy, expert
     table = contents(data, SOURCES)
     assert table[ALL]["episodes"] == 3
     assert table[ALL]["steps"] == 33
@@ -130,7 +130,7 @@ def test_the_table_is_what_can_be_counted_by_hand() -> None:
 
 
 def test_sources_that_never_cost_are_named(tmp_path: Path) -> None:
-    data = replay()
+    data = recording()
     data.cost[:] = np.arange(36) % 12 == 5
     data.sources[:, 1] = 0
     assert unseen_sources(contents(data, SOURCES)) == [SOURCES[1]]

@@ -12,17 +12,16 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from tests.learning.recordings import SOURCES, replay
+from tests.learning.recordings import SOURCES, recording
 from tests.learning.test_dataset import job as dataset_job
 from tests.learning.test_dataset import root  # noqa: F401 - a fixture
 from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.dataset import behaviours
-from wasp_cli.learning.diagnostics import Forecast
+from wasp_cli.learning.diagnostics import Forecast, unseen_behaviours
 from wasp_cli.learning.image_samples import CALM, COSTLY, decoded_sample, imagined_samples, sampled_windows, write_samples
-from wasp_cli.learning.shards import Replay, read_replay
-from wasp_cli.learning.unseen import unseen_behaviours
+from wasp_cli.learning.shards import Recording, read_shards
 from wasp_cli.learning.world_model import build
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
@@ -43,9 +42,9 @@ class Rows:
         return Latent(self.values[index], torch.zeros(len(index), 1))
 
 
-def corridor() -> tuple[Corridor, Replay, Rows]:
+def corridor() -> tuple[Corridor, Recording, Rows]:
     """Episodes of different lengths in a corridor, driven at random."""
-    data = replay((60, 9, 5, 80, 3))
+    data = recording((60, 9, 5, 80, 3))
     random = np.random.default_rng(1)
     action = np.where(data.first[:, None] > 0, 0, random.uniform(-1, 1, (157, 1))).astype(np.float32)
     x = np.concatenate([np.cumsum(0.1 * action[data.episode == e, 0]) for e in range(5)])
@@ -55,12 +54,12 @@ def corridor() -> tuple[Corridor, Replay, Rows]:
     return Corridor(LOW, HIGH), data._replace(action=action, cost=cost, reward=0.1 * action[:, 0], sources=sources), Rows(x)
 
 
-def forecast_of(model: Any, data: Replay, latents: Any, count: int = 1000, samples: int = 2) -> Forecast:
+def forecast_of(model: Any, data: Recording, latents: Any, count: int = 1000, samples: int = 2) -> Forecast:
     return judge.forecast(model, data, latents, judge.spread_starts(data, HORIZON, count), HORIZON, samples, 0)
 
 
 def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
-    data = replay((60, 9, 5, 80, 3))
+    data = recording((60, 9, 5, 80, 3))
     starts = judge.spread_starts(data, HORIZON, 1000)
     assert len(starts) == 55 + 4 + 75
     for chosen in (starts, judge.spread_starts(data, HORIZON, 20)):
@@ -73,7 +72,7 @@ def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
 
 def test_where_a_goal_ends_the_episode_the_goal_is_judged_too() -> None:
     """The steps before a terminal row count as far as they go; those before a time limit do not."""
-    data = replay((12, 9, 4))
+    data = recording((12, 9, 4))
     data.terminal[[11, 24]] = 1
     starts = judge.spread_starts(data, 5, 1000, ended=True)
     assert starts.tolist() == [*range(11), *range(12, 16), *range(21, 24)]
@@ -183,7 +182,7 @@ class Film:
 
     action_size, noise_size = 2, 1
 
-    def __init__(self, data: Replay, lag: int = 0) -> None:
+    def __init__(self, data: Recording, lag: int = 0) -> None:
         self.data, self.lag, self.mean_image = data, lag, torch.zeros(6, 64, 64)
 
     def imagine(self, latent: Latent, action: torch.Tensor, noise: torch.Tensor) -> Latent:
@@ -198,7 +197,7 @@ class Film:
 
 
 def test_imagined_images_are_held_against_the_true_ones_and_a_copy() -> None:
-    data, rows = replay((12, 20)), Rows(np.arange(32))
+    data, rows = recording((12, 20)), Rows(np.arange(32))
     starts = judge.spread_starts(data, 4, 11)
     perfect = judge.judged_images(Film(data), data, rows, starts, 4, 2, 0)  # type: ignore[arg-type]
     assert [row["image_error"] for row in perfect] == pytest.approx([0] * 4)
@@ -216,7 +215,7 @@ def test_imagined_images_are_held_against_the_true_ones_and_a_copy() -> None:
 
 
 def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(tmp_path: Path) -> None:
-    data = replay((40, 40))
+    data = recording((40, 40))
     data.cost[:] = 0
     data.cost[[20, 60, 61]] = 1
     film, rows = Film(data), Rows(np.arange(80))
@@ -295,7 +294,7 @@ def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, 
 
 
 def test_rows_of_a_dataset_are_read_as_if_all_were(root: Path) -> None:  # noqa: F811
-    whole = read_replay(root / "whole")
+    whole = read_shards(root / "whole")
     mask = np.isin(whole.episode, [1, 4])
-    for name, value in read_replay(root / "whole", mask=mask)._asdict().items():
+    for name, value in read_shards(root / "whole", mask=mask)._asdict().items():
         assert np.array_equal(value, whole.rows(mask)._asdict()[name]), name

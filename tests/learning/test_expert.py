@@ -16,9 +16,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError, TaskError
 from wasp_cli.learning.configs import ExpertConfig
-from wasp_cli.learning.expert import best_checkpoint
+from wasp_cli.learning.expert import TrainingState, best_checkpoint
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.ppo_state import TrainingState
 from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv
 from wasp_cli.models.policy import load_privileged

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
-from tests.learning.recordings import replay
+from tests.learning.recordings import recording
 from tests.learning.test_critics import Plain, still
 from tests.learning.test_rollouts import short_task
 from tests.worlds import Corridor, LinearCritics
@@ -23,23 +23,10 @@ from wasp_cli.learning.closed_loop import Loop
 from wasp_cli.learning.configs import CriticsConfig, GateSignalsConfig, ReturnsConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.encoding import encode
-from wasp_cli.learning.gate_signals import (
-    EXPERT,
-    FIRST,
-    GATE,
-    NOW,
-    SUM,
-    Watched,
-    Watcher,
-    bootstrap,
-    critic_alone,
-    discounted,
-    one_step,
-    watched,
-)
-from wasp_cli.learning.gate_signals_judge import SWEEP, judged, reliability_groups
+from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, SignalRecorder, bootstrap, critic_alone, discounted, one_step
+from wasp_cli.learning.gate_signals_judge import SWEEP, SignalRows, judged, reliability_groups, signal_rows
 from wasp_cli.learning.latents import save_latents
-from wasp_cli.learning.shards import read_replay, write_shard
+from wasp_cli.learning.shards import read_shards, write_shard
 from wasp_cli.methods.noise import DecisionNoise, gumbel
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
@@ -79,11 +66,11 @@ def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
     config = GateSignalsConfig(horizon=4, rollouts=3, first_steps=2)
     returns = ReturnsConfig(gamma_c=0.8, lam=0.7)
     world = Ending(LOW, HIGH, jitter=0.05, dtype=torch.float64)
-    watcher = Watcher(world, {0.8: LinearCritics(), 0.9: SteepCritics()}, steady(-0.3, 2), config, returns)
-    watcher.reset(ALL_ROWS, [5, 6])
+    recorder = SignalRecorder(world, {0.8: LinearCritics(), 0.9: SteepCritics()}, steady(-0.3, 2), config, returns)
+    recorder.reset(ALL_ROWS, [5, 6])
     starts, a_h = (0.0, 0.3), (0.2, -0.9)
     command = torch.tensor(a_h, dtype=torch.float64).unsqueeze(1)
-    decision = watcher.decide(world.at(*starts), command, steady(0.4, 2))
+    decision = recorder.decide(world.at(*starts), command, steady(0.4, 2))
     assert torch.equal(decision.action, command)
     assert decision.record is None
     noise = DecisionNoise()
@@ -123,7 +110,7 @@ def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
         expected.setdefault(NOW, []).append(float(LOW < starts[row] < HIGH))
         for gamma, slope in ((0.8, 0.25), (0.9, 0.5)):
             expected.setdefault(critic_alone(gamma), []).append(slope * abs(starts[row]))
-    (seen,) = watcher.seen
+    (seen,) = recorder.seen
     assert set(seen) == set(expected)
     for name, values in expected.items():
         assert seen[name].tolist() == pytest.approx(values, abs=1e-6), name
@@ -137,20 +124,20 @@ def test_the_operator_is_imagined_from_its_real_memory() -> None:
     laggy = LaggyOperator(policy, 1, EpisodeNoise([1, 2]), 2)
     laggy.p = 1.0
     world = Corridor(0.35, 10.0)
-    watcher = Watcher(world, {0.95: LinearCritics()}, Operator(policy, 1, EpisodeNoise([1, 2]), 2), config, ReturnsConfig())
-    watcher.reset(ALL_ROWS, [0, 0])
+    recorder = SignalRecorder(world, {0.95: LinearCritics()}, Operator(policy, 1, EpisodeNoise([1, 2]), 2), config, ReturnsConfig())
+    recorder.reset(ALL_ROWS, [0, 0])
     start = world.at(0.0, 0.0)
     a_h = laggy.command(start.features)
     before = laggy.snapshot()
-    watcher.decide(start, a_h, laggy)
+    recorder.decide(start, a_h, laggy)
     assert all(torch.equal(value, laggy.snapshot()[name]) for name, value in before.items()), "watching moves no memory and no noise"
-    assert watcher.seen[0][GATE].tolist() == pytest.approx([0.95**3 + 0.95**4] * 2)
-    assert watcher.seen[0][EXPERT].tolist() == [0.0, 0.0]
+    assert recorder.seen[0][GATE].tolist() == pytest.approx([0.95**3 + 0.95**4] * 2)
+    assert recorder.seen[0][EXPERT].tolist() == [0.0, 0.0]
     later = world.at(0.3, 0.3)  # here the policy alone would turn back at once
     a_h = laggy.command(later.features)
-    watcher.decide(later, a_h, laggy)
-    assert watcher.seen[1][SUM].tolist() == [5.0, 5.0]
-    assert watcher.seen[1][EXPERT].tolist() == [1.0, 1.0], "the command that was just given is executed, whoever is imagined"
+    recorder.decide(later, a_h, laggy)
+    assert recorder.seen[1][SUM].tolist() == [5.0, 5.0]
+    assert recorder.seen[1][EXPERT].tolist() == [1.0, 1.0], "the command that was just given is executed, whoever is imagined"
 
 
 def loop(costs: list[list[int]], ends: list[bool]) -> Loop:
@@ -168,16 +155,16 @@ def loop(costs: list[list[int]], ends: list[bool]) -> Loop:
 def test_windows_begin_with_the_decision_and_end_with_the_episode() -> None:
     recorded = loop([[0, 1, 1, 0, 0, 0, 1], [0, 0, 1, 0], [1]], [False, True, False])
     seen = [{"x": torch.tensor([t, 10.0 + t, 20.0 + t])} for t in range(7)]
-    rows = watched(recorded, seen, 3, 0.5, first=4)
+    rows = signal_rows(recorded, seen, 3, 0.5, first=4)
     assert rows.episode.tolist() == [4] * 5 + [5] * 4  # one decision before a time limit says nothing of the next three
     assert rows.signals["x"].tolist() == [0, 1, 2, 3, 4, 10, 11, 12, 13]
     assert rows.ahead.tolist() == [2, 2, 1, 0, 1, 1, 1, 1, 0]
     assert rows.discounted.tolist() == [0.75, 1.5, 1.0, 0.0, 0.25, 0.25, 0.5, 1.0, 0.0]
     assert rows.before.tolist() == [False, False, True, True, False, False, False, False, True]
-    assert len(watched(loop([[0, 1]], [False]), seen[:2], 3, 0.5).ahead) == 0
+    assert len(signal_rows(loop([[0, 1]], [False]), seen[:2], 3, 0.5).ahead) == 0
 
 
-def rows_of(episodes: int = 6, length: int = 40) -> Watched:
+def rows_of(episodes: int = 6, length: int = 40) -> SignalRows:
     """A perfect signal, one that is the gate's, a worse one and a constant, on random costs."""
     random = np.random.default_rng(0)
     ahead = np.where(random.random(episodes * length) < 0.3, random.integers(1, 5, episodes * length), 0).astype(float)
@@ -185,7 +172,7 @@ def rows_of(episodes: int = 6, length: int = 40) -> Watched:
     worse = ahead + random.normal(0, 6.0, len(ahead))
     before = random.random(len(ahead)) < 0.2
     signals = {GATE: gate, NOW: np.full(len(ahead), 0.5), SUM: ahead, FIRST: worse}
-    return Watched(signals, before, ahead, 0.9 * ahead, np.repeat(np.arange(episodes), length))
+    return SignalRows(signals, before, ahead, 0.9 * ahead, np.repeat(np.arange(episodes), length))
 
 
 def test_signals_are_ranked_beside_the_gates_own() -> None:
@@ -227,7 +214,7 @@ def test_what_too_few_episodes_or_no_costs_leave_open_is_undefined() -> None:
     rows = rows_of(2)
     calm = judged(rows._replace(ahead=0 * rows.ahead, discounted=0 * rows.ahead), 0.3, SUM)
     assert np.isnan([calm["signals"][SUM]["behind_low"], calm["gate"]["predicted_over_real"], calm["gate"]["foreseen"]]).all()
-    empty = judged(Watched({GATE: np.zeros(0)}, *(np.zeros(0, bool) for _ in range(4))), 0.3, GATE)
+    empty = judged(SignalRows({GATE: np.zeros(0)}, *(np.zeros(0, bool) for _ in range(4))), 0.3, GATE)
     assert empty["decisions"] == 0
     assert np.isnan(empty["signals"][GATE]["auprc"])
 
@@ -251,7 +238,7 @@ def test_critics_at_other_discounts_are_trained_and_the_known_one_is_kept() -> N
     )
     told: list[float] = []
     critics, curves = gate_signals.cost_critics(
-        Plain(), Skills([1.0], 3, [8], 1), replay(), still(36), known, config, ReturnsConfig(), ("goal1", 0),  # type: ignore[arg-type]
+        Plain(), Skills([1.0], 3, [8], 1), recording(), still(36), known, config, ReturnsConfig(), ("goal1", 0),  # type: ignore[arg-type]
         lambda share, text: told.append(share),
     )  # fmt: skip
     assert list(critics) == [0.5, 0.8, 0.95]
@@ -277,7 +264,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     driven = record(short_task(2), [0, 5], lambda seen: np.zeros((2, 2), np.float32), ["expert", "noisy"], 0)
     write_shard(folders["dataset"] / "shard-0000.parquet", driven, ("hazards",))
     model = load_world_model(folders["world_model"])
-    save_latents(encode(model, read_replay(folders["dataset"]), no_progress), folders["world_model"])
+    save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["world_model"])
     return {kind: folders[kind] for kind in GateSignalsStage.needs}
 
 

@@ -20,7 +20,7 @@ from wasp_cli.learning import policies, reinforce
 from wasp_cli.learning.configs import PoliciesConfig, WorldModelConfig
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.latents import save_latents
-from wasp_cli.learning.shards import read_replay
+from wasp_cli.learning.shards import read_shards
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.policy import LatentPolicy, Skills
 from wasp_cli.models.world_model import save_world_model
@@ -39,7 +39,7 @@ def inputs(root: Path) -> dict[str, Path]:
     (root / "seeing").mkdir()
     model = build(WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16), 2)
     save_world_model(model, root / "seeing")
-    save_latents(encode(model, read_replay(root / "whole"), no_progress), root / "seeing")
+    save_latents(encode(model, read_shards(root / "whole"), no_progress), root / "seeing")
     return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "seeing"}
 
 

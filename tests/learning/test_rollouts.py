@@ -18,7 +18,7 @@ from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ReturnsConfig, RolloutsConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.rollouts import assisted_episodes, in_turn
-from wasp_cli.learning.shards import Replay, hand_over, read_replay, write_shard
+from wasp_cli.learning.shards import Recording, hand_over, read_shards, write_shard
 from wasp_cli.methods.base import Parts
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
 from wasp_cli.operators.limited import LimitedSkillOperator
@@ -100,7 +100,7 @@ def job(artifacts: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_the_artifact_is_the_dataset_before_and_the_new_episodes(job: Job) -> None:
     summary = RolloutsStage().run(job)
-    before, after = read_replay(job.inputs["dataset"]), read_replay(job.out_dir)
+    before, after = read_shards(job.inputs["dataset"]), read_shards(job.out_dir)
     rows = len(before.first)
     for name, value in before._asdict().items():
         np.testing.assert_array_equal(getattr(after, name)[:rows], value, err_msg=name)
@@ -119,7 +119,7 @@ def test_an_interrupted_round_goes_on_after_its_last_whole_shard(job: Job, monke
     bytes_of = {path.name: path.read_bytes() for path in job.out_dir.iterdir()}
     calls: list[int] = []
 
-    def broken(*arguments: Any, **options: Any) -> Replay:
+    def broken(*arguments: Any, **options: Any) -> Recording:
         calls.append(1)
         if len(calls) == 2:
             raise KeyboardInterrupt
@@ -144,7 +144,7 @@ def test_another_round_meets_other_worlds(job: Job, tmp_path: Path) -> None:
     (tmp_path / "work3").mkdir()
     third = {"axes": {**job.axes, "round": 3}, "out_dir": tmp_path / "third", "work_dir": tmp_path / "work3"}
     RolloutsStage().run(Job(**{**job.__dict__, **third}))
-    assert not np.array_equal(read_replay(job.out_dir).privileged, read_replay(tmp_path / "third").privileged)
+    assert not np.array_equal(read_shards(job.out_dir).privileged, read_shards(tmp_path / "third").privileged)
 
 
 def test_a_file_system_without_links_gets_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

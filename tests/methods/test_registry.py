@@ -6,10 +6,9 @@ from typing import get_args
 
 import pytest
 
-from wasp_cli.config import Config
+from wasp_cli.errors import WaspError
 from wasp_cli.methods.configs import WASPVariant
-from wasp_cli.methods.registry import METHODS
-from wasp_cli.registry import load_target
+from wasp_cli.methods.registry import METHODS, MethodInfo
 from wasp_cli.report.explain.layout import decider
 from wasp_cli.report.explain.stored import signal_of
 from wasp_cli.report.titles import variant_title, who_title
@@ -20,8 +19,8 @@ from wasp_cli.store.tables import Thresholds
 def test_an_entry_says_how_its_method_decides(name: str) -> None:
     info = METHODS[name]
     assert info.rule.endswith(".")
-    config = load_target(info.config)
-    assert issubclass(config, Config)
+    config = info.config_model()
+
     limit = info.signal.limit
     assert not limit or limit in vars(Thresholds()) or limit in config.model_fields
     if len(info.variants) > 1:
@@ -43,3 +42,16 @@ def test_a_method_that_no_registry_knows_keeps_its_name() -> None:
     assert variant_title("gone", "fast") == "fast"
     assert signal_of("gone").name == "signal"
     assert decider("gone") == "gone"
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ("wasp_cli.methods.human:HumanOnly", "is no configuration"),
+        ("wasp_cli.methods.human:Nobody", "does not load"),
+        ("wasp_cli.methods.nowhere:Config", "does not load"),
+    ],
+)
+def test_what_is_no_configuration_is_said(config: str, message: str) -> None:
+    with pytest.raises(WaspError, match=message):
+        MethodInfo("mine", "Mine", "wasp_cli.methods.human:HumanOnly", config).config_model()

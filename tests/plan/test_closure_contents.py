@@ -67,7 +67,7 @@ MAY_HAVE = {
     "heldout": f"{DRIVING} learning.heldout learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout",
     "denoiser": (
-        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser learning.denoiser_quality "
+        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
     "residual": (
@@ -75,7 +75,9 @@ MAY_HAVE = {
     ),
     "calibration": f"{METHOD} metrics.windows learning.heldout",
     "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.tables",
-    "counterfactual": f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout learning.rerun",
+    "counterfactual": (
+        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout learning.rerun"
+    ),
 }
 """By node kind, names and patterns without the package's own name; its stage and what EVERY node has come on top."""
 

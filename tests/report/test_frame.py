@@ -46,7 +46,7 @@ def test_missing_cells_are_named(grid: Grid) -> None:
     assert len(frame.cells) == len(wanted) - 4
     assert reasons[wanted[0].label] == "not computed yet"
     assert "damaged" in reasons[wanted[1].label]
-    assert "(delete its folder and run the spec again)" in reasons[wanted[1].label]
+    assert "(run the spec again: what is damaged is computed again)" in reasons[wanted[1].label]
     assert reasons[wanted[2].label] == "failed: TrainingError: no data"
     assert "holds another cell" in reasons[wanted[4].label]
 

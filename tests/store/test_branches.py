@@ -81,7 +81,7 @@ def marked(**marks: str) -> Callable[[pa.Table], pa.Table]:
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        (lambda table: table.replace_schema_metadata({}), "no table of counterfactual branches"),
+        (lambda table: table.replace_schema_metadata({}), "not a table of counterfactual branches"),
         (marked(branches="2"), "table version 2, this wasp reads up to 1"),
         (marked(branches="new"), "is damaged"),
         (marked(branched_cell="{}"), "is damaged"),

@@ -177,7 +177,7 @@ def test_no_partial_file(write: Callable[..., Path], tmp_path: Path, monkeypatch
     def fail(*args: Any, **kwargs: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(tables.pq, "write_table", fail)
+    monkeypatch.setattr("wasp_cli.store.parquet.pq.write_table", fail)
     with pytest.raises(StoreError, match="No space left on device"):
         write()
     assert not (tmp_path / "cell.parquet").exists()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.learning.shards import Replay, cost_sources, read_replay
+from wasp_cli.learning.shards import Recording, cost_sources, read_shards
 
 COLUMNS = ("reward", "cost", "cost_env", "sources", "goals", "terminal", "first", "episode", "behaviour")
 """The columns that the table is made from."""
@@ -15,7 +15,7 @@ ALL = "all"
 Contents = Mapping[str, Mapping[str, Any]]
 
 
-def contents(replay: Replay, sources: Sequence[str]) -> dict[str, dict[str, Any]]:
+def contents(recording: Recording, sources: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Per behaviour and in all (`all`).
 
     Keys of a row: `episodes`, `steps` (decision steps), `share` of the episodes, and per episode `return_per_episode`,
@@ -24,12 +24,12 @@ def contents(replay: Replay, sources: Sequence[str]) -> dict[str, dict[str, Any]
     each cost source.
     """
     table = {}
-    for name in [ALL, *sorted(set(replay.behaviour.tolist()))]:
-        rows = replay if name == ALL else replay.rows(replay.behaviour == name)
+    for name in [ALL, *sorted(set(recording.behaviour.tolist()))]:
+        rows = recording if name == ALL else recording.rows(recording.behaviour == name)
         episodes = int(rows.first.sum())
         steps = len(rows.first) - episodes
         table[name] = {
-            "episodes": episodes, "steps": steps, "share": episodes / float(replay.first.sum()),
+            "episodes": episodes, "steps": steps, "share": episodes / float(recording.first.sum()),
             "return_per_episode": float(rows.reward.sum()) / episodes, "goals_per_episode": float(rows.goals.sum()) / episodes,
             "cost_per_episode": float(rows.cost_env.sum()) / episodes,
             "with_goal": len(set(rows.episode[rows.goals > 0].tolist())) / episodes, "terminal": float(rows.terminal.sum()) / episodes,
@@ -41,7 +41,7 @@ def contents(replay: Replay, sources: Sequence[str]) -> dict[str, dict[str, Any]
 
 def contents_of(folder: Path) -> dict[str, dict[str, Any]]:
     """The contents of a dataset artifact, without reading its images."""
-    return contents(read_replay(folder, COLUMNS), cost_sources(folder))
+    return contents(read_shards(folder, COLUMNS), cost_sources(folder))
 
 
 def unseen_sources(table: Contents) -> list[str]:

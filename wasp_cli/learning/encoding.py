@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.shards import Replay
+from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
 Report = Callable[[float, str], None]
@@ -17,12 +17,12 @@ SIDE_BY_SIDE = 16
 
 
 @torch.inference_mode()
-def encode(model: SafetyWorldModel, replay: Replay, report: Report) -> Latents:
+def encode(model: SafetyWorldModel, recording: Recording, report: Report) -> Latents:
     """Filter every recorded row as the closed loop would: episodes side by side, the posterior's mode."""
     device = model.mean_image.device
-    episodes = [np.flatnonzero(replay.episode == e) for e in np.unique(replay.episode)]
-    h = torch.zeros(len(replay.first), model.sizes.deter)
-    z = torch.zeros(len(replay.first), model.sizes.variables, dtype=torch.uint8)
+    episodes = [np.flatnonzero(recording.episode == e) for e in np.unique(recording.episode)]
+    h = torch.zeros(len(recording.first), model.sizes.deter)
+    z = torch.zeros(len(recording.first), model.sizes.variables, dtype=torch.uint8)
     together = SIDE_BY_SIDE if device.type == "cpu" else len(episodes)
     for begin in range(0, len(episodes), together):
         group = episodes[begin : begin + together]
@@ -30,7 +30,9 @@ def encode(model: SafetyWorldModel, replay: Replay, report: Report) -> Latents:
         for t in range(max(len(rows) for rows in group)):
             # Rows whose episode is over repeat its last row; what they produce is not stored.
             index = np.array([rows[min(t, len(rows) - 1)] for rows in group])
-            action, pixels, first = (torch.from_numpy(field[index]).to(device) for field in (replay.action, replay.pixels, replay.first))
+            action, pixels, first = (
+                torch.from_numpy(field[index]).to(device) for field in (recording.action, recording.pixels, recording.first)
+            )
             latent = model.filter(latent, action, pixels, first)
             live = torch.tensor([t < len(rows) for rows in group])
             keep = torch.from_numpy(index)[live]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wasp_cli.learning.diagnostics import Forecast, imagined_images
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator
-from wasp_cli.learning.shards import Replay
+from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
 COSTLY, CALM = 3, 2
@@ -27,7 +27,7 @@ Images = NDArray[np.uint8]
 
 
 class Sample(NamedTuple):
-    """K frames of the model beside the rows of the replay that they belong to."""
+    """K frames of the model beside the rows of the recording that they belong to."""
 
     rows: NDArray[np.int64]
     """[K]"""
@@ -38,24 +38,24 @@ class Sample(NamedTuple):
 
 
 @torch.inference_mode()
-def decoded_sample(model: SafetyWorldModel, replay: Replay, latents: Latents, count: int = DECODED) -> Sample:
+def decoded_sample(model: SafetyWorldModel, recording: Recording, latents: Latents, count: int = DECODED) -> Sample:
     """Decode `count` filtered states: spread over the episodes, the second half of them costly ones where there are any."""
-    spread = np.linspace(0, len(replay.first) - 1, count).astype(int)
-    costly = np.flatnonzero(replay.cost > 0)
+    spread = np.linspace(0, len(recording.first) - 1, count).astype(int)
+    costly = np.flatnonzero(recording.cost > 0)
     if len(costly):
         spread[count // 2 :] = costly[np.linspace(0, len(costly) - 1, count - count // 2).astype(int)]
     seen = latents.at(torch.from_numpy(spread))
     return Sample(spread, _bytes(model.decode(seen).numpy()), model.cost(seen).numpy())
 
 
-def sampled_windows(replay: Replay, seen: Forecast) -> list[int]:
+def sampled_windows(recording: Recording, seen: Forecast) -> list[int]:
     """Choose windows, as indices into the starts of the forecast.
 
     Onsets of a cost late in the window first, spread over the episodes, then windows without any cost.
     """
     whole: NDArray[np.bool_] = np.asarray(seen.within.all(1))
-    costs = (replay.cost[seen.follow] > 0) & whole[:, None]
-    calm = (replay.cost[seen.starts] == 0) & whole
+    costs = (recording.cost[seen.follow] > 0) & whole[:, None]
+    calm = (recording.cost[seen.starts] == 0) & whole
     first = np.where(costs.any(1), costs.argmax(1), -1)
     # An onset in the middle of the window shows both the approach and the cost.
     onset = np.flatnonzero(calm & (first >= costs.shape[1] // 3) & (first < costs.shape[1] - 1))
@@ -67,7 +67,7 @@ def sampled_windows(replay: Replay, seen: Forecast) -> list[int]:
 
 @torch.inference_mode()
 def imagined_samples(
-    model: SafetyWorldModel, replay: Replay, latents: Latents, seen: Forecast, windows: Sequence[int], seed: int
+    model: SafetyWorldModel, recording: Recording, latents: Latents, seen: Forecast, windows: Sequence[int], seed: int
 ) -> list[Sample]:
     """Imagine the chosen windows once each: 1 + H frames, the first of which is the decoded filtered state.
 
@@ -77,13 +77,13 @@ def imagined_samples(
     starts = seen.starts[index]
     now = latents.at(torch.from_numpy(starts))
     begun, cost = model.decode(now).numpy()[:, None], model.cost(now).numpy()[:, None]
-    future = imagined_images(model, replay, latents, starts, horizon, generator(seed))
+    future = imagined_images(model, recording, latents, starts, horizon, generator(seed))
     imagined = _bytes(np.concatenate([begun, future], 1))
     predicted = np.concatenate([cost, seen.cost[index]], 1)
     return [Sample(np.arange(start, start + horizon + 1), imagined[i], predicted[i]) for i, start in enumerate(starts.tolist())]
 
 
-def write_samples(path: Path, replay: Replay, decoded: Sample, imagined: Sequence[Sample]) -> None:
+def write_samples(path: Path, recording: Recording, decoded: Sample, imagined: Sequence[Sample]) -> None:
     """Write a Parquet file with a row per frame.
 
     Columns: `window` (-1: decoded, then the imagined ones by number), `step` (place in it), `behaviour`, `episode`, `decision` (rows since
@@ -92,16 +92,16 @@ def write_samples(path: Path, replay: Replay, decoded: Sample, imagined: Sequenc
     samples = [decoded, *imagined]
     rows = np.concatenate([sample.rows for sample in samples])
     sizes = [len(sample.rows) for sample in samples]
-    decision = rows - np.searchsorted(replay.episode, replay.episode[rows])
+    decision = rows - np.searchsorted(recording.episode, recording.episode[rows])
     columns = {
         "window": pa.array(np.repeat(np.arange(-1, len(imagined)), sizes), pa.int16()),
         "step": pa.array(np.concatenate([np.arange(size) for size in sizes]), pa.int16()),
-        "behaviour": pa.array(replay.behaviour[rows].tolist(), pa.string()),
-        "episode": pa.array(replay.episode[rows], pa.int32()),
+        "behaviour": pa.array(recording.behaviour[rows].tolist(), pa.string()),
+        "episode": pa.array(recording.episode[rows], pa.int32()),
         "decision": pa.array(decision, pa.int32()),
-        "cost": pa.array(replay.cost[rows], pa.float32()),
+        "cost": pa.array(recording.cost[rows], pa.float32()),
         "predicted": pa.array(np.concatenate([sample.predicted for sample in samples]), pa.float32()),
-        "true": _binary(replay.pixels[rows]),
+        "true": _binary(recording.pixels[rows]),
         "model": _binary(np.concatenate([sample.images for sample in samples])),
     }
     pq.write_table(pa.table(columns), path, compression="zstd", compression_level=3, use_dictionary=["behaviour"])

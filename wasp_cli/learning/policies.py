@@ -19,7 +19,7 @@ from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour, Commander
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator, roll_prior
-from wasp_cli.learning.shards import Replay
+from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy, Skills
@@ -52,22 +52,22 @@ class Labelled(NamedTuple):
 
 
 def label(
-    model: SafetyWorldModel, experts: Sequence[PrivilegedPolicy], replay: Replay, latents: Latents, depth: int, seed: int
+    model: SafetyWorldModel, experts: Sequence[PrivilegedPolicy], recording: Recording, latents: Latents, depth: int, seed: int
 ) -> Labelled:
     """Ask every checkpoint about every row.
 
     Args:
         model: the frozen world model.
         experts: the K checkpoints.
-        replay: privileged, action and first of N rows.
+        recording: privileged, action and first of N rows.
         latents: of the same rows.
         depth: imagined rows lie 1 to this many prior steps after a recorded latent.
         seed: of the depths and the prior's samples.
     """
-    privileged = torch.from_numpy(replay.privileged)
+    privileged = torch.from_numpy(recording.privileged)
     with torch.no_grad():
         labels = torch.stack([expert(privileged) for expert in experts])
-    imagined = imagine_arrivals(model, latents, torch.from_numpy(replay.action), torch.from_numpy(replay.first), depth, seed)
+    imagined = imagine_arrivals(model, latents, torch.from_numpy(recording.action), torch.from_numpy(recording.first), depth, seed)
     return Labelled(latents, imagined, labels)
 
 
@@ -199,7 +199,7 @@ def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
 @torch.inference_mode()
 def visit(
     task: VectorTask, model: SafetyWorldModel, skills: Skills, rows: Sequence[Behaviour], seeds: Sequence[int], seed: int, report: Report
-) -> tuple[Replay, Latents]:
+) -> tuple[Recording, Latents]:
     """Drive one episode per row through the filter and keep every state at which a decision was made.
 
     Args:
@@ -239,14 +239,14 @@ def visit(
     h = torch.stack([step[2].h for step in steps], 1)[kept].clone()
     z = torch.stack([step[2].z for step in steps], 1)[kept]
     empty: NDArray[np.float32] = np.zeros(0, np.float32)
-    columns = dict.fromkeys(Replay._fields, empty) | {
+    columns = dict.fromkeys(Recording._fields, empty) | {
         "privileged": np.stack([step[0] for step in steps], 1)[alive],
         "action": np.stack([step[1] for step in steps], 1)[alive],
         "first": np.broadcast_to(np.arange(alive.shape[1]) == 0, alive.shape)[alive].astype(np.float32),
         "episode": np.repeat(np.arange(len(alive), dtype=np.int32), alive.sum(1)),
     }
     classes = model.sizes.classes
-    return Replay(**columns), Latents(h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes)
+    return Recording(**columns), Latents(h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes)
 
 
 def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, fraction: float, seeds: Sequence[int]) -> Loop:

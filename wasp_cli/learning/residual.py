@@ -21,9 +21,8 @@ from torch import nn
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.configs import ResidualConfig
-from wasp_cli.learning.filtered_env import FilteredTask
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule, ReturnRule, Rule
-from wasp_cli.learning.value_warmup import ValueWarmup
+from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.residual import ResidualPolicy

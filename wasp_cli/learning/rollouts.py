@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.dataset import record
-from wasp_cli.learning.shards import Replay
+from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.base import Assistant
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import NoiseSource, Operator, OperatorContext, build_operator
@@ -50,7 +50,7 @@ def assisted_episodes(
     name: str,
     number: int,
     progress: Callable[[float, str], None] | None = None,
-) -> Replay:
+) -> Recording:
     """One episode per row as a shard, with the actions that the assistant executed.
 
     Each episode runs twice: the assistant decides, and what it executed is carried out again before the recorder of the dataset. A task

@@ -49,7 +49,7 @@ def _schema(action: int, privileged: int, sources: Sequence[str]) -> pa.Schema:
     )
 
 
-class Replay(NamedTuple):
+class Recording(NamedTuple):
     """N rows, episodes one after the other."""
 
     pixels: NDArray[np.uint8]
@@ -89,31 +89,31 @@ class Replay(NamedTuple):
         chosen: NDArray[np.bool_] = self.episode % period == period - 1
         return chosen if chosen.any() else self.episode == self.episode.max()
 
-    def rows(self, mask: NDArray[np.bool_]) -> Replay:
+    def rows(self, mask: NDArray[np.bool_]) -> Recording:
         """The rows of a mask (whole episodes). Columns that were not read stay empty."""
         fields: dict[str, Any] = {name: value[mask] if len(value) else value for name, value in self._asdict().items()}
-        return Replay(**fields)
+        return Recording(**fields)
 
 
 def held_out_period(share: float) -> int:
-    """Every how many episodes one is held out; see `Replay.held_out`."""
+    """Every how many episodes one is held out; see `Recording.held_out`."""
     return max(1, round(1 / share))
 
 
-def write_shard(path: Path, replay: Replay, sources: Sequence[str]) -> None:
-    """Write whole episodes to one file; `sources` names the columns of `replay.sources`."""
-    images = np.ascontiguousarray(replay.pixels)
+def write_shard(path: Path, recording: Recording, sources: Sequence[str]) -> None:
+    """Write whole episodes to one file; `sources` names the columns of `recording.sources`."""
+    images = np.ascontiguousarray(recording.pixels)
     arrays = [
-        pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(replay.first), [None, pa.py_buffer(images)]),
-        _lists(replay.action), pa.array(replay.reward), pa.array(replay.cost), pa.array(replay.cost_env), _counts(replay.sources),
-        pa.array(replay.goals), pa.array(replay.terminal), pa.array(replay.first),
-        _lists(replay.privileged), pa.array(replay.episode), pa.array(replay.behaviour.tolist(), pa.string()),
+        pa.FixedSizeBinaryArray.from_buffers(pa.binary(_BYTES), len(recording.first), [None, pa.py_buffer(images)]),
+        _lists(recording.action), pa.array(recording.reward), pa.array(recording.cost), pa.array(recording.cost_env),
+        _counts(recording.sources), pa.array(recording.goals), pa.array(recording.terminal), pa.array(recording.first),
+        _lists(recording.privileged), pa.array(recording.episode), pa.array(recording.behaviour.tolist(), pa.string()),
     ]  # fmt: skip
-    schema = _schema(replay.action.shape[1], replay.privileged.shape[1], sources)
+    schema = _schema(recording.action.shape[1], recording.privileged.shape[1], sources)
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd", compression_level=3, use_dictionary=["behaviour"])
 
 
-def shards(folder: Path) -> list[Path]:
+def shard_files(folder: Path) -> list[Path]:
     """The files of a dataset artifact, in order.
 
     Raises:
@@ -125,7 +125,7 @@ def shards(folder: Path) -> list[Path]:
     return found
 
 
-def read_replay(folder: Path, columns: Sequence[str] | None = None, mask: NDArray[np.bool_] | None = None) -> Replay:
+def read_shards(folder: Path, columns: Sequence[str] | None = None, mask: NDArray[np.bool_] | None = None) -> Recording:
     """All rows of a dataset artifact, or those of a mask (whole episodes), in order. Columns that are not asked for are empty.
 
     Shard after shard into place, so that the images are in memory once (a shard's twice).
@@ -133,7 +133,7 @@ def read_replay(folder: Path, columns: Sequence[str] | None = None, mask: NDArra
     Raises:
         ArtifactError: there is no shard, or one is damaged.
     """
-    files = shards(folder)
+    files = shard_files(folder)
     try:
         counts = [pq.read_metadata(file).num_rows for file in files]
         ends = np.cumsum(counts)
@@ -151,7 +151,7 @@ def read_replay(folder: Path, columns: Sequence[str] | None = None, mask: NDArra
             written += int(here.sum())
     except (OSError, pa.ArrowInvalid) as error:
         raise ArtifactError(f"cannot read {folder}: {error}", "remove the artifact's folder and run again") from error
-    return Replay(**{name: found.get(name, np.zeros(0)) for name in Replay._fields})
+    return Recording(**{name: found.get(name, np.zeros(0)) for name in Recording._fields})
 
 
 def count_rows(path: Path) -> int:
@@ -169,7 +169,7 @@ def hand_over(path: Path, target: Path) -> None:
 
 def cost_sources(folder: Path) -> tuple[str, ...]:
     """Names of the columns of `sources` of a dataset artifact."""
-    return tuple(json.loads(pq.read_schema(shards(folder)[0]).metadata[_SOURCES]))
+    return tuple(json.loads(pq.read_schema(shard_files(folder)[0]).metadata[_SOURCES]))
 
 
 def _counts(values: NDArray[np.int16]) -> pa.Array:

@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from wasp_cli.registry import Registry
+from wasp_cli.config import Config
+from wasp_cli.errors import WaspError
+from wasp_cli.registry import Registry, load_target
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,20 @@ class MethodInfo:
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
         """The stage kinds that it reads under a configuration (resolved, as JSON values)."""
         return (*self.needs, *(kind for field, value, kind in self.needs_with if config.get(field) == value))
+
+    def config_model(self) -> type[Config]:
+        """Import and return the model of its configuration.
+
+        Raises:
+            WaspError: there is none at that place, or it is no `Config`.
+        """
+        try:
+            model = load_target(self.config)
+        except (ImportError, AttributeError) as error:
+            raise WaspError(f"the configuration of the method '{self.name}' does not load: {error}", f"see '{self.config}'") from error
+        if not (isinstance(model, type) and issubclass(model, Config)):
+            raise WaspError(f"'{self.config}' of the method '{self.name}' is no configuration", "derive it from wasp_cli.config.Config")
+        return model
 
 
 METHODS: Registry[MethodInfo] = Registry(

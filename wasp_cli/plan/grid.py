@@ -20,7 +20,6 @@ from wasp_cli.plan.node import Node, sort_of, with_upstream
 from wasp_cli.plan.part import Part
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
-from wasp_cli.spec.names import OF_CELLS, OF_METHODS
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.published import Reused
@@ -28,8 +27,6 @@ from wasp_cli.tasks.registry import TASKS
 
 CALIBRATED_VARIANT = "full"
 """Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
-BEFORE_ROUNDS = ("expert", "dataset")
-"""Stages that no round repeats."""
 COUNTERFACTUAL = "counterfactual"
 """The stage that runs for every cell whose method may intervene."""
 ROLLOUTS, ASSISTANT = "rollouts", "wasp"
@@ -69,7 +66,7 @@ class Grid:
         return [
             (Part(node.task, node.kind, node.seed, round_of(node)), node)
             for node in self.nodes
-            if node.kind not in (*OF_METHODS, *OF_CELLS)
+            if STAGES[node.kind].unit in ("chain", "round")
         ]
 
 
@@ -89,7 +86,7 @@ def _lay_out(spec: Spec, builder: _Builder) -> Grid:
     cells = tuple([(cell, builder.evaluation(cell)) for cell in cells_of(spec)])
     severities = sum(len(values) for values in spec.operators.values())
     per_seed = sum(len(spec.variants_of(method)) for method in spec.methods) * max(severities, 1)
-    trained = [kind for kind in spec.stages if kind not in OF_CELLS]
+    trained = [kind for kind in spec.stages if STAGES[kind].unit == "chain"]
     named = tuple(builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), trained))
     judged = [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes] if COUNTERFACTUAL in spec.stages else []
     branched = tuple([(cell, builder.branches(cell, node)) for cell, node in judged])
@@ -224,7 +221,7 @@ class _Builder:
         return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), _in_round(f"calibration {name}", number))
 
     def _training(self, kind: str, task: str, seed: int, number: int) -> Node:
-        if kind in BEFORE_ROUNDS and number > 1:
+        if number > 1 and not STAGES[kind].every_round:
             return self.training(kind, task, seed, 1)
         axes, needs = _round_axis(number), self._inputs(kind, task, seed, number)
         if number > 1 and getattr(stage_class(kind), "previous", False):

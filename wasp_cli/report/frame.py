@@ -17,6 +17,7 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
 from wasp_cli.metrics.necessity import Necessity
 from wasp_cli.store.numbers import Numbers, read_numbers
+from wasp_cli.store.parquet import AGAIN
 from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes
 
 Floats = NDArray[np.float64]
@@ -215,7 +216,7 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
         yield
     except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
         what = " ".join(str(error).split())[:200]
-        raise StoreError(f"{path} is not as wasp writes it: {what}", "delete its folder and run the spec again") from error
+        raise StoreError(f"{path} is not as wasp writes it: {what}", AGAIN) from error
 
 
 def absence(wanted: Wanted) -> str:

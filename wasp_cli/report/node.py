@@ -11,7 +11,6 @@ from wasp_cli.config import Config
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.registry import load_target
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
@@ -106,7 +105,7 @@ def _changed(node: FoundNode) -> Iterator[Setting]:
     yield from _differences("", mapping(node.setting("config")), _defaults(section))
     method = node.setting("axes", "method")
     if isinstance(method, str):
-        section = load_target(METHODS[method].config) if method in METHODS else None
+        section = METHODS[method].config_model() if method in METHODS else None
         yield from _differences(f"{method}.", mapping(node.setting("axes", "method_config")), _defaults(section))
 
 

@@ -11,7 +11,7 @@ from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.reused import Origins, is_from_published
 from wasp_cli.report.titles import task_title
-from wasp_cli.spec.names import OF_CELLS
+from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
@@ -19,7 +19,7 @@ from wasp_cli.tasks.registry import TASKS
 SHOWN = 24
 """Numbers of a stage that fit on a line; the manifests have all."""
 
-NOT_TRAINED = ("evaluate", *OF_CELLS)
+NOT_TRAINED = ("evaluate", *stages_of("cell"))
 """Kinds whose results are tables of their own."""
 
 

@@ -26,13 +26,6 @@ from wasp_cli.store.artifact import is_published, read_manifest, read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import boot_id, provenance
 
-# Longest first, so that a wave does not end with one worker busy and the others idle.
-_LONG = (
-    "expert", "world_model", "rollouts", "residual", "dataset", "denoiser",
-    "policies", "critics", "latents", "diagnostics", "ida_q", "heldout", "calibration", "counterfactual", "evaluate",
-)  # fmt: skip
-
-
 UNEXPLAINED = 5
 """Deaths of idle workers that a run lives with."""
 
@@ -257,8 +250,9 @@ def _memory(path: Path) -> float | None:
 
 
 def _rank(node: Node, plan: Plan) -> tuple[float, int]:
+    """Longest first, so that a wave does not end with one busy worker."""
     measured = plan.seconds.get(node.sort)
-    return (-measured if measured is not None else 0.0), _LONG.index(node.kind) if node.kind in _LONG else len(_LONG)
+    return (-measured if measured is not None else 0.0), -STAGES[node.kind].weight
 
 
 def failures_text(failures: Iterable[Failure], names: Mapping[str, str] = NAMES) -> str:

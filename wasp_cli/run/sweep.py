@@ -13,8 +13,8 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_sweep
 from wasp_cli.run.session import Session, Way, carry_out, planning, prepared, restricted
-from wasp_cli.spec.names import OF_CELLS, OF_METHODS
 from wasp_cli.spec.sweep import Sweep
+from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.layout import Layout
 
 
@@ -91,6 +91,7 @@ def _shares(sweep: Sweep, grids: Sequence[Grid], users: dict[str, tuple[int, ...
     """What the values share, and what is trained for each of them: that is what takes time."""
     shared = sum(len(values) == len(grids) for values in users.values())
     own = [node for grid in grids for node in grid.nodes if len(users[node.key]) < len(grids)]
-    trained = ", ".join(dict.fromkeys(node.kind for node in own if node.kind not in (*OF_METHODS, *OF_CELLS)))
+    trained_kinds = stages_of("chain", "round")
+    trained = ", ".join(dict.fromkeys(node.kind for node in own if node.kind in trained_kinds))
     text = f"{len(grids)} values of {sweep.key}: {shared} of {len(users)} nodes are the same for all of them"
     return f"{text}; trained for each: {trained}" if trained else text

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wasp_cli.spec.names import EXTENDS, SHORT
 from wasp_cli.spec.plain import plain
 from wasp_cli.spec.presets import merged
 from wasp_cli.spec.problem import InvalidSpec, Problem
 from wasp_cli.spec.read import Source, beside, kind_of, read
-from wasp_cli.spec.settings import EXTENDS, SHORT
 from wasp_cli.spec.where import KEY, Loc, locate
 
 LONGEST_CHAIN = 8

@@ -8,7 +8,8 @@ from typing import Any
 
 from wasp_cli.errors import did_you_mean
 from wasp_cli.spec.model import spec_type
-from wasp_cli.spec.settings import EXTENDS, TOP, model_at, settings
+from wasp_cli.spec.names import EXTENDS, TOP
+from wasp_cli.spec.settings import model_at, settings
 from wasp_cli.spec.where import Loc
 
 CLOSE = "did you mean"

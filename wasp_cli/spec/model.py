@@ -14,13 +14,14 @@ from pydantic import AfterValidator, Field, ValidationError, create_model, model
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from wasp_cli.config import Config, assumed
+from wasp_cli.errors import WaspError
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.registry import load_target
 from wasp_cli.spec.names import (
+    EXTENDS,
     NO_REPEATS,
-    OF_CELLS,
+    SHORT,
     MethodName,
     OperatorName,
     Seed,
@@ -31,19 +32,15 @@ from wasp_cli.spec.names import (
     VariantName,
     unknown,
 )
-from wasp_cli.spec.presets import PRESETS, merged
+from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.stages.registry import STAGES
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 """Where, what, and the value that is wrong."""
-DEFAULT_STAGES: tuple[str, ...] = ("diagnostics",)
+DEFAULT_STAGES: tuple[str, ...] = tuple(kind for kind, info in STAGES.own.items() if info.by_default)
 """What every spec trains besides what its methods need."""
-MIXING = ("residual", "rollouts", "gate_signals")
-"""Stages that drive the task with operators of their own choice."""
-LENIENT = ("gate_signals",)
-"""Those that leave out a skill which is not there."""
 
 
 def refuse(problems: list[Problem]) -> None:
@@ -111,7 +108,7 @@ class Spec(Config):
     def method(self, name: str, variant: str = "full") -> Config:
         """The configuration of a method in one of its variants."""
         info = METHODS[name]
-        section: Config = getattr(self, name) if name in method_sections() else load_target(info.config)()
+        section: Config = getattr(self, name) if name in method_sections() else info.config_model()()
         if len(info.variants) > 1:
             # Validated again, since a variant may ask for more of the other fields than the section did.
             section = type(section).model_validate({**section.model_dump(), "variant": variant})
@@ -137,7 +134,7 @@ class Spec(Config):
 
 
 def _nothing_to_do(spec: Spec) -> list[Problem]:
-    if spec.methods or any(kind not in OF_CELLS for kind in spec.stages):
+    if spec.methods or any(STAGES[kind].unit == "chain" for kind in spec.stages):
         return []
     hint = "name a method, or under `stages` what is to be trained"
     return [(("methods",), PydanticCustomError("nothing", "neither methods nor stages are listed", {"hint": hint}), [])]
@@ -171,7 +168,7 @@ def _skill_problems(spec: Spec) -> list[Problem]:
         for severity, value in spec.operators.get("limited-skill", {}).items()
         if value not in checkpoints
     ]
-    for section in MIXING:
+    for section in mixing_stages():
         mixed: dict[str, tuple[float, ...]] = getattr(spec, section).operators
         for variant, values in mixed.items():
             if variant not in OPERATORS:
@@ -180,7 +177,7 @@ def _skill_problems(spec: Spec) -> list[Problem]:
             for index, value in enumerate(values):
                 if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
                     problems.append(((section, "operators", variant, index), _out_of_range(variant), value))
-                elif variant == "limited-skill" and value not in checkpoints and section not in LENIENT:
+                elif variant == "limited-skill" and value not in checkpoints and not STAGES[section].skips_missing_skills:
                     problems.append(((section, "operators", variant, index), what, value))
     return problems
 
@@ -191,12 +188,40 @@ def method_sections() -> list[str]:
 
 
 @cache
+def mixing_stages() -> tuple[str, ...]:
+    """The stages that drive the task with operators of their own choice: those whose config has a field `operators`."""
+    return tuple(kind for kind in STAGES if "operators" in STAGES.load(kind).config.model_fields)
+
+
+@cache
 def spec_type() -> type[Spec]:
-    """`Spec` with one section for each registered stage and method."""
+    """`Spec` with one section for each registered stage and method.
+
+    Raises:
+        WaspError: a plugin's stage or method cannot have a section.
+    """
+    _check_plugins()
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
-    models |= {name: load_target(METHODS[name].config) for name in method_sections()}
+    models |= {name: METHODS[name].config_model() for name in method_sections()}
     fields: dict[str, Any] = {name: (model, Field(default_factory=model)) for name, model in models.items()}
     return create_model("Spec", __base__=Spec, __doc__=Spec.__doc__, **fields)
+
+
+def _check_plugins() -> None:
+    """Refuse names of plugins that would hide a field of the spec, and stages that have no place in a plan."""
+    fields = {*Spec.model_fields, EXTENDS, SHORT}
+    hint = "rename it in the plugin, or uninstall the plugin"
+    for kind, others in ((STAGES, METHODS), (METHODS, STAGES)):
+        for name in set(kind) - set(kind.own):
+            if name in fields or name in others:
+                what = "a field of every spec" if name in fields else f"the name of a {others.kind}"
+                raise WaspError(f"a plugin names a {kind.kind} '{name}', which is {what}", hint)
+    for name in set(STAGES) - set(STAGES.own):
+        if STAGES[name].unit != "chain":
+            raise WaspError(f"the stage '{name}' of a plugin has unit '{STAGES[name].unit}'", "stages of plugins have the unit 'chain'")
+        section = getattr(STAGES.load(name), "config", None)
+        if not (isinstance(section, type) and issubclass(section, Config)):
+            raise WaspError(f"the class of stage '{name}' has no `config` that derives from wasp_cli.config.Config", "repair the plugin")
 
 
 def preset_names() -> tuple[str, ...]:
@@ -211,7 +236,7 @@ def validate(document: Mapping[str, Any]) -> Spec:
         ValidationError: with every problem, each at its place in the document.
     """
     preset = document.get("preset", "cpu")
-    resolved = merged(PRESETS.get(preset, {}) if isinstance(preset, str) else {}, document)
+    resolved = merged(preset_values(preset) if isinstance(preset, str) else {}, document)
     resolved = _with_episodes(resolved)
     # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
     return spec_type().model_validate_json(json.dumps(resolved), strict=True)

@@ -12,17 +12,15 @@ from pydantic_core import PydanticCustomError
 from wasp_cli.errors import UnknownName, WaspError, did_you_mean
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.stages.registry import STAGES
+from wasp_cli.stages.registry import STAGES, stages_of
 from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 
+EXTENDS = "extends"
+SHORT = "task"
+TOP = (EXTENDS, SHORT)
+"""What a file may say at the top beside the fields of a spec."""
 RECORDED = "recorded"
 """Set in the context of a validation: the spec was run before, so that its environments need not be there to read it again."""
-OF_METHODS = ("calibration", "evaluate")
-"""Stages that run for a method: the methods that a spec lists ask for them."""
-OF_CELLS = ("counterfactual",)
-"""Stages that run for every cell whose method may intervene: a spec asks for them under `stages`, and they train nothing."""
-OF_ROUNDS = ("rollouts",)
-"""Stages that begin a round: `rounds` asks for them."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
@@ -67,15 +65,16 @@ def _own(gym_id: str) -> str | None:
 
 def training_stages() -> list[str]:
     """The stages that a spec can ask for by name, in registry order."""
-    return [kind for kind in STAGES if kind not in (*OF_METHODS, *OF_ROUNDS)]
+    return list(stages_of("chain", "cell"))
 
 
 def _stage(name: str) -> str:
-    if name in OF_METHODS:
+    unit = STAGES[name].unit if name in STAGES else None
+    if unit == "method":
         raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
-    if name in OF_ROUNDS:
+    if unit == "round":
         raise PydanticCustomError("of_round", "'{name}' begins a further round", {"name": name, "hint": "say how many with `rounds`"})
-    if name not in training_stages():
+    if unit is None:
         raise unknown("stage", name, training_stages())
     return name
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from wasp_cli.stages.registry import STAGES
+
 Document = Mapping[str, Any]
 
 # Planner of the feasibility study: a decision in 0.6 s on two cores; the models' defaults are the paper's sizes.
@@ -106,6 +108,12 @@ _PAPER: Document = {
 }
 
 PRESETS: Mapping[str, Document] = {"smoke": _SMOKE, "quick": _QUICK, "cpu": _CPU, "gpu": _GPU, "paper": _PAPER}
+
+
+def preset_values(name: str) -> dict[str, Any]:
+    """Return what a preset says, sections of plugins' stages included; nothing for a name that is no preset."""
+    sections = {kind: values for kind, info in STAGES.items() if (values := info.presets.get(name)) is not None}
+    return merged(PRESETS[name], sections) if name in PRESETS else {}
 
 
 def merged(under: Document, over: Document) -> dict[str, Any]:

@@ -16,11 +16,11 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import Registry
 from wasp_cli.spec.extend import SUFFIX
-from wasp_cli.spec.model import MIXING, method_sections, spec_type
-from wasp_cli.spec.names import assistant_variants, training_stages
-from wasp_cli.spec.presets import PRESETS
-from wasp_cli.spec.settings import EXTENDS, SHORT
+from wasp_cli.spec.model import method_sections, mixing_stages, spec_type
+from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, training_stages
+from wasp_cli.spec.presets import PRESETS, preset_values
 from wasp_cli.spec.wording import not_set_in_sections
+from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -42,20 +42,20 @@ def spec_schema(*, plugins: bool = False) -> Schema:
     """The schema of a spec file.
 
     Args:
-        plugins: also the tasks, methods and operators of installed plugins.
+        plugins: also the tasks, methods, operators and stages of installed plugins.
     """
     schema = spec_type().model_json_schema(schema_generator=_Untitled)
     definitions, top = schema["$defs"], schema["properties"]
     for model in definitions.values():
         _cleaned(model["properties"])
     _cleaned(top)
-    for name in set(method_sections()) - set(_names(METHODS, plugins)):
+    for name in {*STAGES, *method_sections()} - {*_names(STAGES, plugins), *_names(METHODS, plugins)}:
         del top[name]
     for section, (field, _) in not_set_in_sections().items():
         if section in top:
             _section(top[section], definitions)["properties"].pop(field, None)
-    for preset in PRESETS.values():
-        _without_defaults(top, preset, definitions)
+    for preset in PRESETS:
+        _without_defaults(top, preset_values(preset), definitions)
     _name_things(top, definitions, plugins)
     extends = {"type": "string", "pattern": f"{re.escape(SUFFIX)}$", "description": "another spec that lies under this one"}
     return {
@@ -79,14 +79,18 @@ def _name_things(top: Schema, definitions: Schema, plugins: bool) -> None:
     methods, operators = _names(METHODS, plugins), _names(OPERATORS, plugins)
     variants = assistant_variants() if plugins else list(dict.fromkeys(name for key in methods for name in METHODS[key].variants))
     top["tasks"]["items"] = _task(plugins)
-    for name, known in (("methods", methods), ("stages", training_stages()), ("variants", variants)):
+    for name, known in (
+        ("methods", methods),
+        ("stages", [kind for kind in training_stages() if kind in _names(STAGES, plugins)]),
+        ("variants", variants),
+    ):
         top[name]["items"] = {"enum": known}
     top["methods"]["items"]["enumDescriptions"] = [METHODS[name].rule for name in methods]  # editors show them
     for name in ("tasks", "methods", "stages", "variants", "seeds"):
         top[name]["uniqueItems"] = True
     top["operators"]["propertyNames"] = {"enum": operators}
     top["operators"]["additionalProperties"]["additionalProperties"] = False  # names of severities have a pattern
-    for section in MIXING:
+    for section in [kind for kind in mixing_stages() if kind in top]:
         _section(top[section], definitions)["properties"]["operators"]["propertyNames"] = {"enum": operators}
 
 
@@ -98,7 +102,7 @@ def _task(plugins: bool) -> Schema:
 
 
 def _names(registry: Registry[Any], plugins: bool) -> list[str]:
-    return list(registry if plugins else registry._own)  # every key covers the registry's module: a property there would move them all
+    return list(registry if plugins else registry.own)
 
 
 def _section(reference: Schema, definitions: Schema) -> Schema:
@@ -118,6 +122,8 @@ def _cleaned(properties: Schema) -> None:
 def _without_defaults(properties: Schema, preset: Mapping[str, Any], definitions: Schema) -> None:
     """What presets change has no one default; nor has a section, whose fields say theirs."""
     for name, value in preset.items():
+        if name not in properties:
+            continue
         properties[name].pop("default", None)
         if isinstance(value, Mapping) and "$ref" in properties[name]:
             _without_defaults(_section(properties[name], definitions)["properties"], value, definitions)

@@ -10,11 +10,6 @@ from pydantic.fields import FieldInfo
 from wasp_cli.spec.model import spec_type
 from wasp_cli.spec.where import Loc
 
-EXTENDS = "extends"
-SHORT = "task"
-TOP = (EXTENDS, SHORT)
-"""What a file may say at the top beside the fields of a spec."""
-
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
     """The model of a section; that of the whole spec for an empty place."""

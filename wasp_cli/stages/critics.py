@@ -30,7 +30,7 @@ class CriticsStage:
         from wasp_cli.learning.critics import train_critics
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.shards import read_replay
+        from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
         from wasp_cli.models.world_model import load_world_model
@@ -39,12 +39,12 @@ class CriticsStage:
         config = cast(CriticsConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
         latents = load_latents(job.inputs["latents"])
-        replay = read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"])
+        recording = read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"])
         skills = load_skills(job.inputs["policies"])
         returns = job.settings["returns"]
         torch.manual_seed(derive("critics-weights", job.task, job.seed))
         stream = derive("critics", job.task, job.seed)
-        critics, curve = train_critics(model, skills, replay, latents, config, returns, stream, job.progress)
+        critics, curve = train_critics(model, skills, recording, latents, config, returns, stream, job.progress)
         arguments = {"features": model.feature_size, "hidden": list(config.hidden), "bins": config.bins, "reach": config.reach}
         save_weights(critics, job.out_dir / "critics.safetensors", **arguments)
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))

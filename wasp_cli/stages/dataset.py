@@ -54,9 +54,9 @@ class DatasetStage:
                 random = np.random.default_rng(derive("dataset-commands", job.task, job.seed, shard))
                 commander = Commander(skills, rows, task.action_size, random)
                 seeds = [derive("dataset-episode", job.task, job.seed, shard * config.envs + i) for i in range(config.envs)]
-                replay = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
+                recording = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
                 partial = path.with_suffix(".partial")
-                write_shard(partial, replay, task.cost_sources)
+                write_shard(partial, recording, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
             files.append(path)
             steps += count_rows(path) - config.envs

@@ -29,10 +29,10 @@ class GateSignalsStage:
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train V_c at the other discounts, let every operator drive, and judge what was signalled."""
         from wasp_cli.learning.closed_loop import run_episodes
-        from wasp_cli.learning.gate_signals import GATE, Watched, Watcher, bootstrap, cost_critics, joined, watched
-        from wasp_cli.learning.gate_signals_judge import POOLED, judged
+        from wasp_cli.learning.gate_signals import GATE, SignalRecorder, bootstrap, cost_critics
+        from wasp_cli.learning.gate_signals_judge import POOLED, SignalRows, joined, judged, signal_rows
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.shards import read_replay
+        from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.critics import LatentCritics
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import load_module
@@ -47,7 +47,7 @@ class GateSignalsStage:
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
         trained = load_module(LatentCritics, job.inputs["critics"] / "critics.safetensors")
         critics, curves = cost_critics(
-            model, skills, read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"]), load_latents(job.inputs["latents"]),
+            model, skills, read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"]), load_latents(job.inputs["latents"]),
             trained, config, returns, (job.task, job.seed), lambda share, text: job.progress(TRAINING * share, text),
         )  # fmt: skip
 
@@ -57,7 +57,7 @@ class GateSignalsStage:
         task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
         context = OperatorContext(skills.at, task.action_size, task.decision_seconds)
         batch = config.episodes
-        parts: dict[str, Watched] = {}
+        parts: dict[str, SignalRows] = {}
         for number, (variant, value) in enumerate(there):
             name = _name(variant, value)
 
@@ -69,9 +69,9 @@ class GateSignalsStage:
                 for role in ("episode", "operator", "draws")
             )
             operator = build_operator(variant, value, context, EpisodeNoise(mistakes), batch)
-            watcher = Watcher(model, critics, Operator.build(1.0, context, EpisodeNoise(mistakes), batch), config, returns)
-            loop = run_episodes(task, model, operator, watcher, layouts, draws, progress=during)
-            parts[name] = watched(loop, watcher.seen, config.window, returns.gamma_c, number * batch)
+            recorder = SignalRecorder(model, critics, Operator.build(1.0, context, EpisodeNoise(mistakes), batch), config, returns)
+            loop = run_episodes(task, model, operator, recorder, layouts, draws, progress=during)
+            parts[name] = signal_rows(loop, recorder.seen, config.window, returns.gamma_c, number * batch)
         rival = bootstrap(returns.gamma_c)
         everyone = {POOLED: joined(list(parts.values())), **parts}
         sets = {name: judged(rows, config.threshold, rival) for name, rows in everyone.items()}

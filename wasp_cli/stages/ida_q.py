@@ -30,20 +30,20 @@ class IDAQStage:
         from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.shards import read_replay
+        from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 
         config = cast(EnsembleConfig, job.config)
-        replay = read_replay(job.inputs["dataset"], ["action", "reward", "terminal", "first", "episode", "behaviour"])
+        recording = read_shards(job.inputs["dataset"], ["action", "reward", "terminal", "first", "episode", "behaviour"])
         latents = load_latents(job.inputs["latents"])
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("ida-weights", job.task, job.seed))
         seed, gamma = derive("ida", job.task, job.seed), job.settings["returns"].gamma_r
-        ensemble, curve = train_ensemble(skills, replay, latents, config, gamma, seed, job.progress)
+        ensemble, curve = train_ensemble(skills, recording, latents, config, gamma, seed, job.progress)
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
-        arguments = {"members": config.members, "features": features, "action": replay.action.shape[1], "hidden": list(config.hidden)}
+        arguments = {"members": config.members, "features": features, "action": recording.action.shape[1], "hidden": list(config.hidden)}
         save_weights(ensemble, job.out_dir / "ensemble.safetensors", **arguments)
         with torch.inference_mode():
             seen = latents.at(torch.arange(0, len(latents.h), max(1, len(latents.h) // 2000))).features

@@ -26,12 +26,12 @@ class LatentsStage:
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.latents import save_latents
-        from wasp_cli.learning.shards import read_replay
+        from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.world_model import load_world_model
 
-        replay = read_replay(job.inputs["dataset"], ["pixels", "action", "first", "episode"])
+        recording = read_shards(job.inputs["dataset"], ["pixels", "action", "first", "episode"])
         model = load_world_model(job.inputs["world_model"]).to(training_device())
-        latents = encode(model, replay, job.progress)
+        latents = encode(model, recording, job.progress)
         save_latents(latents, job.out_dir)
         size = (job.out_dir / "latents.safetensors").stat().st_size
         return {"rows": len(latents.h), "megabytes": round(size / 2**20, 1)}

@@ -41,7 +41,7 @@ class PoliciesStage:
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
         from wasp_cli.learning.reinforce import reinforce
-        from wasp_cli.learning.shards import HELD_OUT, read_replay
+        from wasp_cli.learning.shards import HELD_OUT, read_shards
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged, save_skills
         from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
@@ -51,7 +51,7 @@ class PoliciesStage:
         config = cast(PoliciesConfig, job.config)
         fractions = checkpoint_fractions(job.inputs["expert"])
         experts = [load_privileged(job.inputs["expert"], f) for f in fractions]
-        replay = read_replay(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
+        recording = read_shards(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
         model, enough = load_world_model(job.inputs["world_model"]), TASKS[job.task].success_goals
 
         def seed(role: str, *parts: int) -> int:
@@ -79,9 +79,9 @@ class PoliciesStage:
 
         # -- distillation
         labelled = learning.label(
-            model, experts, replay, load_latents(job.inputs["latents"]), config.imagined_depth, seed("policies-prior")
+            model, experts, recording, load_latents(job.inputs["latents"]), config.imagined_depth, seed("policies-prior")
         )
-        held = torch.from_numpy(replay.held_out(HELD_OUT))
+        held = torch.from_numpy(recording.held_out(HELD_OUT))
         recorded, rest = labelled.rows(~held), labelled.rows(held)
         torch.manual_seed(seed("policies-weights"))
         skills = learning.new_skills(experts, fractions, model.feature_size, config)

@@ -1,39 +1,77 @@
-"""The stages by kind. Adding one is a module with its class, a config in `learning.configs` and one line here."""
+"""The stages by kind. Adding one is a module with its class and its config, and one line here or in a plugin's entry point `wasp.stages`.
+
+The line holds what planning and running need to know of a stage besides its class, so that no list of stages stands anywhere else.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from wasp_cli.registry import Registry
+
+Unit = Literal["chain", "round", "method", "cell"]
+"""What one node of a stage belongs to: a training chain (task and seed), a further round of data, a method, or a cell of the grid."""
 
 
 @dataclass(frozen=True)
 class StageInfo:
-    """A node kind; `target` is its class (light to import: heavy imports are inside `run`)."""
+    """A node kind. The class says what it reads (`needs`) and which settings it shares; `stages.base.Stage` has the contract."""
 
     name: str
+    """Its kind: the name of its section in a spec, of its folder in the store, and what `needs` of stages and methods say."""
     target: str
+    """Import string of its class (light to import: heavy imports are inside `run`)."""
+    unit: Unit = "chain"
+    """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others are those of this package:
+    `round` begins each further round, `method` runs because a method is listed, `cell` for every cell whose method may intervene."""
+    every_round: bool = True
+    """Whether each round of data trains it again."""
+    by_default: bool = False
+    """Whether a spec that lists no `stages` trains it, although no method needs it."""
+    skips_missing_skills: bool = False
+    """Whether it leaves out a limited skill that is no checkpoint of the expert, instead of refusing the spec."""
+    weight: int = 10
+    """Where no time was measured, nodes of heavier stages start first, so that a run does not end with one busy worker."""
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """By preset, what that preset says instead of the defaults of the config. Presets of this package are in `spec.presets`."""
+
+    def __post_init__(self) -> None:
+        """Refuse a name that cannot be a folder and a key of YAML alike.
+
+        Raises:
+            ValueError: it has other characters than small letters, digits and `_`, or does not begin with a letter.
+        """
+        if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", self.name):
+            raise ValueError(f"the stage name '{self.name}' should be small letters, digits and '_', at most 32, a letter first")
 
 
 STAGES: Registry[StageInfo] = Registry(
     "stage",
-    None,
+    "wasp.stages",
     (
-        StageInfo("expert", "wasp_cli.stages.expert:ExpertStage"),
-        StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage"),
-        StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage"),
-        StageInfo("latents", "wasp_cli.stages.latents:LatentsStage"),
-        StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage"),
-        StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage"),
-        StageInfo("critics", "wasp_cli.stages.critics:CriticsStage"),
-        StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage"),
-        StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage"),
-        StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage"),
-        StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage"),
-        StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage"),
-        StageInfo("residual", "wasp_cli.stages.residual:ResidualStage"),
-        StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage"),
-        StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage"),
-        StageInfo("counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage"),
+        StageInfo("expert", "wasp_cli.stages.expert:ExpertStage", every_round=False, weight=14),
+        StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage", every_round=False, weight=10),
+        StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage", weight=13),
+        StageInfo("latents", "wasp_cli.stages.latents:LatentsStage", weight=7),
+        StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
+        StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
+        StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
+        StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage", skips_missing_skills=True, weight=0),
+        StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage", "round", weight=12),
+        StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
+        StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
+        StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
+        StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
+        StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3),
+        StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage", "method", weight=1),
+        StageInfo("counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2),
     ),
 )
+
+
+def stages_of(*units: Unit) -> tuple[str, ...]:
+    """Return the kinds of the stages that belong to one of `units`, in registry order."""
+    return tuple(kind for kind, info in STAGES.items() if info.unit in units)

@@ -36,7 +36,7 @@ class RolloutsStage:
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.contents import ALL, contents_of
         from wasp_cli.learning.rollouts import assisted_episodes, in_turn
-        from wasp_cli.learning.shards import count_rows, hand_over, read_replay, shards, write_shard
+        from wasp_cli.learning.shards import count_rows, hand_over, read_shards, shard_files, write_shard
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
@@ -47,8 +47,8 @@ class RolloutsStage:
         parts = load_parts(job.inputs, job.settings["returns"])
         assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
         context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
-        known = shards(job.inputs["dataset"])
-        recorded = int(np.max(read_replay(job.inputs["dataset"], ["episode"]).episode)) + 1
+        known = shard_files(job.inputs["dataset"])
+        recorded = int(np.max(read_shards(job.inputs["dataset"], ["episode"]).episode)) + 1
 
         def streams(role: str, first: int) -> list[int]:
             return [derive(f"rollouts-{role}", job.task, job.seed, job.axes["round"], first + i) for i in range(config.envs)]
@@ -66,9 +66,9 @@ class RolloutsStage:
             if not path.exists():
                 operator = in_turn(config.operators, context, EpisodeNoise(streams("operator", first)), config.envs, first)
                 seeds = streams("episode", first), streams("method", first)
-                replay = assisted_episodes(task, parts.world_model, operator, assistant, *seeds, BEHAVIOUR, recorded + first, tell)
+                recording = assisted_episodes(task, parts.world_model, operator, assistant, *seeds, BEHAVIOUR, recorded + first, tell)
                 partial = path.with_suffix(".partial")
-                write_shard(partial, replay, task.cost_sources)
+                write_shard(partial, recording, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
             new.append(path)
             steps += count_rows(path) - config.envs

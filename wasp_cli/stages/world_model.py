@@ -39,22 +39,22 @@ class WorldModelStage:
         from wasp_cli.learning import world_model as learning
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.encoding import encode
-        from wasp_cli.learning.refit import refit_heads
-        from wasp_cli.learning.shards import HELD_OUT, read_replay
+        from wasp_cli.learning.shards import HELD_OUT, read_shards
+        from wasp_cli.learning.world_model import refit_heads
         from wasp_cli.models.world_model import load_world_model, save_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.mirror import mirror_of
 
         config = cast(WorldModelConfig, job.config)
-        replay = read_replay(job.inputs["dataset"])
-        learned = ~replay.held_out(HELD_OUT)
+        recording = read_shards(job.inputs["dataset"])
+        learned = ~recording.held_out(HELD_OUT)
         names = (job.task, job.seed, *((job.axes["round"],) if "round" in job.axes else ()))
         if "previous" in job.inputs:
             model, updates = load_world_model(job.inputs["previous"]).requires_grad_(True), config.later_updates
         else:
             torch.manual_seed(derive("world-model-weights", *names))
-            model, updates = learning.build(config, replay.action.shape[1]), config.updates
-            model.mean_image.copy_(learning.mean_image(replay))
+            model, updates = learning.build(config, recording.action.shape[1]), config.updates
+            model.mean_image.copy_(learning.mean_image(recording))
         model.to(training_device())
 
         def during(low: float, high: float) -> learning.Report:
@@ -62,13 +62,13 @@ class WorldModelStage:
 
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
         mirror = mirror_of(job.task) if config.mirror else None
-        before = encode(model, replay, during(0.0, 0.1)) if "previous" in job.inputs else None
+        before = encode(model, recording, during(0.0, 0.1)) if "previous" in job.inputs else None
         curves, skipped = learning.train(
-            model, replay, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), mirror=mirror, before=before
+            model, recording, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), mirror=mirror, before=before
         )
         model.requires_grad_(False)
-        latents = encode(model, replay, during(0.85, 0.95))
-        refit_heads(model, replay, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
+        latents = encode(model, recording, during(0.85, 0.95))
+        refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
         model.cpu()
         save_world_model(model, job.out_dir)
         (job.out_dir / "curves.json").write_text(json.dumps(curves))

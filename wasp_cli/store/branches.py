@@ -1,7 +1,7 @@
 """The counterfactual branches of one cell: a Parquet file with two rows per branched decision.
 
-    found = [BranchRow(episode=0, t=12, branch="asst", costs=..., cost_env=..., rewards=..., deviation=0.8, gate=1), ...]
-    write_branches(path, BranchedCell(identity, window=15, stride=1, tau_R=0.06, episodes=10), found)
+    rows = [BranchRow(episode=0, t=12, branch="asst", costs=..., cost_env=..., rewards=..., deviation=0.8, gate=1), ...]
+    write_branches(path, BranchedCell(identity, window=15, stride=1, tau_R=0.06, episodes=10), rows)
 
     read_branches(path)   what the rows have in common, and the pairs of rows side by side
 
@@ -12,7 +12,6 @@ decisions, W decision steps of a branch at most, w <= W of one that ended early.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,11 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
+from wasp_cli.store.parquet import damaged, opened_table, write_table
 from wasp_cli.store.tables import IDENTITY, CellIdentity
 
 BRANCHES_FILE = "branches.parquet"
@@ -102,21 +100,11 @@ def write_branches(path: Path, cell: BranchedCell, rows: Sequence[BranchRow]) ->
     Raises:
         StoreError: the file cannot be written.
     """
-    table = branches_table(cell, rows)
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            pq.write_table(table, file, compression="zstd", compression_level=3, write_page_checksum=True)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    write_table(branches_table(cell, rows), path)
 
 
 def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
-    """The table in memory; see `write_branches`."""
+    """Build the table in memory; see `write_branches`."""
     rows = sorted(rows, key=lambda row: row[:3])
     common = asdict(cell.identity) | {"tau_R": cell.tau_R, "window": cell.window}
     columns: dict[str, Any] = {name: [value] * len(rows) for name, value in common.items()}
@@ -127,7 +115,7 @@ def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
 
 
 def read_branches(path: Path) -> Branches:
-    """The branches of a cell.
+    """Read the branches of a cell.
 
     Raises:
         StoreError: the file is missing, damaged, of a newer version, no table of branches, or its rows are no pairs.
@@ -136,7 +124,7 @@ def read_branches(path: Path) -> Branches:
     try:
         return _paired(cell, table)
     except (LookupError, TypeError, ValueError) as error:
-        raise _odd(path, " ".join(str(error).split())[:200]) from error
+        raise damaged(path, error) from error
 
 
 def _paired(cell: BranchedCell, table: pa.Table) -> Branches:
@@ -167,31 +155,16 @@ def _steps(table: pa.Table, name: str, width: int) -> NDArray[np.float64]:
     flat = np.asarray(nested.flatten().cast(pa.float64()).fill_null(np.nan))
     if not np.isfinite(flat).all():
         raise ValueError(f"{name} are not finite")
-    found = np.zeros((len(steps), width))
-    found[np.arange(width) < steps[:, None]] = flat
-    return found
+    padded = np.zeros((len(steps), width))
+    padded[np.arange(width) < steps[:, None]] = flat
+    return padded
 
 
 def _read(path: Path) -> tuple[pa.Table, BranchedCell]:
-    """The rows of a file and what they have in common, after its version was checked."""
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            marks = file.schema_arrow.metadata or {}
-            if VERSION_KEY not in marks:
-                raise StoreError(f"{path} is a Parquet file, but no table of counterfactual branches")
-            if int(marks[VERSION_KEY]) > VERSION:
-                raise StoreError(
-                    f"{path} has table version {int(marks[VERSION_KEY])}, this wasp reads up to {VERSION}",
-                    "upgrade wasp, or use another results folder",
-                )
-            table = file.read(columns=list(SCHEMA.names), use_threads=False)
-            return table, _cell(marks[CELL_KEY])
-    except FileNotFoundError as error:
-        raise StoreError(f"{path} does not exist", "run the spec again: what is finished is kept") from error
-    except (LookupError, TypeError, ValueError, pa.ArrowException) as error:  # some of pyarrow's errors are ValueErrors
-        raise _odd(path, " ".join(str(error).split())[:200]) from error
-    except OSError as error:
-        raise _odd(path, str(error)) if not error.errno else StoreError(f"cannot read {path}: {error.strerror}") from error
+    """Return the rows of a file and what they have in common, after its version was checked."""
+    with opened_table(path, VERSION_KEY, VERSION, "a table of counterfactual branches") as file:
+        table = file.read(columns=list(SCHEMA.names), use_threads=False)
+        return table, _cell(file.schema_arrow.metadata[CELL_KEY])
 
 
 def _cell(text: bytes) -> BranchedCell:
@@ -201,7 +174,3 @@ def _cell(text: bytes) -> BranchedCell:
     if not all(type(number) is int and number >= 1 for number in numbers) or not np.isfinite(cell.tau_R):
         raise ValueError("its window, stride, number of episodes or tau_R is none")
     return cell
-
-
-def _odd(path: Path, what: str) -> StoreError:
-    return StoreError(f"{path} is damaged: {what}", "delete its folder and run the spec again")

@@ -10,11 +10,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError
+from wasp_cli.store.parquet import AGAIN
 from wasp_cli.store.tables import read_episodes, read_steps
 
 
 def read_recorded(path: Path) -> dict[str, Any]:
-    """The fields of `learning.rerun.Recorded` by name; see there. Commands and actions are float32, exactly as they were executed.
+    """Read the fields of `learning.rerun.Recorded` by name; see there. Commands and actions are float32, exactly as they were executed.
 
     Args:
         path: the table of a cell.
@@ -27,16 +28,16 @@ def read_recorded(path: Path) -> dict[str, Any]:
     of_steps = np.asarray(steps["episode"])
     whole = (numbers == np.arange(len(numbers))).all() and np.array_equal(of_steps, np.repeat(numbers, lengths))
     if not len(numbers) or not whole or (lengths < 1).any():
-        raise StoreError(f"{path} does not hold whole episodes, one after the other", "delete its folder and run the spec again")
+        raise StoreError(f"{path} does not hold whole episodes, one after the other", AGAIN)
     ends = np.cumsum(lengths)[:-1]
     parts = {"a_h": _actions(path, steps, "a_h"), "a": _actions(path, steps, "a"), "reward": np.asarray(steps["reward"], np.float32)}
     return {"layouts": episodes["episode_seed"].to_pylist(), **{name: np.split(values, ends) for name, values in parts.items()}}
 
 
 def _actions(path: Path, steps: pa.Table, name: str) -> NDArray[np.float32]:
-    """[T, A]"""
+    """Return [T, A] float32 actions."""
     nested = steps[name].combine_chunks()
     sizes = np.unique(np.asarray(nested.value_lengths().fill_null(0)))
     if len(sizes) != 1 or not sizes[0]:
-        raise StoreError(f"{path}: '{name}' is missing, or has another size in every step", "delete its folder and run the spec again")
+        raise StoreError(f"{path}: '{name}' is missing, or has another size in every step", AGAIN)
     return np.asarray(nested.flatten(), np.float32).reshape(-1, int(sizes[0]))

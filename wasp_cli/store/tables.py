@@ -17,7 +17,6 @@ Undefined numbers are null. Everything but the TIMING columns is a function of t
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,11 +24,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
+from wasp_cli.store.parquet import opened_table, write_table
 
 CELL_FILE = "cell.parquet"
 """Name of the table inside the artifact of a cell."""
@@ -168,17 +166,7 @@ def write_cell(
     Raises:
         StoreError: the file cannot be written.
     """
-    table = cell_table(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds)
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            pq.write_table(table, file, compression="zstd", compression_level=3, write_page_checksum=True)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    write_table(cell_table(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds), path)
 
 
 def cell_table(
@@ -189,7 +177,7 @@ def cell_table(
     decision_ms: Sequence[NDArray[np.floating]],
     episode_seeds: Sequence[int],
 ) -> pa.Table:
-    """The table of a cell in memory; see `write_cell`."""
+    """Build the table of a cell in memory; see `write_cell`."""
     episodes = len(trajectories)
     if not episodes == len(metrics) == len(decision_ms) == len(episode_seeds):
         raise ValueError(f"{episodes} trajectories, {len(metrics)} rows, {len(decision_ms)} timings, {len(episode_seeds)} seeds")
@@ -255,7 +243,7 @@ def _array_of(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
 
 
 def read_episodes(paths: Iterable[Path]) -> pa.Table:
-    """The episode columns of many cells, one below the other in the order of `paths`.
+    """Read the episode columns of many cells, one below the other in the order of `paths`.
 
     Raises:
         StoreError: a file is missing, damaged, of a newer version, or no cell table.
@@ -266,7 +254,7 @@ def read_episodes(paths: Iterable[Path]) -> pa.Table:
 
 
 def read_steps(path: Path) -> pa.Table:
-    """The steps of a cell, flat: `episode`, then the fields of STEP.
+    """Read the steps of a cell, flat: `episode`, then the fields of STEP.
 
     Raises:
         StoreError: as `read_episodes`.
@@ -278,16 +266,16 @@ def read_steps(path: Path) -> pa.Table:
     episode = pa.array(np.repeat(np.asarray(table["episode"]), lengths), pa.int32())
     known = {flat.type.field(i).name: i for i in range(flat.type.num_fields)}
     # An older file has fewer fields, or one of another type: what it does not say is null.
-    found = [
+    fields = [
         flat.field(known[field.name]) if field.name in known and flat.type.field(known[field.name]).type == field.type
         else pa.nulls(len(flat), field.type)
         for field in STEP
     ]  # fmt: skip
-    return pa.table([episode, *found], names=["episode", *(field.name for field in STEP)])
+    return pa.table([episode, *fields], names=["episode", *(field.name for field in STEP)])
 
 
 def read_times(path: Path) -> list[NDArray[np.float64]]:
-    """[T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side.
+    """Read [T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side.
 
     Raises:
         StoreError: as `read_episodes`.
@@ -296,7 +284,7 @@ def read_times(path: Path) -> list[NDArray[np.float64]]:
 
 
 def read_version(path: Path) -> int:
-    """The table version that a cell was written with: what later versions added is null in its rows.
+    """Read the table version that a cell was written with: what later versions added is null in its rows.
 
     Raises:
         StoreError: as `read_episodes`.
@@ -305,27 +293,12 @@ def read_version(path: Path) -> int:
 
 
 def same_rows(a: Path, b: Path) -> bool:
-    """Whether two cell files hold the same rows when the TIMING columns are left out."""
+    """Return whether two cell files hold the same rows when the TIMING columns are left out."""
     names = tuple(name for name in SCHEMA.names if name not in TIMING)
     return bool(_read(a, names).equals(_read(b, names)))
 
 
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:
-    """Some columns of a cell file, after its version was checked."""
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            marked = (file.schema_arrow.metadata or {}).get(VERSION_KEY)
-            if marked is None:
-                raise StoreError(f"{path} is a Parquet file, but not the table of a cell")
-            if int(marked) > VERSION:
-                raise StoreError(
-                    f"{path} has table version {int(marked)}, this wasp reads up to {VERSION}",
-                    "upgrade wasp, or use another results folder",
-                )
-            return file.read(columns=list(columns), use_threads=False)  # a cell is too small for threads
-    except FileNotFoundError as error:
-        raise StoreError(f"{path} does not exist", "run the spec again: finished cells are kept") from error
-    except (pa.ArrowException, OSError) as error:
-        if isinstance(error, OSError) and error.errno:
-            raise StoreError(f"cannot read {path}: {error.strerror}") from error
-        raise StoreError(f"{path} is damaged or was cut off: {error}", "delete its folder and run the spec again") from error
+    """Return some columns of a cell file, after its version was checked."""
+    with opened_table(path, VERSION_KEY, VERSION, "the table of a cell") as file:
+        return file.read(columns=list(columns), use_threads=False)  # a cell is too small for threads

@@ -69,7 +69,14 @@ class WASP:
         self.warm, self.kept_for = self.warm & ~rows, torch.where(rows, 0, self.kept_for)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        """Both gates, then a plan for the decisions where one fired."""
+        """Ask both gates, and plan a correction for the decisions where one fired.
+
+        Args:
+            latent: [B, .] filtered.
+            a_h: [B, A] commands within the bounds.
+            operator: of B rows; it has just issued them.
+        """
+        # Begin with the commands: no gate fired, nothing is planned.
         batch = len(a_h)
         start = Situation(latent, a_h, operator, torch.arange(batch))
         generators = self.noise.next()
@@ -79,15 +86,19 @@ class WASP:
         plan, warm = torch.zeros_like(self.plan), torch.zeros_like(self.warm)
         recovering = torch.zeros_like(self.warm)
 
+        # Imagine the operator alone: G^(c) and G^(r) of the nominal rollouts (Eq. 9-10).
         nominal, gate_draws = self._nominal(start, generators)
-        fired = safety_gate(nominal.cost, self.tau_c)  # Eq. 9
+
+        # Safety gate: fires where the nominal cost return exceeds tau_c (Eq. 9).
+        fired = safety_gate(nominal.cost, self.tau_c)
         if self.config.variant == "task-only":
             fired = torch.zeros_like(fired)
-        # The candidates meet the gate's own draws: where it fired, doing nothing is not suddenly safe.
+        # Candidates meet the gate's own draws: where it fired, doing nothing is not suddenly safe.
         search_draws = gate_draws.first(self.config.rollouts)
 
         def carry_out(rows: Tensor, made: Plan, kind: int) -> None:
-            action[rows] = (a_h[rows] + made.residuals[:, 0]).clamp(-1, 1)  # Eq. 18
+            # Execute the first residual of the plan (Eq. 18), and note the plan.
+            action[rows] = (a_h[rows] + made.residuals[:, 0]).clamp(-1, 1)
             gate[rows] = kind
             plan[rows], warm[rows], recovering[rows] = made.residuals, True, ~made.found_safe
             found = (
@@ -97,23 +108,27 @@ class WASP:
             for field, value in zip(planned, found, strict=True):
                 field[rows] = value
 
+        # Where the safety gate fired: search a residual plan (Eq. 13-17), and look again whether the command needs it.
         rows = fired.nonzero().flatten()
         if len(rows):
             made = self._plan(start.select(rows), search_draws.rows(rows), generators, None)
             carry_out(rows, self._rechecked(made), GATE_SAFETY)
 
+        # Task gate, where the safety gate is silent: the best safe probe candidate must gain more return than tau_r (Eq. 11-12).
         rows = (~fired).nonzero().flatten()
         if len(rows) and self.config.variant != "safety-only":
             quiet = start.select(rows)
             candidates = self._candidates(rows, generators)
             gain = self._probe(quiet, candidates, search_draws.rows(rows), generators)
             delta_g[rows] = gain.delta_g
-            worth = (gain.delta_g > self.tau_r).nonzero().flatten()  # Eq. 12
+            worth = (gain.delta_g > self.tau_r).nonzero().flatten()
             if len(worth):
+                # Where it fired: search on from the probe, which is the first iteration (Eq. 13-17).
                 first = (candidates[worth], Returns(*(field[worth] for field in gain.returns)))
                 chosen = rows[worth]
                 carry_out(chosen, self._plan(start.select(chosen), search_draws.rows(chosen), generators, first), GATE_TASK)
 
+        # Keep the plans as the next decision's starting point.
         self._remember(plan, warm, recovering)
         return Decision(action, record._replace(g_cost=nominal.cost, g_return=nominal.reward), planned)
 

@@ -90,7 +90,7 @@ def plan_residuals(
     fresh: Draws | None = None,
     kept: Tensor | None = None,
 ) -> Plan:
-    """Optimise residual sequences for B decisions.
+    """Search residual sequences for B decisions by constrained CEM (section 4.3).
 
     Args:
         imagination: the frozen models.
@@ -105,6 +105,7 @@ def plan_residuals(
         kept: a sequence [B, L, A] that is a candidate and a finalist too, whatever the search thinks of it: the shifted plan of an earlier
             recovery, so that an escape once begun is not given up for one that is no better. Zeros where there is none.
     """
+    # Begin: the operator alone as the best so far, and the first sampling distribution.
     config = imagination.config
     nothing = torch.zeros_like(mean).unsqueeze(1)  # [B, 1, L, A]
     size = max(1, config.finalists)
@@ -114,21 +115,29 @@ def plan_residuals(
         if i == 0 and first is not None:
             candidates, returns = first
         else:
+            # Sample candidates, and imagine the composed behaviour of each (Eq. 13).
             candidates = propose(search.mean, search.std, normals[:, i], kept if i == 0 else None)
             returns = imagination.returns(start, candidates, draws)
+        # Score them, choose the case, refit to the elites (Eq. 14-17).
         _update(search, candidates, returns, config, tau_c)
+
+    # Finalists: the best plans of all iterations by either score, scored again with fresh rollouts.
     finalists = torch.cat([nothing, *([] if kept is None else [kept.unsqueeze(1)]), search.task.plans, search.recovery.plans], 1)
     if fresh is None:
         task, recovery = search.task, search.recovery
     else:
         again = imagination.returns(start, finalists, fresh)
         task, recovery = _ranked(finalists, again, config, tau_c)
+
+    # Select: the best feasible plan by S_task (Eq. 16), else the one of lowest S_safe (Eq. 17).
     found = task.score[:, 0] > -torch.inf
     # Case I only: without a feasible candidate there is nothing to choose, and the command stays. The same where every score is undefined.
     otherwise = torch.where(recovery.score[:, 0].isfinite().view(-1, 1, 1), recovery.plans[:, 0], 0.0)
     if config.variant == "no-case2":
         otherwise = torch.zeros_like(mean)
     chosen = torch.where(found.view(-1, 1, 1), task.plans[:, 0], otherwise)
+
+    # Predict the outcome of the selected plan and of the commands alone, on the same rollouts.
     pair = imagination.returns(start, torch.cat([nothing, chosen.unsqueeze(1)], 1), draws if fresh is None else fresh)
     safe = torch.stack(search.safe, 1)
     alone, predicted = (Returns(*(field[:, i] for field in pair)) for i in range(2))
@@ -144,29 +153,44 @@ def _ranked(plans: Tensor, returns: Returns, config: WASPConfig, tau_c: float) -
 
 
 def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPConfig, tau_c: float) -> None:
-    """One CEM iteration: classify the batch, remember the best, refit the distribution to the elites."""
+    """Run one CEM iteration: classify the batch, remember the best, refit the distribution to the elites.
+
+    Args:
+        search: updated in place.
+        candidates: [B, N, L, A].
+        returns: of the candidates, [B, N] each.
+        config: the constants.
+        tau_c: bound of the cost return (Eq. 14).
+    """
+    # Score the candidates (Eq. 16-17), and find the feasible set F_s (Eq. 14).
     s_task = task_score(returns, config.alpha)
     s_safe = safe_score(returns, config.alpha, tau_c)
-    feasible = returns.cost <= tau_c  # F_s of Eq. 14
+    feasible = returns.cost <= tau_c
     safe = feasible.sum(-1).to(s_task.dtype)
     search.safe.append(safe)
-    enough = safe >= config.feasible  # Case I
+    enough = safe >= config.feasible  # Case I, else Case II
 
+    # Remember the best of all iterations by either score.
     ranked_task = torch.where(feasible, s_task, -torch.inf)
     search.task = search.task.add(ranked_task, candidates)
     search.recovery = search.recovery.add(-s_safe, candidates)
 
+    # Rank: feasible candidates by S_task in Case I (Eq. 16), all by S_safe in Case II (Eq. 17).
     if config.variant == "no-case2":
         score, wanted = ranked_task, safe.clamp(max=config.elites)
     else:
         score = torch.where(enough.unsqueeze(-1), ranked_task, -s_safe)
         wanted = torch.where(enough, safe.clamp(max=config.elites), torch.full_like(safe, config.feasible))
+
+    # Elites: a weight of 0 or 1 for each rank.
     size = min(max(config.elites, config.feasible), candidates.shape[1])
     top = score.topk(size, -1)
     # A fixed number of ranks and a mask instead of gathered subsets: no row can borrow an elite that is none.
     rank = torch.arange(size, device=score.device)
     weight = ((rank < wanted.unsqueeze(-1)) & top.values.isfinite()).to(s_task.dtype)  # [B, size]
     total = weight.sum(-1, keepdim=True).clamp(min=1).unsqueeze(-1)  # [B, 1, 1]
+
+    # Refit mean and standard deviation to them; rows without any keep theirs.
     elites = candidates.gather(1, _over_plans(top.indices, candidates))  # [B, size, L, A]
     share = weight.view(*weight.shape, 1, 1)
     mean = (share * elites).sum(1) / total

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.learning.contents import COLUMNS
-from wasp_cli.learning.shards import PIXELS, Replay, cost_sources, read_replay, shards
+from wasp_cli.learning.shards import PIXELS, Recording, cost_sources, read_shards, shard_files
 
 FRAMES = 4
 """Frames of a behaviour that are spread over all its steps, and as many costly ones."""
@@ -25,42 +25,42 @@ def contact_sheet(folder: Path, path: Path) -> None:
 
     Images are read shard after shard and only the chosen ones are kept, so that memory does not grow with the dataset.
     """
-    replay, sources = read_replay(folder, COLUMNS), cost_sources(folder)
-    names = sorted(set(replay.behaviour.tolist()))
-    chosen = {name: _chosen(replay, np.flatnonzero(replay.behaviour == name)) for name in names}
+    recording, sources = read_shards(folder, COLUMNS), cost_sources(folder)
+    names = sorted(set(recording.behaviour.tolist()))
+    chosen = {name: _chosen(recording, np.flatnonzero(recording.behaviour == name)) for name in names}
     images = _images(folder, np.unique(np.concatenate(list(chosen.values()))))
     block = TITLE + 2 * (FRAME + EDGE) + EDGE + CAPTION + GAP
     sheet = Image.new("RGB", (GAP + 2 * FRAMES * (FRAME + 2 * EDGE + GAP), GAP + len(names) * block), _PAPER)
     draw, font, small = ImageDraw.Draw(sheet), ImageFont.load_default(15), ImageFont.load_default(11)
-    decision = np.arange(len(replay.first)) - np.maximum.accumulate(np.where(replay.first > 0, np.arange(len(replay.first)), 0))
+    decision = np.arange(len(recording.first)) - np.maximum.accumulate(np.where(recording.first > 0, np.arange(len(recording.first)), 0))
     for line, name in enumerate(names):
         top = GAP + line * block
         draw.text((GAP, top + 3), f"{name}: front over rear", _INK, font)
         for column, row in enumerate(chosen[name].tolist()):
             x, y = GAP + column * (FRAME + 2 * EDGE + GAP), top + TITLE
-            colour = _COSTLY if replay.cost[row] > 0 else _PAPER
+            colour = _COSTLY if recording.cost[row] > 0 else _PAPER
             draw.rectangle((x, y, x + FRAME + 2 * EDGE - 1, y + 2 * FRAME + 3 * EDGE - 1), colour)
             for camera in range(2):
                 image = Image.fromarray(np.ascontiguousarray(images[row][3 * camera : 3 * camera + 3].transpose(1, 2, 0)))
                 sheet.paste(image.resize((FRAME, FRAME), Image.Resampling.NEAREST), (x + EDGE, y + EDGE + camera * (FRAME + EDGE)))
-            by = " + ".join(kind for i, kind in enumerate(sources) if replay.sources[row, i] > 0)
-            text = _fitting(by or f"episode {replay.episode[row]}, step {decision[row]}", small)
+            by = " + ".join(kind for i, kind in enumerate(sources) if recording.sources[row, i] > 0)
+            text = _fitting(by or f"episode {recording.episode[row]}, step {decision[row]}", small)
             draw.text((x + EDGE, y + 2 * FRAME + 3 * EDGE + 1), text, colour if by else _INK, small)
     sheet.save(path, format="PNG")
 
 
-def _chosen(replay: Replay, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _chosen(recording: Recording, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Frames spread over the rows of a behaviour, then costly ones, from every source in turn."""
-    kinds = [rows[replay.sources[rows, i] > 0] for i in range(replay.sources.shape[1])]
+    kinds = [rows[recording.sources[rows, i] > 0] for i in range(recording.sources.shape[1])]
     kinds = [kind for kind in kinds if len(kind)]
     costly = [_spread(kind, len(range(i, FRAMES, len(kinds)))) for i, kind in enumerate(kinds)]
-    return np.concatenate([_spread_over_episodes(replay, rows), *costly])
+    return np.concatenate([_spread_over_episodes(recording, rows), *costly])
 
 
-def _spread_over_episodes(replay: Replay, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _spread_over_episodes(recording: Recording, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """FRAMES rows of different episodes, each later in its own: equal parts of all rows would show one moment of them again and again."""
-    numbers, shares = np.unique(replay.episode[rows]), (np.arange(FRAMES) + 0.5) / FRAMES
-    own = [rows[replay.episode[rows] == numbers[int(share * len(numbers))]] for share in shares]
+    numbers, shares = np.unique(recording.episode[rows]), (np.arange(FRAMES) + 0.5) / FRAMES
+    own = [rows[recording.episode[rows] == numbers[int(share * len(numbers))]] for share in shares]
     return np.array([part[int(share * len(part))] for part, share in zip(own, shares, strict=True)])
 
 
@@ -75,7 +75,7 @@ def _images(folder: Path, rows: NDArray[np.int64]) -> dict[int, NDArray[Any]]:
     """uint8 [6, 64, 64] of each row of the dataset."""
     images: dict[int, NDArray[Any]] = {}
     begin = 0
-    for file in shards(folder):
+    for file in shard_files(folder):
         end = begin + pq.read_metadata(file).num_rows
         here = rows[(rows >= begin) & (rows < end)]
         if len(here):

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from wasp_cli.learning.diagnostics import Forecast, imagined_images
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator
-from wasp_cli.learning.shards import Replay
+from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
 COSTLY, CALM = 3, 2
@@ -32,15 +32,15 @@ Images = NDArray[np.uint8]
 
 
 @torch.inference_mode()
-def reconstruction_sheet(model: SafetyWorldModel, replay: Replay, latents: Latents, path: Path, columns: int = 10) -> None:
+def reconstruction_sheet(model: SafetyWorldModel, recording: Recording, latents: Latents, path: Path, columns: int = 10) -> None:
     """Rows: true front, decoded front, true rear, decoded rear; columns: steps spread over the episodes, half of them costly."""
-    spread = np.linspace(0, len(replay.first) - 1, columns).astype(int)
-    costly = np.flatnonzero(replay.cost > 0)
+    spread = np.linspace(0, len(recording.first) - 1, columns).astype(int)
+    costly = np.flatnonzero(recording.cost > 0)
     marked = np.zeros(columns, bool)
     if len(costly):
         marked[columns // 2 :] = True
         spread[marked] = costly[np.linspace(0, len(costly) - 1, int(marked.sum())).astype(int)]
-    true = replay.pixels[spread]  # [K, 6, 64, 64]
+    true = recording.pixels[spread]  # [K, 6, 64, 64]
     decoded = _bytes(model.decode(latents.at(torch.from_numpy(spread))).numpy())
     sheet = Image.new("RGB", (LABEL + columns * (SIDE + GAP) + GAP, 4 * (SIDE + GAP) + GAP + TEXT), _PAPER)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(11)
@@ -71,11 +71,11 @@ class Strip(NamedTuple):
     """[1 + H] imagined probability of a cost; the first one is the filtered state's"""
 
 
-def shown_windows(replay: Replay, seen: Forecast) -> list[int]:
+def shown_windows(recording: Recording, seen: Forecast) -> list[int]:
     """Indices into the starts: onsets of a cost late in the window first, spread over the episodes, then windows without any cost."""
     whole: NDArray[np.bool_] = np.asarray(seen.within.all(1))
-    costs = (replay.cost[seen.follow] > 0) & whole[:, None]
-    calm = (replay.cost[seen.starts] == 0) & whole
+    costs = (recording.cost[seen.follow] > 0) & whole[:, None]
+    calm = (recording.cost[seen.starts] == 0) & whole
     first = np.where(costs.any(1), costs.argmax(1), -1)
     # An onset in the middle of the window shows both the approach and the cost.
     onset = np.flatnonzero(calm & (first >= costs.shape[1] // 3) & (first < costs.shape[1] - 1))
@@ -86,21 +86,23 @@ def shown_windows(replay: Replay, seen: Forecast) -> list[int]:
 
 
 @torch.inference_mode()
-def strips(model: SafetyWorldModel, replay: Replay, latents: Latents, seen: Forecast, windows: Sequence[int], seed: int) -> list[Strip]:
+def strips(
+    model: SafetyWorldModel, recording: Recording, latents: Latents, seen: Forecast, windows: Sequence[int], seed: int
+) -> list[Strip]:
     """The chosen windows with one imagined future each; predicted costs are those of the forecast (means over its samples)."""
     index, horizon = np.array(windows, int), seen.cost.shape[1]
     starts = seen.starts[index]
     now = latents.at(torch.from_numpy(starts))
     begun, cost = model.decode(now).numpy()[:, None], model.cost(now).numpy()[:, None]
-    future = imagined_images(model, replay, latents, starts, horizon, generator(seed))
+    future = imagined_images(model, recording, latents, starts, horizon, generator(seed))
     imagined = _bytes(np.concatenate([begun, future], 1))
     predicted = np.concatenate([cost, seen.cost[index]], 1)
     found = []
     for i, start in enumerate(starts.tolist()):
         rows = np.arange(start, start + horizon + 1)
-        number = int(np.sum(replay.episode[:start] == replay.episode[start]))
-        title = f"{replay.behaviour[start]}, episode {replay.episode[start]}, step {number}"
-        found.append(Strip(title, replay.pixels[rows], imagined[i], replay.cost[rows], predicted[i]))
+        number = int(np.sum(recording.episode[:start] == recording.episode[start]))
+        title = f"{recording.behaviour[start]}, episode {recording.episode[start]}, step {number}"
+        found.append(Strip(title, recording.pixels[rows], imagined[i], recording.cost[rows], predicted[i]))
     return found
 
 

@@ -1,12 +1,14 @@
-"""A batch of tasks seen through the world model's filter, as a stable-baselines3 vector environment."""
+"""PPO on latents with stable-baselines3: tasks seen through the world model's filter, and a start for the value function alone."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback
 from torch import Tensor
 
 from wasp_cli.learning.closed_loop import Filter
@@ -41,3 +43,27 @@ class FilteredTask(TaskVecEnv):
 
     def execute(self, action: Array) -> tuple[Array, Array]:
         return action.clip(-1, 1), np.zeros(len(action), np.float32)
+
+
+class ValueWarmup(BaseCallback):
+    """Trains only the value function during the first interactions, so that the actor does not move on its noise."""
+
+    def __init__(self, until: int) -> None:
+        super().__init__()
+        self._until = until
+
+    def _on_training_start(self) -> None:
+        self._freeze(self._until > 0)
+
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps >= self._until:
+            self._freeze(False)
+
+    def _freeze(self, frozen: bool) -> None:
+        policy: Any = self.model.policy
+        for module in (policy.mlp_extractor.policy_net, policy.action_net):
+            module.requires_grad_(not frozen)
+        policy.log_std.requires_grad_(not frozen)
+
+    def _on_step(self) -> bool:
+        return True

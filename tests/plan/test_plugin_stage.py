@@ -1,0 +1,151 @@
+"""A package of someone else brings a training stage and a method that needs it, through entry points alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+ENTRIES = """
+[wasp.stages]
+habits = outsider.entries:STAGE
+[wasp.methods]
+nudge = outsider.entries:METHOD
+"""
+REGISTERED = """
+from wasp_cli.methods.registry import MethodInfo
+from wasp_cli.stages.registry import StageInfo
+
+STAGE = StageInfo("habits", "outsider.stage:HabitsStage", presets={"smoke": {"updates": 3}})
+METHOD = MethodInfo("nudge", "Nudge", "outsider.method:Nudge", "outsider.settings:NudgeConfig", needs=("habits",))
+"""
+SETTINGS = """
+from wasp_cli.config import Config, assumed
+
+class NudgeConfig(Config):
+    strength: float = assumed(0.5, "tried by hand", ge=0.0)
+
+class HabitsConfig(Config):
+    updates: int = assumed(500, "enough", ge=1)
+    operators: dict[str, tuple[float, ...]] = assumed({"laggy": (0.5,)}, "operators that are watched")
+"""
+STAGE = """
+from outsider.settings import HabitsConfig
+
+class HabitsStage:
+    kind = "habits"
+    config = HabitsConfig
+    settings = ("action_repeat",)
+    needs = ("dataset", "world_model")
+
+    def run(self, job):
+        return {"answer": 42}
+"""
+SPEC = """
+name: outside
+preset: smoke
+tasks: [goal1]
+methods: [human, nudge]
+operators: {laggy: {mild: 0.5}}
+seeds: [0]
+"""
+
+
+@pytest.fixture
+def outsider(tmp_path: Path) -> Path:
+    """The folder with the installed package."""
+    package = tmp_path / "site" / "outsider"
+    package.mkdir(parents=True)
+    files = {"__init__": "", "entries": REGISTERED, "settings": SETTINGS, "stage": STAGE, "method": "class Nudge: ..."}
+    for name, text in files.items():
+        (package / f"{name}.py").write_text(dedent(text), encoding="utf-8")
+    info = package.with_name("outsider-1.0.dist-info")
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outsider\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(ENTRIES, encoding="utf-8")
+    (tmp_path / "outside.yaml").write_text(SPEC, encoding="utf-8")
+    return package
+
+
+def python(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(outsider.parent), str(Path.cwd())])}
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=outsider.parents[1], env=environment, capture_output=True, text=True, timeout=60, check=False)
+
+
+def wasp(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return python(outsider, "-m", "wasp_cli", *arguments)
+
+
+def keys(outsider: Path, *arguments: str) -> dict[str, str]:
+    done = wasp(outsider, "plan", "outside.yaml", "--json", *arguments)
+    assert done.returncode == 0, done.stderr
+    return {node["label"]: node["key"] for node in json.loads(done.stdout)["nodes"]}
+
+
+def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsider: Path) -> None:
+    before = keys(outsider)
+    assert "goal1 s0 habits, round 2" in before
+    cells = {label for label in before if "nudge" in label}
+    assert cells
+
+    (outsider / "stage.py").write_text(dedent(STAGE).replace("42", "43"), encoding="utf-8")
+    after = keys(outsider)
+    moved = {label for label in before if before[label] != after[label]}
+    assert moved == {label for label in before if "habits" in label} | cells
+
+    (outsider / "entries.py").write_text(REGISTERED.replace('"updates": 3', '"updates": 4'), encoding="utf-8")
+    of_preset = keys(outsider)
+    assert {label for label in before if of_preset[label] != after[label]} == moved
+    assert of_preset == keys(outsider, "--set", "habits.updates=4")
+
+
+def test_its_section_has_values_of_presets_checks_and_a_schema(outsider: Path) -> None:
+    spec = outsider.parents[1] / "outside.yaml"
+    spec.write_text(SPEC + "habits: {updates: 0, operators: {lagy: [0.5]}}\n", encoding="utf-8")
+    wrong = wasp(outsider, "check", "outside.yaml")
+    assert wrong.returncode == 3
+    assert "outside.yaml:8:19: should be greater than or equal to 1, not 0" in wrong.stderr
+    spec.write_text(SPEC + "stages: [habits]\nhabits: {operators: {lagy: [0.5]}}\n", encoding="utf-8")
+    wrong = wasp(outsider, "check", "outside.yaml")
+    assert "unknown operator variant 'lagy'" in wrong.stderr
+    spec.write_text(SPEC + "stages: [habits]\n", encoding="utf-8")
+    assert wasp(outsider, "check", "outside.yaml").returncode == 0
+    nodes = json.loads(wasp(outsider, "plan", "outside.yaml", "--json").stdout)["nodes"]
+    assert any("habits" in node["label"] for node in nodes)
+
+    program = "import json; from wasp_cli.spec.schema import spec_schema as s; print(json.dumps([s(), s(plugins=True)]))"
+    path = os.pathsep.join([str(outsider.parent), str(Path.cwd())])
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=True
+    )
+    without, with_plugins = json.loads(done.stdout)
+    assert "habits" not in without["properties"]
+    assert "habits" not in without["properties"]["stages"]["items"]["enum"]
+    assert "habits" in with_plugins["properties"]
+    assert "habits" in with_plugins["properties"]["stages"]["items"]["enum"]
+
+
+@pytest.mark.parametrize(
+    ("found", "put", "message"),
+    [
+        ('StageInfo("habits"', 'StageInfo("tasks"', "a plugin names a stage 'tasks', which is a field of every spec"),
+        ('StageInfo("habits"', 'StageInfo("ida"', "a plugin names a stage 'ida', which is the name of a method"),
+        ('StageInfo("habits"', 'StageInfo("Habits!"', "the stage name 'Habits!' should be small letters"),
+        ('presets=', 'unit="cell", presets=', "has unit 'cell'"),
+        ('STAGE = StageInfo(', 'STAGE = MethodInfo("a", "b", "c", "d")\nOTHER = StageInfo(', "is of type MethodInfo"),
+        ("outsider.stage:HabitsStage", "outsider.method:Nudge", "has no `config`"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_stage_is_refused(outsider: Path, found: str, put: str, message: str) -> None:
+    assert found in REGISTERED
+    (outsider / "entries.py").write_text(REGISTERED.replace(found, put), encoding="utf-8")
+    done = wasp(outsider, "check", "outside.yaml")
+    assert done.returncode == 1
+    assert message in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
