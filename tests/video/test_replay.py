@@ -18,7 +18,7 @@ from PIL import Image
 
 from tests.commands import run_here
 from tests.report.explained import Invented
-from tests.report.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
+from tests.video.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
 from wasp_cli.metrics.episode import GATE_SAFETY
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.report.explain.stored import read_episode

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.report.two_runs import episodes, write_results
+from tests.compare.two_runs import episodes, write_results
 from wasp_cli.compare.paired import MEASURES
 from wasp_cli.compare.runs import Compared, Side, State, compare
 from wasp_cli.compare.text import as_json, cells_table, headline, page, summary_table, tables, told

@@ -12,7 +12,7 @@ from PIL import Image
 
 from tests.cells import Evaluated, evaluated
 from tests.learning.test_counterfactual import branched
-from tests.learning.test_video import source_of
+from tests.video.test_video import source_of
 from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.necessity import ALONE, ASSISTED

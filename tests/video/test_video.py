@@ -12,7 +12,7 @@ import torch
 from PIL import Image, ImageColor
 
 from tests.cells import REPEAT, Evaluated, evaluated
-from tests.learning.test_film import Meter
+from tests.video.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK

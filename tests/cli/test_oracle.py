@@ -1,4 +1,4 @@
-"""`wasp bench ceiling`, with an untrained expert: what it prints, and what it says to wrong input."""
+"""`wasp bench oracle`, with an untrained expert: what it prints, and what it says to wrong input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wasp_cli.seeds import layout_seed, operator_seed
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.layout import Layout
-from wasp_cli.studies import oracle as ceiling
+from wasp_cli.studies import oracle
 from wasp_cli.tasks.make import make_task
 
 SPEC = """\
@@ -85,7 +85,7 @@ def test_every_assistant_drives_the_same_episodes(spec: Path, results: Path) -> 
 
     table = invoke(spec, *arguments, "--episodes", "1")
     assert table.exit_code == 0, table.output
-    assert "Ceiling: Goal1, Laggy 0.7, seed 3, 1 episode\n" in table.output
+    assert "Oracle dynamics: Goal1, Laggy 0.7, seed 3, 1 episode\n" in table.output
     assert re.search(r"^ Human-only +-?\d+\.\d\d ", table.output, re.MULTILINE)
     assert re.search(r"^ WASP +-?\d+\.\d\d \([+-]\d+\.\d\d\) ", table.output, re.MULTILINE)
     assert "time: Human-only" in table.output
@@ -98,7 +98,7 @@ def test_the_worlds_are_those_of_the_evaluation(spec: Path, results: Path, monke
         seen.append(arguments)
         raise TaskError("enough")
 
-    monkeypatch.setattr(ceiling, "run_episodes", caught)
+    monkeypatch.setattr(oracle, "run_episodes", caught)
     done = invoke(spec, "--task", "goal1", "--operator", "laggy=0.7", "--episodes", "11", "--results", results)
     assert (done.exit_code, "enough" in done.output) == (1, True), done.output
     task, _, operator, _, layouts, methods = seen[0]
