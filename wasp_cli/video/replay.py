@@ -48,7 +48,7 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
         progress: told the share that is done.
 
     Returns:
-        The written file, and `video.film.Made`.
+        The written file, and `video.frame.Made`.
 
     Raises:
         UsageError: no such episode, the file cannot be one, or the cell has no manifest.
@@ -57,14 +57,14 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
         TaskError: the task cannot be imported.
     """
     from wasp_cli.video.encode import checked
-    from wasp_cli.video.film import film_episode
+    from wasp_cli.video.frame import film_episode
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
     source = source_of(layout, cell)
-    found = film_episode(
+    made = film_episode(
         source,
-        told(stored),
+        episode_trace(stored),
         episode,
         correction(stored),
         stored.constants.horizon or HORIZON,
@@ -72,7 +72,7 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
         path,
         progress,
     )
-    return path, found
+    return path, made
 
 
 def default_name(stored: Episode, ending: str) -> Path:
@@ -136,13 +136,13 @@ def upstream_of(cell: FoundCell) -> dict[str, str]:
     return {str(kinds[role]): str(key) for role, key in keys.items() if role in kinds}
 
 
-def told(stored: Episode) -> Any:
-    """`video.timeline.Told`: what the rows say."""
-    from wasp_cli.video.timeline import Told
+def episode_trace(stored: Episode) -> Any:
+    """`video.timeline.EpisodeTrace`: what the rows say."""
+    from wasp_cli.video.timeline import EpisodeTrace
 
     numbers, row = stored.numbers, stored.row
     names = ("deviation", "reward", "cost_env", "goals", "g_cost", "delta_g", "signal", "plan_cost", "alone_cost")
-    return Told(
+    return EpisodeTrace(
         title=title_of(stored),
         gate=stored.gate, costly=stored.costly, a_h=stored.a_h, a=stored.a, **{name: numbers[name] for name in names},
         gated=stored.gated, tau_c=stored.thresholds.tau_c, tau_r=stored.thresholds.tau_r,
@@ -153,8 +153,8 @@ def told(stored: Episode) -> Any:
 
 
 def correction(stored: Episode) -> Any:
-    """`video.film.Correction`: the stored plan, or of a method without plans its one changed action."""
-    from wasp_cli.video.film import Correction
+    """`video.frame.Correction`: the stored plan, or of a method without plans its one changed action."""
+    from wasp_cli.video.frame import Correction
 
     planned = any(plan is not None for plan in stored.plan)
     actions = stored.a.shape[1]
