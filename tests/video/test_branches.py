@@ -82,7 +82,7 @@ def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
     assert np.abs(last - np.asarray(still.convert("RGB"))).mean() < 4
     video.seek(0)
     assert (np.asarray(video.convert("RGB")) != last).any()
-    with pytest.raises(UsageError, match="does not end like a video"):
+    with pytest.raises(UsageError, match="unsupported video format"):
         found.film("title", [], tmp_path / "a.txt")
 
 

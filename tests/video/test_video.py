@@ -195,9 +195,9 @@ def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("a.mp4", "does not end like a video"),
-        ("a", "does not end like a video"),
-        ("missing/a.gif", "lies in no folder"),
+        ("a.mp4", "unsupported video format"),
+        ("a", "unsupported video format"),
+        ("missing/a.gif", "its folder does not exist"),
         ("b.gif", "is a folder"),
     ],
 )

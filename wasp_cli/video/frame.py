@@ -56,12 +56,12 @@ class Correction(NamedTuple):
     """residuals are added to the present command, not to the imagined ones"""
 
 
-class Made(NamedTuple):
+class WrittenVideo(NamedTuple):
     """A written video."""
 
     frames: int
     r2: dict[str, float] | None
-    """of the readout that draws imagined ways (forward, left, turn); None where there is none"""
+    """of the readout that draws imagined paths (forward, left, turn); None where there is none"""
 
 
 class Painter:
@@ -133,11 +133,11 @@ class Painter:
 
     def _readout_note(self) -> str:
         if self._played.readout is None:
-            return "no imagined ways: they are read out of latents by a fit to the cell's other episodes"
+            return "no imagined paths: they are read out of latents by a fit to the cell's other episodes"
         names = ("forward", "left", "turn")
         r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(names, self._played.explained, strict=True))
         poor = " (poor: a hint only)" if np.nanmin(self._played.explained) < POOR else ""
-        return f"imagined ways are read out of latents by a linear fit, R² {r2}{poor}"
+        return f"imagined paths are read out of latents by a linear fit, R² {r2}{poor}"
 
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
         """Below the map."""
@@ -203,7 +203,7 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 def film_episode(
     source: Source, trace: EpisodeTrace, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
-) -> Made:
+) -> WrittenVideo:
     """Play a cell again and write the video of an episode.
 
     Args:
@@ -234,7 +234,7 @@ def film_episode(
         write(out, len(shown), frames.paint, [*times, LAST_MS], painted)
     names = ("forward", "left", "turn")
     r2 = None if played.readout is None else dict(zip(names, played.explained.tolist(), strict=True))
-    return Made(len(shown), r2)
+    return WrittenVideo(len(shown), r2)
 
 
 class _Frames:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,11 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.plain import printable
 from wasp_cli.store.recorded import read_recorded
+
+if TYPE_CHECKING:
+    from wasp_cli.video.frame import Correction, WrittenVideo
+    from wasp_cli.video.timeline import EpisodeTrace
+    from wasp_cli.video.trace import Source
 
 Progress = Callable[[float, str], None]
 
@@ -36,7 +41,9 @@ SAID: dict[str, tuple[type, ...]] = {
 """What its manifest has to say, with the types."""
 
 
-def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, every: int | None, progress: Progress) -> tuple[Path, Any]:
+def replay(
+    layout: Layout, cell: FoundCell, episode: int, out: Path | None, every: int | None, progress: Progress
+) -> tuple[Path, WrittenVideo]:
     """Write the video of an episode.
 
     Args:
@@ -48,7 +55,7 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
         progress: told the share that is done.
 
     Returns:
-        The written file, and `video.frame.Made`.
+        The written file, and what was written.
 
     Raises:
         UsageError: no such episode, the file cannot be one, or the cell has no manifest.
@@ -76,7 +83,7 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
 
 
 def default_name(stored: Episode, ending: str) -> Path:
-    """What a picture of an episode is called in the current folder."""
+    """Name a picture of an episode in the current folder."""
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["assistant_variant"] == "full" else f"-{row['assistant_variant']}"
@@ -84,13 +91,13 @@ def default_name(stored: Episode, ending: str) -> Path:
 
 
 def title_of(stored: Episode) -> str:
-    """What a picture of an episode is called on it."""
+    """Return the title on a picture of an episode."""
     row = stored.row
     return f"{printable(stored.cell.label or row['task'] + ' ' + row['method'])}, episode {row['episode']}"
 
 
-def source_of(layout: Layout, cell: FoundCell) -> Any:
-    """`video.trace.Source` of a cell.
+def source_of(layout: Layout, cell: FoundCell) -> Source:
+    """Find the rows of a cell and the models that it was evaluated with.
 
     Raises:
         UsageError: the cell has no manifest that names its models.
@@ -129,15 +136,15 @@ def source_of(layout: Layout, cell: FoundCell) -> Any:
 
 
 def upstream_of(cell: FoundCell) -> dict[str, str]:
-    """Keys of what a cell was computed from, by kind."""
+    """Return the keys of what a cell was computed from, by kind."""
     keys, kinds = cell.setting("upstream"), cell.setting("upstream_kinds")
     if not isinstance(keys, dict) or not isinstance(kinds, dict):
         return {}
     return {str(kinds[role]): str(key) for role, key in keys.items() if role in kinds}
 
 
-def episode_trace(stored: Episode) -> Any:
-    """`video.timeline.EpisodeTrace`: what the rows say."""
+def episode_trace(stored: Episode) -> EpisodeTrace:
+    """Gather what the rows say of an episode."""
     from wasp_cli.video.timeline import EpisodeTrace
 
     numbers, row = stored.numbers, stored.row
@@ -152,8 +159,8 @@ def episode_trace(stored: Episode) -> Any:
     )  # fmt: skip
 
 
-def correction(stored: Episode) -> Any:
-    """`video.frame.Correction`: the stored plan, or of a method without plans its one changed action."""
+def correction(stored: Episode) -> Correction:
+    """Return the stored plans, or of a method without plans each changed action as a correction of one step."""
     from wasp_cli.video.frame import Correction
 
     planned = any(plan is not None for plan in stored.plan)
