@@ -20,16 +20,13 @@ BY_STRING = frozenset(
 RUNS_TEXT = frozenset({"exec", "eval", "compile"})
 ALLOWED: Mapping[str, str] = {
     "registry.py": "the one place that imports what registries and plugins name",
-    "spec/model.py": "a method's section of the spec is the config model that its registry entry names",
-    "report/node.py": "the same config model, for the record of a node",
-    "learning/assistants.py": "the same config model, for the assistant of a cell",
+    "methods/registry.py": "the config model that a method's registry entry names: its section of the spec",
     "plan/grid.py": "the stage that a node's registry entry names",
     "run/worker.py": "the stage that a node names, in the process that runs it",
     "run/cluster.py": "whether dask or ray is installed, without importing it",
     "plan/closure.py": "where the source of a package lies, without importing it",
     "cli/doctor.py": "whether each library imports is what the command reports",
     "tasks/foreign/examine.py": "a spec may name a gymnasium environment of a package that nobody has imported",
-    "tasks/camera/view3d.py": "MuJoCo has a module of its own for each OpenGL platform",
 }
 """Files that import by string, and why the name has to be a value there."""
 
