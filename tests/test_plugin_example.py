@@ -106,9 +106,7 @@ def test_a_key_covers_what_its_node_runs(home: Home, file: str, old: str, new: s
         after = home.keys()
     finally:
         path.write_text(text, encoding="utf-8")
-    assert {label for label in before if before[label] != after[label]} == {
-        label for label in before if moved and re.search(moved, label)
-    }
+    assert {label for label in before if before[label] != after[label]} == {label for label in before if moved and re.search(moved, label)}
 
 
 def test_its_stage_trains_what_its_assistant_reads(home: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

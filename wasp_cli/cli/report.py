@@ -117,7 +117,7 @@ def show_report(
 
 
 def _film_drawing() -> Draw:
-    from wasp_cli.video.sprite import sprite_of  # needs MuJoCo
+    from wasp_cli.video.film import sprite_of  # needs MuJoCo
 
     return sprite_of
 

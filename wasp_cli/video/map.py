@@ -1,4 +1,4 @@
-"""The map of a running episode with what people want to see on it: arrows, trails, marks.
+"""The map of a running episode with what people want to see on it: arrows, trails, marks; and the typeface of every picture.
 
 A map of a small task stands still; that of a large one follows the robot, which may move freely in its middle. Everything is drawn twice as
 large as it is shown, which smooths its edges.
@@ -7,9 +7,11 @@ large as it is shown, which smooths its edges.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.camera.look import Look, Scene
@@ -160,3 +162,12 @@ def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: 
 def along(places: Sequence[Floats]) -> Floats:
     """Places as one array [N, 2]."""
     return np.array(places, np.float64).reshape(-1, 2)
+
+
+@lru_cache
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """Load a typeface that has the paper's symbols: the one that matplotlib brings along."""
+    import matplotlib
+
+    folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+    return ImageFont.truetype(str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from wasp_cli.video.sprite import sprite_of
 
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.report.frame import Frame, Wanted, read_frame
@@ -18,7 +19,6 @@ from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.sprite import sprite_of
 
 REPEAT = 100
 """Ten decisions an episode."""

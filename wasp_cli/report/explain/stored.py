@@ -129,7 +129,7 @@ class Episode:
 
     @property
     def selective(self) -> bool:
-        """Tell whether the method decides when to intervene, so that it can miss a cost. Human-only never intervenes, a blend always does."""
+        """Tell whether the method decides when to intervene, so that it can miss a cost. Human-only never does, a blend always."""
         return bool(self.gated or np.isfinite(self.numbers["signal"]).any() or len(set(self.gate.tolist())) > 1)
 
     @property

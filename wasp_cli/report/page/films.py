@@ -43,7 +43,7 @@ class Sprite(NamedTuple):
 
 
 Draw = Callable[..., Sprite]
-"""Draws an episode: `video.sprite.sprite_of`, which needs MuJoCo and is handed over by who has it."""
+"""Draws an episode: `video.film.sprite_of`, which needs MuJoCo and is handed over by who has it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Imagined ways are those whose returns the gates look at."""
+"""Imagined trajectories are those whose returns the gates look at."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.video.imagined import ROLLOUTS, Outset, imagined, outset
+from wasp_cli.video.imagined import ROLLOUTS, RolloutStart, imagine, rollout_start
 
 HORIZON, ROWS, ROW, T = 6, 3, 1, 9
 GAMMA = 0.9
@@ -38,15 +38,15 @@ def decided(request: pytest.FixtureRequest, inputs: Mapping[str, Path]) -> tuple
     return model, operator, latent, a_h
 
 
-def start(decided: tuple[Any, Operator, Latent, torch.Tensor], plan: np.ndarray | None = PLAN) -> Outset:
+def start(decided: tuple[Any, Operator, Latent, torch.Tensor], plan: np.ndarray | None = PLAN) -> RolloutStart:
     _, operator, latent, a_h = decided
-    return outset(T, latent, ROW, a_h[ROW].numpy(), operator, plan, HORIZON)
+    return rollout_start(T, latent, ROW, a_h[ROW].numpy(), operator, plan, HORIZON)
 
 
 @pytest.mark.parametrize("composition", ["per_step", "hold"])
-def test_the_returns_of_the_ways_are_those_of_the_planner(decided: tuple[Any, Operator, Latent, torch.Tensor], composition: str) -> None:
+def test_returns_are_those_of_the_planner(decided: tuple[Any, Operator, Latent, torch.Tensor], composition: str) -> None:
     model, operator, latent, a_h = decided
-    ways = imagined(model, start(decided), HORIZON, [2, 6], hold=composition == "hold")
+    found = imagine(model, start(decided), HORIZON, [2, 6], hold=composition == "hold")
 
     config = WASPConfig(horizon=HORIZON, residual_steps=len(PLAN), continuation=False, composition=composition)  # type: ignore[arg-type]
     imagination = Imagination(model, NoCritics(), config, GAMMA, GAMMA, 1.0)
@@ -59,14 +59,16 @@ def test_the_returns_of_the_ways_are_those_of_the_planner(decided: tuple[Any, Op
     with torch.inference_mode():
         expected = imagination.returns(Situation(latent.rows(row), a_h[row], operator, row), residuals, draws).cost[0].numpy()
     discount = GAMMA ** np.arange(HORIZON)
-    np.testing.assert_allclose((ways.cost * discount).sum(1), expected, rtol=1e-4)
+    np.testing.assert_allclose((found.cost * discount).sum(1), expected, rtol=1e-4)
     assert abs(expected[0] - expected[1]) > 1e-6, "the plan changes nothing here"
 
 
-def test_the_same_outset_gives_the_same_ways_and_leaves_the_operator_alone(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
+def test_a_start_gives_the_same_again_and_leaves_the_operator_alone(
+    decided: tuple[Any, Operator, Latent, torch.Tensor],
+) -> None:
     model, operator, _, _ = decided
     before, begun = operator.snapshot(), start(decided)
-    one, other = imagined(model, begun, HORIZON, [3]), imagined(model, begun, HORIZON, [3])
+    one, other = imagine(model, begun, HORIZON, [3]), imagine(model, begun, HORIZON, [3])
     np.testing.assert_array_equal(one.features, other.features)
     np.testing.assert_array_equal(one.images[3], other.images[3])
     after = operator.snapshot()
@@ -76,21 +78,21 @@ def test_the_same_outset_gives_the_same_ways_and_leaves_the_operator_alone(decid
 
 def test_without_a_correction_there_is_one_sequence_the_same_as_beside_one(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
     model = decided[0]
-    alone = imagined(model, start(decided, None), HORIZON, [HORIZON])
-    beside = imagined(model, start(decided), HORIZON, [HORIZON])
+    alone = imagine(model, start(decided, None), HORIZON, [HORIZON])
+    beside = imagine(model, start(decided), HORIZON, [HORIZON])
     assert alone.features.shape == (1, ROLLOUTS, HORIZON, model.feature_size)
     assert beside.features.shape[0] == 2
     np.testing.assert_allclose(alone.features[0], beside.features[0], atol=1e-5)
-    nothing = imagined(model, start(decided, 0 * PLAN), HORIZON, [])
+    nothing = imagine(model, start(decided, 0 * PLAN), HORIZON, [])
     np.testing.assert_allclose(nothing.features[0], nothing.features[1], atol=1e-6)
 
 
 def test_images_are_decoded_from_the_first_rollout(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
     model = decided[0]
-    ways = imagined(model, start(decided), HORIZON, [1, 4])
-    assert sorted(ways.images) == [1, 4]
-    for step, images in ways.images.items():
-        features = torch.from_numpy(ways.features[:, 0, step - 1])
+    found = imagine(model, start(decided), HORIZON, [1, 4])
+    assert sorted(found.images) == [1, 4]
+    for step, images in found.images.items():
+        features = torch.from_numpy(found.features[:, 0, step - 1])
         size = model.sizes.deter
         with torch.inference_mode():
             expected = model.decode(Latent(features[:, :size], features[:, size:])).numpy()

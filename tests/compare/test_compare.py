@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from tests.report.two_runs import episodes, write_results
+from tests.compare.two_runs import episodes, write_results
 from wasp_cli.compare.paired import MEASURES
 from wasp_cli.compare.runs import Compared, Side, State, compare
-from wasp_cli.compare.text import as_json, cells_table, headline, page, summary_table, tables, told
+from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_episodes
 
@@ -63,7 +63,7 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
     assert cell.paired.differences["cost"].value == pytest.approx(costs[1] - costs[0])
     assert cell.paired.differences["return"].value == 0.0
     assert not compared.alike
-    text = "\n".join(told(compared))
+    text = "\n".join(remarks(compared))
     assert "1 cell has other rows under the same key: computed on another machine, or the file was changed since" in text
     assert cell.label in text
 
@@ -128,7 +128,7 @@ def test_cells_of_one_side_only_are_named(first: Side, tmp_path: Path) -> None:
     compared = compare(first, second)
     assert states(compared) == NONE | {"same": 2, "only first": 6, "only second": 2}
     assert not compared.alike
-    lines = list(told(compared, shown=3))
+    lines = list(remarks(compared, shown=3))
     assert sum(line.startswith("  in the first only: goal1") for line in lines) == 3
     assert "  in the first only: 3 more" in lines
 

@@ -11,12 +11,13 @@ import pytest
 from PIL import Image, ImageColor
 
 from wasp_cli.errors import ArtifactError
+from wasp_cli.learning.playback import play
 from wasp_cli.tasks.base import HasScene
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video import sprite as films
+from wasp_cli.video import film as films
+from wasp_cli.video.film import film, sprite, sprite_of
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, FREE, MapView, Pose, stick
-from wasp_cli.video.sprite import film, play, sprite, sprite_of
 
 SIZE = 96
 ORANGE = np.array(ImageColor.getrgb(COST))
@@ -116,14 +117,15 @@ def test_a_film_of_another_world_is_refused(driven: Driven, spoil: str) -> None:
         seed += 1
     with pytest.raises(ArtifactError, match="the same actions lead elsewhere") as caught:
         film(driven.name, 4, seed, a, a, reward, every=50, size=16)
-    assert "library versions" in str(caught.value.hint)
+    assert "other libraries" in str(caught.value.hint)
 
 
 def test_rewards_count_as_stored(driven: Driven) -> None:
     task = make_task(driven.name, 1, observe=())
-    moments = list(play(task, driven.seed, driven.a, driven.reward.astype(np.float32)))
+    moments = list(play(task, [driven.seed], [driven.a], [driven.reward.astype(np.float32)]))
     assert [moment.t for moment in moments] == list(range(len(driven.a) + 1))
     assert moments[0].last is None
+    assert [bool(moment.alive[0]) for moment in moments] == [True] * len(driven.a) + [False]
 
 
 def test_others_tasks_show_what_their_camera_sees() -> None:

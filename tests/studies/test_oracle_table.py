@@ -1,4 +1,4 @@
-"""The table of `wasp bench ceiling`."""
+"""The table of `wasp bench oracle`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory, episode_metrics
 from wasp_cli.report.table import markdown
 from wasp_cli.studies.oracle import Cell, Outcome
-from wasp_cli.studies.oracle_table import ceiling_table
+from wasp_cli.studies.oracle_run import oracle_table
 
 CELL = Cell("goal1", 0, "laggy", 0.7, 2, 4, 0.99, 0.95, 7, 25.0, Path())
 
@@ -26,8 +26,8 @@ def test_means_spreads_and_paired_differences() -> None:
     human = Outcome(None, (episode(10.0, 40, 5), episode(14.0, 0, 7)), 3.0)
     whole = Outcome("full", (episode(13.0, 0, 7), episode(16.0, 0, 8)), 90.0)
     safe = Outcome("safety-only", (episode(11.0, 4, 7), episode(14.0, 0, 7)), 60.0)
-    text = markdown(ceiling_table(CELL, [human, whole, safe]))
-    assert "## Ceiling: Goal1, Laggy 0.7, seed 0, 2 episodes" in text
+    text = markdown(oracle_table(CELL, [human, whole, safe]))
+    assert "## Oracle dynamics: Goal1, Laggy 0.7, seed 0, 2 episodes" in text
     assert "| Human-only | 12.00 ± 2.83 | 50.0 | 20.00 ± 28.28 | 0.000 | 0.00 |" in text
     assert "| WASP | 14.50 ± 2.12 (+2.50) | 100.0 | 0.00 ± 0.00 (-20.00) |" in text
     assert "| WASP, safety gate only | 12.50 ± 2.12 (+0.50) |" in text

@@ -1,4 +1,4 @@
-"""`wasp bench ceiling`, with an untrained expert: what it prints, and what it says to wrong input."""
+"""`wasp bench oracle`, with an untrained expert: what it prints, and what it says to wrong input."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from wasp_cli.seeds import layout_seed, operator_seed
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import publish, staging_folder
 from wasp_cli.store.layout import Layout
-from wasp_cli.studies import oracle as ceiling
+from wasp_cli.studies import oracle
 from wasp_cli.tasks.make import make_task
 
 SPEC = """\
@@ -41,7 +41,7 @@ wasp: {horizon: 1, residual_steps: 1, candidates: 5, elites: 2, feasible: 2, pro
 
 
 def invoke(*arguments: str | Path) -> Result:
-    return run_here("bench", "ceiling", *arguments, columns=160)
+    return run_here("bench", "oracle", *arguments, columns=160)
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_every_assistant_drives_the_same_episodes(spec: Path, results: Path) -> 
 
     table = invoke(spec, *arguments, "--episodes", "1")
     assert table.exit_code == 0, table.output
-    assert "Ceiling: Goal1, Laggy 0.7, seed 3, 1 episode\n" in table.output
+    assert "Oracle dynamics: Goal1, Laggy 0.7, seed 3, 1 episode\n" in table.output
     assert re.search(r"^ Human-only +-?\d+\.\d\d ", table.output, re.MULTILINE)
     assert re.search(r"^ WASP +-?\d+\.\d\d \([+-]\d+\.\d\d\) ", table.output, re.MULTILINE)
     assert "time: Human-only" in table.output
@@ -97,7 +97,7 @@ def test_the_worlds_are_those_of_the_evaluation(spec: Path, results: Path, monke
         seen.append(arguments)
         raise TaskError("enough")
 
-    monkeypatch.setattr(ceiling, "run_episodes", caught)
+    monkeypatch.setattr(oracle, "run_episodes", caught)
     done = invoke(spec, "--task", "goal1", "--operator", "laggy=0.7", "--episodes", "11", "--results", results)
     assert (done.exit_code, "enough" in done.output) == (1, True), done.output
     task, _, operator, _, layouts, methods = seen[0]
@@ -147,3 +147,8 @@ def test_a_damaged_expert_is_not_used(spec: Path, results: Path) -> None:
     next(results.rglob(checkpoint_name(1.0))).write_bytes(b"")
     done = invoke(spec, "--task", "goal1", "--operator", "laggy=0.7", "--results", results)
     assert (done.exit_code, "has 0 bytes" in done.output) == (1, True), done.output
+
+
+def test_the_earlier_name_goes_on_and_is_not_shown() -> None:
+    assert "ceiling" not in run_here("bench", "--help", columns=100).output
+    assert "oracle dynamics" in run_here("bench", "ceiling", "--help", columns=100).output

@@ -18,7 +18,7 @@ from PIL import Image
 
 from tests.commands import run_here
 from tests.report.explained import Invented
-from tests.report.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
+from tests.video.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
 from wasp_cli.metrics.episode import GATE_SAFETY
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.report.explain.stored import read_episode
@@ -27,8 +27,8 @@ from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, write_branches
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds
-from wasp_cli.video.replay import correction, default_name, told
-from wasp_cli.video.replay_step import Scale, judged, scale_of
+from wasp_cli.video.replay import correction, default_name, episode_trace
+from wasp_cli.video.replay_step import Criterion, criterion_of, judge
 
 LABEL = "race1 s0 wasp noisy=0.4"
 
@@ -93,22 +93,22 @@ def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path
     assert [t for t, plan in enumerate(found.residuals) if plan is not None] == [3]
     np.testing.assert_allclose(found.residuals[3], [[-0.75, 0.75]])
     assert "executed action" in found.name
-    assert (told(stored).gated, told(stored).signal_name) == (False, "signal")
+    assert (episode_trace(stored).gated, episode_trace(stored).signal_name) == (False, "signal")
     assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_e0.gif")
 
 
 def test_the_words_of_the_rows_reach_the_frames(tmp_path: Path) -> None:
-    from wasp_cli.video.text import numbers
+    from wasp_cli.video.timeline import numbers
 
     made = Invented()
     made.fire(2, GATE_SAFETY)
     made.pay(1, 2)
-    said = numbers(told(made.read(tmp_path)), 2)
+    said = numbers(episode_trace(made.read(tmp_path)), 2)
     assert "gate: safety gate" in said
     assert "Ḡᶜ 0.50 > τ_c 0.3" in said
     assert "plan's cost 0.20, alone 0.60" in said
     assert "cost so far 4, goals 0" in said
-    assert numbers(told(made.read(tmp_path)), 0)[0] == "gate: none, command stands"
+    assert numbers(episode_trace(made.read(tmp_path)), 0)[0] == "gate: none, command stands"
 
 
 # -- one decision ---------------------------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ def test_the_verdict_is_eq_21(tmp_path: Path, saved: bool, gained: float, tau_R:
         ASSISTED: {"cost": [False, False], "cost_env": [0, 0], "reward": [gained, 0.0]},
         ALONE: {"cost": [saved, False], "cost_env": [3 * saved, 0], "reward": [0.0, 0.0]},
     }
-    found = judged(made.read(tmp_path), 2, Scale(4, tau_R, "nobody"), branches)
+    found = judge(made.read(tmp_path), 2, Criterion(4, tau_R, "nobody"), branches)
     assert found.unnecessary is expected
     assert found.rho == (0.25 if saved else 0.0)
     assert words in found.lines()[1]
@@ -165,16 +165,16 @@ def test_the_verdict_is_eq_21(tmp_path: Path, saved: bool, gained: float, tau_R:
 
 def test_tau_R_comes_from_the_cells_own_branches_before_the_calibration(copied: Path) -> None:
     layout, cell = Layout(copied), find_cell(Layout(copied), CELL)
-    assert scale_of(layout, cell) == Scale(WINDOW, TAU_R, "the calibration of the method")
+    assert criterion_of(layout, cell) == Criterion(WINDOW, TAU_R, "the calibration of the method")
     for key, upstream in (("eeee5555eeee5555eeee", "another"), ("ffff6666ffff6666ffff", CELL)):
         staging = staging_folder(layout, key)
         identity = CellIdentity("race1", "wasp", "full", "noisy", 0.4, 0)
         write_branches(staging / BRANCHES_FILE, BranchedCell(identity, 7, 1, 0.5 if upstream == CELL else 9.0, 2), [])
         publish(layout, "counterfactual", key, staging, {"kind": "counterfactual", "key": key, "upstream": {"evaluate": upstream}})
-    assert scale_of(layout, cell) == Scale(7, 0.5, "the counterfactual branches of the cell")
+    assert criterion_of(layout, cell) == Criterion(7, 0.5, "the counterfactual branches of the cell")
     shutil.rmtree(copied / "store" / "counterfactual")
     (layout.artifact("calibration", KEYS["calibration"]) / "calibration.json").write_text("{")
-    assert scale_of(layout, cell).tau_R is None
+    assert criterion_of(layout, cell).tau_R is None
 
 
 # -- what can go wrong ----------------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import torch
 from PIL import Image, ImageColor
 
 from tests.cells import REPEAT, Evaluated, evaluated
-from tests.learning.test_film import Meter
+from tests.video.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
@@ -21,13 +21,12 @@ from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.base import HasScene
 from wasp_cli.video import encode as video_file
 from wasp_cli.video.encode import MEANT, checked, palette_of, write
-from wasp_cli.video.film import Correction, film_episode
-from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH
+from wasp_cli.video.film import film
+from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, film_episode
+from wasp_cli.video.imagined import displacements
 from wasp_cli.video.map import COST, Pose
-from wasp_cli.video.readout import displacements
-from wasp_cli.video.sprite import film
-from wasp_cli.video.timeline import GATE_COLOURS, Timeline, Told
-from wasp_cli.video.trace import Retraced, Source, retrace
+from wasp_cli.video.timeline import GATE_COLOURS, EpisodeTrace, Timeline
+from wasp_cli.video.trace import PlayedEpisode, Source, play_episode
 
 EPISODE, HORIZON = 1, 4
 assert Meter  # registers an environment without a map
@@ -40,12 +39,12 @@ def source_of(cell: Evaluated, **changes: Any) -> Source:
     )  # fmt: skip
 
 
-def retraced(cell: Evaluated, shown: set[int], **changes: Any) -> Retraced:
+def played(cell: Evaluated, shown: set[int], **changes: Any) -> PlayedEpisode:
     source = source_of(cell, **changes)
-    return retrace(source, EPISODE, [None] * len(source.recorded.a[EPISODE]), shown, HORIZON, lambda share, text: None)
+    return play_episode(source, EPISODE, [None] * len(source.recorded.a[EPISODE]), shown, HORIZON, lambda share, text: None)
 
 
-def told_of(cell: Evaluated, **changes: Any) -> Told:
+def trace_of(cell: Evaluated, **changes: Any) -> EpisodeTrace:
     recorded = Recorded(**read_recorded(cell.path))
     length = len(recorded.a[EPISODE])
     nothing, zero = np.full(length, np.nan), np.zeros(length)
@@ -57,26 +56,26 @@ def told_of(cell: Evaluated, **changes: Any) -> Told:
         "alone_cost": nothing, "gated": False, "tau_c": None, "tau_r": None, "signal_name": "vote", "signal_limit": 0.5,
         "decision_seconds": 0.8,
     }  # fmt: skip
-    return Told(**(values | changes))
+    return EpisodeTrace(**(values | changes))
 
 
 # -- what is gathered -----------------------------------------------------------------------------------------------------------
 
 
 def test_what_is_shown_is_what_the_cameras_saw_and_where_the_robot_was(cell: Evaluated) -> None:
-    found = retraced(cell, {0, 3, 7})
+    found = played(cell, {0, 3, 7})
     recorded = Recorded(**read_recorded(cell.path))
     world = cell.world()
     seen = world.reset(recorded.layouts)
-    shown = {instant.outset.t: instant for instant in found.instants}
+    shown = {decision.start.t: decision for decision in found.decisions}
     assert sorted(shown) == [0, 3, 7]
     for t in range(8):
         if t in shown:
             assert seen.pixels is not None
             np.testing.assert_array_equal(shown[t].pixels, seen.pixels[EPISODE])
-            np.testing.assert_array_equal(shown[t].outset.a_h, recorded.a_h[EPISODE][t])
+            np.testing.assert_array_equal(shown[t].start.a_h, recorded.a_h[EPISODE][t])
             with torch.inference_mode():
-                np.testing.assert_array_equal(shown[t].decoded, found.model.decode(shown[t].outset.latent)[0].numpy())
+                np.testing.assert_array_equal(shown[t].decoded, found.model.decode(shown[t].start.latent)[0].numpy())
         seen = world.step(np.stack([actions[t] for actions in recorded.a])).observation
     alone = film(cell.task, REPEAT, recorded.layouts[EPISODE], recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE], 99, 8)
     np.testing.assert_array_equal(found.places, alone.positions[:-1])
@@ -86,7 +85,7 @@ def test_what_is_shown_is_what_the_cameras_saw_and_where_the_robot_was(cell: Eva
 
 
 def test_the_readout_has_not_seen_the_shown_episode(cell: Evaluated) -> None:
-    found = retraced(cell, set())
+    found = played(cell, set())
     recorded = Recorded(**read_recorded(cell.path))
     world = cell.world()
     assert isinstance(world, HasScene)
@@ -106,20 +105,20 @@ def test_another_episode_than_the_recorded_one_is_refused(cell: Evaluated) -> No
     reward = [values.copy() for values in recorded.reward]
     reward[2][5] += 0.01
     with pytest.raises(ArtifactError, match="episode 2 is not the recorded one from decision 5 on"):
-        retraced(cell, {0}, reward=reward)
+        played(cell, {0}, reward=reward)
 
 
 # -- what is drawn --------------------------------------------------------------------------------------------------------------
 
 
 def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: Evaluated, tmp_path: Path) -> None:
-    told = told_of(cell)
-    changed = [(told.a[t] - told.a_h[t])[None] if told.deviation[t] > 0 else None for t in range(told.length)]
+    trace = trace_of(cell)
+    changed = [(trace.a[t] - trace.a_h[t])[None] if trace.deviation[t] > 0 else None for t in range(trace.length)]
     assert any(each is not None for each in changed)
     path = tmp_path / "a.gif"
     shares: list[float] = []
     made = film_episode(
-        source_of(cell), told, EPISODE, Correction(changed, "executed", False), HORIZON, 9, path, lambda share, text: shares.append(share)
+        source_of(cell), trace, EPISODE, Correction(changed, "executed", False), HORIZON, 9, path, lambda share, text: shares.append(share)
     )
     video: Any = Image.open(path)
     assert (video.n_frames, made.frames) == (4, 4)  # decisions 0, 9, 18 and 24 of 25
@@ -144,18 +143,18 @@ def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: 
 
 def test_a_cell_of_one_episode_says_that_it_has_no_readout(inputs: Mapping[str, Path], tmp_path: Path) -> None:
     cell = evaluated(inputs, tmp_path / "cell", episodes=1)
-    told = told_of_row(cell, 0)
-    nothing = Correction([None] * told.length, "", False)
-    made = film_episode(source_of(cell), told, 0, nothing, HORIZON, 30, tmp_path / "a.apng", lambda share, text: None)
+    trace = trace_of_row(cell, 0)
+    nothing = Correction([None] * trace.length, "", False)
+    made = film_episode(source_of(cell), trace, 0, nothing, HORIZON, 30, tmp_path / "a.apng", lambda share, text: None)
     assert (made.r2, made.frames) == (None, 2)
 
 
-def told_of_row(cell: Evaluated, row: int) -> Told:
+def trace_of_row(cell: Evaluated, row: int) -> EpisodeTrace:
     recorded = Recorded(**read_recorded(cell.path))
     moved = recorded._replace(**{name: [getattr(recorded, name)[row]] * 2 for name in ("a_h", "a", "reward")})
     length = len(moved.a[0])
     zero, nothing = np.zeros(length), np.full(length, np.nan)
-    return Told(
+    return EpisodeTrace(
         "one", np.zeros(length, int), np.zeros(length, bool), moved.a_h[0].astype(float), moved.a[0].astype(float), zero, zero, zero, zero,
         nothing, nothing, nothing, nothing, nothing, False, None, None, "signal", None, 0.1,
     )  # fmt: skip
@@ -163,14 +162,14 @@ def told_of_row(cell: Evaluated, row: int) -> Told:
 
 def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_path: Path) -> None:
     cell = evaluated(inputs, tmp_path / "cell", task="FilmMeter-v0", episodes=2)
-    told = told_of_row(cell, 1)
+    trace = trace_of_row(cell, 1)
     source = source_of(cell)
-    found = retrace(source, 1, [None] * told.length, {0}, HORIZON, lambda share, text: None)
-    assert found.instants[0].scene is None
+    found = play_episode(source, 1, [None] * trace.length, {0}, HORIZON, lambda share, text: None)
+    assert found.decisions[0].scene is None
     assert (found.readout, found.look, found.cameras) == (None, None, 1)
-    nothing = Correction([None] * told.length, "", False)
-    made = film_episode(source, told, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
-    assert made.frames == told.length
+    nothing = Correction([None] * trace.length, "", False)
+    made = film_episode(source, trace, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
+    assert made.frames == trace.length
 
 
 def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
@@ -178,8 +177,8 @@ def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
     gate[4], gate[5], gate[20] = GATE_SAFETY, GATE_SAFETY, GATE_TASK
     costly = np.arange(25) == 12
     curve = np.linspace(0, 1, 25)
-    told = told_of(cell, gate=gate, costly=costly, gated=True, g_cost=curve, delta_g=curve, tau_c=0.5, tau_r=0.4)
-    timeline = Timeline(told, 900, 180)
+    trace = trace_of(cell, gate=gate, costly=costly, gated=True, g_cost=curve, delta_g=curve, tau_c=0.5, tau_r=0.4)
+    timeline = Timeline(trace, 900, 180)
     picture = np.asarray(timeline.image).astype(int)
     assert picture.shape == (180, 900, 3)
     marks = {GATE_COLOURS[GATE_SAFETY]: [4, 5], GATE_COLOURS[GATE_TASK]: [20], COST: [12]}
@@ -196,9 +195,9 @@ def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("a.mp4", "does not end like a video"),
-        ("a", "does not end like a video"),
-        ("missing/a.gif", "lies in no folder"),
+        ("a.mp4", "unsupported video format"),
+        ("a", "unsupported video format"),
+        ("missing/a.gif", "its folder does not exist"),
         ("b.gif", "is a folder"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Ways that are read out of latents: the geometry, and that the fit finds what is linear and nothing else."""
+"""Paths that are read out of latents: the geometry, and that the fit finds what is linear and nothing else."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.video.readout import displacements, fit, integrated
+from wasp_cli.video.imagined import displacements, fit, integrated
 
 FEATURES = 12
 
