@@ -243,11 +243,11 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
 def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     from wasp_cli.cli.run import run_and_report
-    from wasp_cli.run.session import Way
+    from wasp_cli.run.session import RunOptions
 
     # The fake stages end well, and write no cell.
     with pytest.raises(CellsFailed, match="14 cells cannot be read") as caught:
-        run_and_report(load(small_spec), tmp_path / "results", Way(jobs=0))
+        run_and_report(load(small_spec), tmp_path / "results", RunOptions(jobs=0))
     assert "goal1 human noisy=0.2 seed 0" in caught.value.message
 
 

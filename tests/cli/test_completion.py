@@ -14,7 +14,7 @@ from wasp_cli.cli import completion as complete
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.spec.settings import settings
+from wasp_cli.spec.hints import settings
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
@@ -94,5 +94,5 @@ def test_a_plugin_that_does_not_load_offers_nothing(monkeypatch: pytest.MonkeyPa
         raise WaspError("plugin 'x' does not load")
 
     monkeypatch.setattr("wasp_cli.registry.Registry._entries", broken)
-    monkeypatch.setattr("wasp_cli.spec.settings.settings", lambda: broken(OPERATORS))
+    monkeypatch.setattr("wasp_cli.spec.hints.settings", lambda: broken(OPERATORS))
     assert complete.tasks() == complete.methods() == complete.variants() == complete.settings() == []

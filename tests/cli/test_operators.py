@@ -14,9 +14,9 @@ from tests.commands import run_here
 from tests.report.invented_ladder import write_returns
 from tests.run.harness import Fakes, fakes
 from wasp_cli.plan.grid import lay_out
+from wasp_cli.spec.derived import operators_alone
 from wasp_cli.spec.load import load
-from wasp_cli.spec.operators import operators_alone
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes"]
@@ -72,7 +72,7 @@ def store(spec: Path, results: Path, returns: Returns, without: str = "nothing")
             if node.kind == "evaluate":
                 write_returns(folder, cells[node.key], returns[cells[node.key].value])
             (folder / "data.bin").write_bytes(b"")  # what fake stages read of each other
-            publish(layout, node.kind, node.key, folder, {})
+            commit(layout, node.kind, node.key, folder, {})
     return results
 
 

@@ -15,12 +15,11 @@ from click.testing import Result
 
 from tests.commands import run_here
 from wasp_cli.errors import TaskError
-from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privileged
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.seeds import layout_seed, operator_seed
 from wasp_cli.spec.load import load
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.studies import oracle
 from wasp_cli.tasks.make import make_task
@@ -60,8 +59,8 @@ def results(spec: Path, tmp_path: Path) -> Path:
     task = make_task("goal1", 1, observe=())
     folder = staging_folder(layout, node.key)
     torch.manual_seed(0)
-    save_privileged(PrivilegedPolicy(task.privileged_size, [8], 2), folder / checkpoint_name(1.0), task, ExpertConfig(hidden=(8,)))
-    publish(layout, "expert", node.key, folder, {})
+    save_privileged(PrivilegedPolicy(task.privileged_size, [8], 2), folder / checkpoint_name(1.0), task.privileged_size, (8,), 2)
+    commit(layout, "expert", node.key, folder, {})
     return layout.root
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from tests.report.invented import invent
 from tests.report.invented import write as write_cell
-from tests.store.stranger import write_run_of
+from tests.store.untrusted import write_run_of
 from wasp_cli.compare.runs import Side
 from wasp_cli.metrics.episode import Trajectory
 from wasp_cli.plan.grid import lay_out
@@ -17,7 +17,7 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.report.summarize import identity_of
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.model import validate
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
 
@@ -51,7 +51,7 @@ def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, 
         if node.key in cells:
             identity = cells[node.key]
             write_cell(staging, identity, make(identity)).path.rename(staging / CELL_FILE)
-        publish(layout, node.kind, node.key, staging, manifest_of(node, provenance or {}))
+        commit(layout, node.kind, node.key, staging, manifest_of(node, provenance or {}))
     (run,) = layout.runs.iterdir()
     recorded = read_run(layout, run.name)
     return Side(layout, run.name, recorded.spec, recorded.cells)

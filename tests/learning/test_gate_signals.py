@@ -34,7 +34,7 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.operators.laggy import LaggyOperator
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Part
 from wasp_cli.report.trained_table import Trained
 from wasp_cli.report.training_table import training_tables
 from wasp_cli.spec.load import load

@@ -6,8 +6,7 @@ from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid, lay_out
-from wasp_cli.plan.node import Node
-from wasp_cli.plan.waves import waves
+from wasp_cli.plan.node import Node, waves
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec, validate
 

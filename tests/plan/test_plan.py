@@ -10,7 +10,7 @@ from rich.console import Console
 from tests.plan.test_grid import grid
 from wasp_cli.plan.plan import Plan, make_plan, plan_against
 from wasp_cli.plan.show import show
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 
 
@@ -89,7 +89,7 @@ def test_a_damaged_artifact_is_computed_again(tmp_path: Path) -> None:
     for each in (node, whole):
         folder = staging_folder(layout, each.key)
         (folder / "data.bin").write_bytes(b"12345")
-        publish(layout, each.kind, each.key, folder, {})
+        commit(layout, each.kind, each.key, folder, {})
     assert plan_against(laid_out, layout).count("cached") == 2
     (layout.artifact(node.kind, node.key) / "data.bin").write_bytes(b"123")
     plan = plan_against(laid_out, layout)

@@ -116,14 +116,14 @@ def test_what_goes_with_what_else_is_reused_counts_before_what_is_newer() -> Non
 def test_what_goes_with_nothing_here_is_left_alone() -> None:
     own = own_grid()
     cell, behind = "goal1 s0 wasp noisy=0.2", version(1)
-    stranger = offer(own, CRITICS, behind[CRITICS], behind)
-    assert chosen(own, [stranger]) == {}
+    foreign = offer(own, CRITICS, behind[CRITICS], behind)
+    assert chosen(own, [foreign]) == {}
     # The rows of a cell are read by nothing, so that they need not go with anything.
-    assert chosen(own, [stranger, offer(own, cell, "f" * 20, behind)]) == {cell: "f" * 20}
+    assert chosen(own, [foreign, offer(own, cell, "f" * 20, behind)]) == {cell: "f" * 20}
     # Half of what it goes with is not enough: the skills of today would be others than those behind it.
     model = offer(own, MODEL, behind[MODEL])
-    assert chosen(own, [stranger, model]) == {MODEL: model.key}
-    assert chosen(own, [stranger, model, *(offer(own, label, behind[label], behind) for label in (SKILLS, HELDOUT))]) == behind
+    assert chosen(own, [foreign, model]) == {MODEL: model.key}
+    assert chosen(own, [foreign, model, *(offer(own, label, behind[label], behind) for label in (SKILLS, HELDOUT))]) == behind
 
 
 def test_what_lies_behind_everything_that_is_read_need_not_be_there() -> None:

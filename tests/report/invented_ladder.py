@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.report.invented import invent, write
-from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.node import Cell
 from wasp_cli.report.frame import Wanted
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
 

@@ -82,7 +82,7 @@ JSON = st.recursive(
 
 
 @given(kind=st.sampled_from(sorted(FILES)), document=JSON)
-def test_what_a_stranger_wrote_is_no_curve_and_no_crash(kind: str, document: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_what_is_untrusted_is_no_curve_and_no_crash(kind: str, document: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
     layout = Layout(tmp_path_factory.mktemp("odd"))
     one = [artifact(layout, kind, content=json.dumps(document))]
     for curve in (*driving_curves(layout, one), *loss_curves(layout, one)):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Part
 from wasp_cli.report.table import Table, csv_text, markdown
 from wasp_cli.report.trained_table import Trained
 from wasp_cli.report.training_table import training_tables

@@ -12,7 +12,7 @@ from tests.artifacts import tiny_artifacts
 from tests.cells import REPEAT, evaluated
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.registry import load_target
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 
 KEYS = {"world_model": "aaaa1111aaaa1111aaaa", "policies": "bbbb2222bbbb2222bbbb", "calibration": "cccc3333cccc3333cccc"}
@@ -35,7 +35,7 @@ def made_store(root: Path, method: str = "wasp", config: Mapping[str, Any] = EAG
     for kind, key in KEYS.items():
         staging = staging_folder(layout, key)
         shutil.copytree(inputs[kind], staging, dirs_exist_ok=True)
-        publish(layout, kind, key, staging, {"kind": kind, "key": key, "label": f"{task} s0 {kind}", "config": {"window": WINDOW}})
+        commit(layout, kind, key, staging, {"kind": kind, "key": key, "label": f"{task} s0 {kind}", "config": {"window": WINDOW}})
     staging = staging_folder(layout, CELL)
     evaluated(inputs, staging, method, config, task=task, episodes=episodes)
     resolved = load_target(METHODS[method].config).model_validate(config).model_dump(mode="json")
@@ -45,5 +45,5 @@ def made_store(root: Path, method: str = "wasp", config: Mapping[str, Any] = EAG
         "settings": {"action_repeat": REPEAT, "returns": {"gamma_c": 0.95}},
         "upstream": KEYS, "upstream_kinds": {kind: kind for kind in KEYS}, "provenance": {"threads": 1},
     }  # fmt: skip
-    publish(layout, "evaluate", CELL, staging, manifest)
+    commit(layout, "evaluate", CELL, staging, manifest)
     return layout.root

@@ -22,7 +22,7 @@ from tests.video.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
 from wasp_cli.metrics.episode import GATE_SAFETY
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.report.explain.stored import read_episode
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, write_branches
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
@@ -170,7 +170,7 @@ def test_tau_R_comes_from_the_cells_own_branches_before_the_calibration(copied: 
         staging = staging_folder(layout, key)
         identity = CellIdentity("race1", "wasp", "full", "noisy", 0.4, 0)
         write_branches(staging / BRANCHES_FILE, BranchedCell(identity, 7, 1, 0.5 if upstream == CELL else 9.0, 2), [])
-        publish(layout, "counterfactual", key, staging, {"kind": "counterfactual", "key": key, "upstream": {"evaluate": upstream}})
+        commit(layout, "counterfactual", key, staging, {"kind": "counterfactual", "key": key, "upstream": {"evaluate": upstream}})
     assert criterion_of(layout, cell) == Criterion(7, 0.5, "the counterfactual branches of the cell")
     shutil.rmtree(copied / "store" / "counterfactual")
     (layout.artifact("calibration", KEYS["calibration"]) / "calibration.json").write_text("{")

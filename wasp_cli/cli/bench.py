@@ -45,7 +45,7 @@ def planner(
     from wasp_cli import console
     from wasp_cli.report.table import terminal
     from wasp_cli.run.session import cores
-    from wasp_cli.spec.bench import bench_configs
+    from wasp_cli.spec.derived import bench_configs
 
     # Read when torch is loaded. Threads that wait too long for one that a busy neighbour delays take its core too.
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")

@@ -44,7 +44,7 @@ def status(folder: ResultsArgument = Path("results"), run: RunOption = None, jso
     from wasp_cli.errors import StoreError
     from wasp_cli.plan.recorded import named_run, planned_runs
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show_status import as_json, show_status
+    from wasp_cli.run.show import as_json, show_status
     from wasp_cli.run.watch import shown_runs, state_of
 
     layout = results_of(folder)

@@ -11,8 +11,7 @@ from wasp_cli.cli.options import JsonOption, ResultsArgument, expected_errors, p
 
 if TYPE_CHECKING:
     from wasp_cli.compare.runs import Compared, Side
-    from wasp_cli.plan.cell import Cell
-    from wasp_cli.plan.part import Part
+    from wasp_cli.plan.node import Cell, Part
     from wasp_cli.report.document import Report
     from wasp_cli.report.page.films import Draw
     from wasp_cli.spec.model import Spec

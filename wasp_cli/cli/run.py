@@ -30,7 +30,7 @@ from wasp_cli.cli.report import show_report
 
 if TYPE_CHECKING:
     from wasp_cli.report.frame import Missing
-    from wasp_cli.run.session import Selection, Way
+    from wasp_cli.run.session import RunOptions, Selection
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
     from wasp_cli.store.layout import Layout
@@ -139,7 +139,7 @@ def ablate(
 
     Operators, seeds and episodes are those of the spec. With many of them this takes long: --set changes them.
     """
-    from wasp_cli.spec.ablation import ablation
+    from wasp_cli.spec.derived import ablation
 
     options = run_options(jobs, timeout, retries, backend, scheduler)
     run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, options, reuse=reuse)
@@ -245,7 +245,7 @@ def operators(
     from wasp_cli.report.summarize import wanted_cells
     from wasp_cli.report.table import terminal
     from wasp_cli.run.session import restricted, run_spec
-    from wasp_cli.spec.operators import operators_alone
+    from wasp_cli.spec.derived import operators_alone
 
     loaded = restricted(operators_alone(spec, set_ or ()), task)
     session = run_spec(loaded, results, run_options(jobs, timeout, retries, backend, scheduler))
@@ -265,11 +265,11 @@ def operators(
     require_accepted(ladders)
 
 
-def run_options(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> Way:
+def run_options(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> RunOptions:
     """Collect what was typed about how a run is carried out."""
-    from wasp_cli.run.session import Way, cores
+    from wasp_cli.run.session import RunOptions, cores
 
-    return Way(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
+    return RunOptions(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
 
 
 def show_plan(
@@ -292,7 +292,9 @@ def show_plan(
         show(laid_out, out(), max(jobs, 1), every=every)
 
 
-def run_and_report(loaded: Loaded, results: Path, options: Way, selection: Selection | None = None, reuse: str | None = None) -> None:
+def run_and_report(
+    loaded: Loaded, results: Path, options: RunOptions, selection: Selection | None = None, reuse: str | None = None
+) -> None:
     """Run a spec, then write and print its report.
 
     Raises:
@@ -319,12 +321,12 @@ def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
         layout: the results folder of the run; damaged cells are invalidated there, so that the next run computes them.
     """
     from wasp_cli.errors import CellsFailed
-    from wasp_cli.store.artifact import condemn
+    from wasp_cli.store.artifact import invalidate
 
     if missing:
         for cell in missing:
             if cell.damaged:
-                condemn(layout, cell.kind, cell.key, cell.reason)
+                invalidate(layout, cell.kind, cell.key, cell.reason)
         named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"

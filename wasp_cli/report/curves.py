@@ -1,4 +1,4 @@
-"""The learning and calibration curves that trained artifacts keep, read with care: a results folder may be a stranger's.
+"""The learning and calibration curves that trained artifacts keep, read with care: a results folder may be untrusted.
 
 What has no valid form is no curve.
 """

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wasp_cli.plan.closure import changed_since
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import FROM_PUBLISHED, commit_of
@@ -68,7 +68,7 @@ def _code_since(manifests: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Hash by module; a name that is none, which a stranger may have written, would be looked up as a path."""
+    """Hash by module; a name that is none, which untrusted files may hold, would be looked up as a path."""
     sources = manifest.get("sources")
     known = sources.items() if isinstance(sources, Mapping) else ()
     return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}

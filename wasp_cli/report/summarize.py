@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import COUNTERFACTUAL
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.ablation_table import ablation_table
 from wasp_cli.report.assumption_list import assumptions_in_force
@@ -164,7 +163,7 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
     """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
 
-    Not as the spec would be laid out now: that imports the environments that it names, and these results may be a stranger's.
+    Not as the spec would be laid out now: that imports the environments that it names, and these results may be untrusted.
     """
     failed = _failed(layout)
     if not failed:

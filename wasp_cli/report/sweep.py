@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.plan.cell import Cell
+from wasp_cli.plan.node import Cell
 from wasp_cli.report.document import make_own, name_missing, write_pages
 from wasp_cli.report.frame import Missing
 from wasp_cli.report.summarize import identity_of, report_run

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Part
 from wasp_cli.report.statistics import over_seeds
 from wasp_cli.report.table import Column, Row, Table, Value
 from wasp_cli.report.titles import task_title

@@ -17,7 +17,7 @@ from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.report.explain.stored import Episode, number, read_episode
 from wasp_cli.report.frame import odd_tables_refused
 from wasp_cli.report.node import mapping
-from wasp_cli.store.artifact import published, read_manifest, read_record
+from wasp_cli.store.artifact import read_manifest, read_record, stored_keys
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, is_key
@@ -149,7 +149,7 @@ def judge(stored: Episode, step: int, criterion: Criterion, traces: dict[str, di
 
 def criterion_of(layout: Layout, cell: FoundCell) -> Criterion:
     """Take W and tau_R of a cell's own branches; else of its calibration; else the paper's W and no tau_R."""
-    for key in sorted(filter(is_key, published(layout, COUNTERFACTUAL))) if cell.key else ():
+    for key in sorted(filter(is_key, stored_keys(layout, COUNTERFACTUAL))) if cell.key else ():
         with suppress(WaspError):
             if cell.key in mapping(read_manifest(layout, COUNTERFACTUAL, key).get("upstream")).values():
                 path = layout.within(layout.artifact(COUNTERFACTUAL, key) / BRANCHES_FILE)

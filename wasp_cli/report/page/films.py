@@ -96,7 +96,7 @@ def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: 
         tell: told what is being drawn.
     """
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
-        # Nothing else is drawn: its environment would be imported, and the results may be a stranger's.
+        # Nothing else is drawn: its environment would be imported, and the results may be untrusted.
         if task in TASKS and (found := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:
             yield found
 
@@ -141,7 +141,7 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
         return None
     every = max(1, math.ceil(episode.decisions / FRAMES))
     repeat = episode.constants.action_repeat
-    if repeat is None or repeat > TASKS[identity.task].env_steps:  # a stranger's decision might last for hours here
+    if repeat is None or repeat > TASKS[identity.task].env_steps:  # an untrusted decision might last for hours here
         return MethodFilm(identity.method, episode, None, every, "its manifest does not say how long a decision is")
     seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
     try:

@@ -13,23 +13,23 @@ from pathlib import Path
 from types import TracebackType
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.run.order import Order
+from wasp_cli.run.job import NodeJob
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.provenance import boot_id
 
 SECONDS = 1.0
 
 
-class Pulse:
+class Heartbeat:
     """Keeps the file of a running node until the node ends, however it does. After a kill the file stays, and tells who was running."""
 
-    def __init__(self, path: Path, order: Order) -> None:
+    def __init__(self, path: Path, job: NodeJob) -> None:
         self._path = path
         self.deaths = _deaths(path)
         """Processes that died in this run while they computed the node. A scheduler of somebody else's gives it to the next one."""
         self.fixed: dict[str, object] = {
-            "label": order.label,
-            "kind": order.kind,
+            "label": job.label,
+            "kind": job.kind,
             "pid": os.getpid(),
             "host": platform.node(),
             "boot": boot_id(),
@@ -39,7 +39,7 @@ class Pulse:
         """What does not change while it runs."""
         self._share, self._text = 0.0, ""
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._beat, daemon=True, name="pulse")
+        self._thread = threading.Thread(target=self._beat, daemon=True, name="heartbeat")
 
     def tell(self, share: float, text: str) -> None:
         """How far it is, from 0 to 1, and what it does; written with the next beat."""
@@ -51,7 +51,7 @@ class Pulse:
         with suppress(OSError):
             write_record(self._path, record)
 
-    def __enter__(self) -> Pulse:
+    def __enter__(self) -> Heartbeat:
         self.write()
         self._thread.start()
         return self

@@ -1,14 +1,14 @@
-"""What travels to a worker and what comes back: names and plain values, never tensors."""
+"""What travels to a worker and what comes back (names and plain values, never tensors), and what every pool of workers offers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 
 @dataclass(frozen=True)
-class Order:
+class NodeJob:
     """One node for one worker."""
 
     root: str
@@ -41,7 +41,7 @@ State = Literal["done", "shared", "failed", "busy", "skipped"]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class NodeResult:
     """How a node ended. `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is to end."""
 
     key: str
@@ -54,3 +54,35 @@ class Outcome:
     log: str = ""
     by_chance: bool = False
     """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck), so that another attempt may succeed."""
+
+
+class WorkersDied(Exception):
+    """A worker process was killed; the results that were not yet given are lost, artifacts are not."""
+
+
+class Pool(Protocol):
+    """Computes the nodes of one wave, side by side."""
+
+    jobs: int
+    name: str
+    """As the journal has it."""
+
+    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
+        """Give the results as nodes end. Jobs are taken as workers come free, not all at once.
+
+        Raises:
+            WorkersDied: a worker was killed. The pool can be used again.
+        """
+        ...
+
+    def alone(self, job: NodeJob) -> NodeResult:
+        """Compute one node in a process of its own.
+
+        Raises:
+            WorkersDied: that process was killed.
+        """
+        ...
+
+    def close(self, *, kill: bool = False) -> None:
+        """End the workers; with `kill`, at once."""
+        ...

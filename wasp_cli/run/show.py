@@ -1,24 +1,28 @@
-"""The state of a run as people read it, and as machines do."""
+"""What the commands print of runs: their state, what gc can remove, and what is published."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from wasp_cli.console import duration
-from wasp_cli.run.watch import Active, RunState
+from wasp_cli.console import duration, size
+from wasp_cli.store.gc import FAILURES, LOCKS, RUNS, TMP, WORK, Rubbish
+
+if TYPE_CHECKING:
+    from wasp_cli.run.publish import Publication
+    from wasp_cli.run.watch import Active, RunState
 
 BAR = 40
 """Characters of the bar."""
 STALE_SECONDS = 30.0
 """A node says about every second that it lives; silence for longer is worth a word."""
-FAILURES = 12
+LISTED = 12
 """Failed nodes that are listed; `--json` lists all."""
 
 
@@ -60,12 +64,12 @@ def _block(state: RunState, now: datetime) -> Group:
     parts: list[Text | Table] = [*lines]
     if state.active and state.state in ("running", "died"):
         parts.append(_running_table(state, now))
-    for failure in state.failed[:FAILURES]:
+    for failure in state.failed[:LISTED]:
         parts.append(Text.assemble(("FAILED ", "red"), f"{failure.label}: {failure.message}"))
         if failure.log:
             parts.append(Text(f"       log: {failure.log}", style="dim"))
-    if len(state.failed) > FAILURES:
-        parts.append(Text(f"       and {len(state.failed) - FAILURES} more; --json lists all"))
+    if len(state.failed) > LISTED:
+        parts.append(Text(f"       and {len(state.failed) - LISTED} more; --json lists all"))
     return Group(*parts)
 
 
@@ -132,3 +136,53 @@ def _sign(node: Active, state: RunState, now: datetime) -> str:
         return "gone"
     silent = (now - node.seen).total_seconds() if node.seen else 0.0
     return f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
+
+
+LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
+
+
+def show_rubbish(found: Sequence[Rubbish], console: Console) -> None:
+    """Print how much of each kind can go."""
+    if not found:
+        console.print("there is nothing to remove")
+        return
+    table = Table(box=None, padding=(0, 2), header_style="bold")
+    table.add_column("what can go")
+    table.add_column("count", justify="right")
+    table.add_column("size", justify="right")
+    kinds = sorted({each.what for each in found} - set(LAST)) + [what for what in LAST if any(each.what == what for each in found)]
+    for kind in kinds:
+        sizes = [each.size for each in found if each.what == kind]
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
+    table.add_section()
+    table.add_row("total", str(len(found)), size(sum(each.size for each in found)), style="bold")
+    console.print(table)
+
+
+def removed_line(count: int, freed: int) -> str:
+    """What a removal came to."""
+    return f"{count} removed, {size(freed)} freed"
+
+
+def show_publication(found: Publication, largest: float, console: Console) -> None:
+    """Print how much of each kind is published, how much was published before, and what is left out."""
+    table = Table(box=None, padding=(0, 2), header_style="bold")
+    table.add_column("kind")
+    for heading in ("new", "size", "there already"):
+        table.add_column(heading, justify="right")
+    for kind in dict.fromkeys(item.node.kind for item in (*found.new, *found.there)):
+        sizes = [item.size for item in found.new if item.node.kind == kind]
+        there = sum(item.node.kind == kind for item in found.there)
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)), str(there or "-"))
+    reports = [path.stat().st_size for path in found.reports]
+    table.add_row("report", str(len(reports)), size(sum(reports)), "-")
+    table.add_section()
+    total = sum(item.size for item in found.new) + sum(reports)
+    table.add_row("total", str(len(found.new) + len(reports)), size(total), str(len(found.there)), style="bold")
+    console.print(table)
+    for item in found.large:
+        text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
+        console.print(text, markup=False, soft_wrap=True)
+    if found.absent:
+        kinds = ", ".join(dict.fromkeys(node.kind for node in found.absent))
+        console.print(f"left out: {len(found.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)

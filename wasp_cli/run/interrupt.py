@@ -1,4 +1,4 @@
-"""A time limit for one node: an error inside it, and where that does not come through, the end of its process."""
+"""How a run and its nodes are ended early: Ctrl-C and SIGTERM for the run, a time limit for each node."""
 
 from __future__ import annotations
 
@@ -6,12 +6,54 @@ import ctypes
 import faulthandler
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from wasp_cli.console import duration
 from wasp_cli.errors import TimeLimitExceeded
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Stop:
+    """Whether a run was asked to stop. Workers learn it from a file, on other machines too."""
+
+    def __init__(self, path: Path, told: Callable[[], None]) -> None:
+        self._path, self._told = path, told
+        self.asked = False
+
+    def ask(self) -> None:
+        """Let nothing new begin.
+
+        Raises:
+            KeyboardInterrupt: it was asked before.
+        """
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        with suppress(OSError):
+            self._path.touch()
+        self._told()
+
+
+@contextmanager
+def listening(stop: Stop) -> Iterator[None]:
+    """Turn signals into requests to stop. One that this process was started to ignore (`nohup`) stays ignored."""
+
+    def ask(number: int, frame: object) -> None:
+        stop.ask()
+
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    try:
+        for number in taken:
+            signal.signal(number, ask)
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, before[number])
+
 
 GRACE = 10.0
 """Seconds that a node has to react; one with a shorter limit gets as long again."""

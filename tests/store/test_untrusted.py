@@ -1,4 +1,4 @@
-"""A results folder from a stranger: it executes nothing, and makes wasp neither read nor write outside of it."""
+"""An untrusted results folder: it executes nothing, and makes wasp neither read nor write outside of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from tests.commands import run_here
 from tests.store.attacks import ATTACKS
 from tests.store.attacks_on_pictures import SCRIPT
-from tests.store.stranger import LABEL, Stranger
+from tests.store.untrusted import LABEL, UntrustedStore
 from wasp_cli.store.tables import CELL_FILE
 
 SECRET = "the-secret-of-the-reader"
@@ -49,7 +49,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_nothing_is_obeyed(name: str, outside: Path, tmp_path: Path) -> None:
-    it = Stranger(tmp_path)
+    it = UntrustedStore(tmp_path)
     ATTACKS[name](it, outside)
     codes = {}
     for command in COMMANDS:

@@ -16,7 +16,7 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.spec.model import validate
-from wasp_cli.store.artifact import publish, staging_folder, write_record
+from wasp_cli.store.artifact import commit, staging_folder, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CELL_FILE, CellIdentity
 
@@ -33,7 +33,7 @@ SPEC = {
 }
 
 
-class Stranger:
+class UntrustedStore:
     """Results of one cell, with ways to change what they say."""
 
     def __init__(self, folder: Path) -> None:
@@ -49,7 +49,7 @@ class Stranger:
             if each.kind == "evaluate":
                 identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
                 write_cell(staging, identity, [invent(0, 3, 0.2, 0.1)]).path.rename(staging / CELL_FILE)
-            publish(self.layout, each.kind, each.key, staging, manifest_of(each.kind, each.key, each.label, upstream_of(each)))
+            commit(self.layout, each.kind, each.key, staging, manifest_of(each.kind, each.key, each.label, upstream_of(each)))
         self.layout.log(RUN, LABEL, self.key).write_text("log\n")
 
     @property
