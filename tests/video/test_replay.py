@@ -190,7 +190,7 @@ def test_tau_R_comes_from_the_cells_own_branches_before_the_calibration(copied: 
         ([LABEL, "-e", "0", "--out", "nowhere/a.gif"], "create the folder 'nowhere'"),
         ([LABEL, "-e", "0", "--every", "0"], "Invalid value for '--every'"),
         ([LABEL, "-e", "0", "--json"], "--json needs --step"),
-        ([LABEL, "-e", "0", "-s", "1", "--every", "2"], "--every has no meaning with --step"),
+        ([LABEL, "-e", "0", "-s", "1", "--every", "2"], "--every cannot be used with --step"),
         ([LABEL], "Missing option"),
     ],
 )
