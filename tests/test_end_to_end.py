@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.trained.evidence import EVIDENCE
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.branches import read_branches
 from wasp_cli.store.tables import read_episodes, read_steps
@@ -172,6 +173,10 @@ def test_report_needs_the_results_folder_alone(results: Path) -> None:
         assert info.title in shown.stdout
     assert "Trained parts" in shown.stdout
     assert "World model, imagined steps ahead" in shown.stdout
+    parts = {path.parent.name.split("-")[2]: path for path in (results / "reports" / "chain" / "trained").glob("*/*")}
+    assert {kind for kind in EVIDENCE if (results / "store" / kind).is_dir()} == set(parts)
+    files = {path.name for path in (results / "reports" / "chain" / "trained").glob("*/*")}
+    assert {"contact_sheet.png", "open_loop.png", "open_loop.gif", "reconstruction.png", "curve.png", "critics.png"} <= files
 
 
 def test_one_worker_gives_the_same_rows_as_two(results: Path, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def planner(
     one rollout per candidate, one with the sizes of the spec.
     """
     from wasp_cli import console
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.spec.derived import bench_configs
 
@@ -102,7 +102,7 @@ def oracle(
     operator and imagination use the expert that a run of this spec has trained.
     """
     from wasp_cli import console
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.studies.oracle_run import measure_oracle, oracle_table
 

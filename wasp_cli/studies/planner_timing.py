@@ -25,7 +25,8 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.report.table import Column, Row, Table, Value
+from wasp_cli.report.stats.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 ACTIONS = 2
 NEVER = 1e9

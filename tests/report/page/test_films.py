@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from wasp_cli.video.sprite import sprite_of
 
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
-from wasp_cli.report.frame import Frame, Wanted, read_frame
-from wasp_cli.report.page.film_pages import film_page
-from wasp_cli.report.page.films import SIZE, TaskFilms, films_of
+from wasp_cli.report.page.films import SIZE, TaskFilms, film_page, films_of
+from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.make import make_task
+from wasp_cli.video.film import sprite_of
 
 REPEAT = 100
 """Ten decisions an episode."""
