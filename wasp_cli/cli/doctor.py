@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import os
 import platform
 import sys
@@ -29,7 +28,7 @@ SMALL_MEMORY_GB = 4.0
 @doctor_app.command(rich_help_panel="Maintenance")
 @expected_errors
 def doctor(results: ResultsOption = Path("results")) -> None:
-    """Check this machine: Python, libraries, cores, memory, GPU, OpenGL, and whether the results folder can be written."""
+    """Check this machine: Python, libraries, cores, memory, GPU, and whether the results folder can be written."""
     findings = examine(results)
     show(findings)
     require(findings)
@@ -47,7 +46,7 @@ class Finding:
 
 def examine(results: Path) -> list[Finding]:
     """Check everything that a run can use. Imports torch and MuJoCo."""
-    return [*_software(), *_hardware(), _graphics(), _writable(results)]
+    return [*_software(), *_hardware(), _writable(results)]
 
 
 def _software() -> Iterator[Finding]:
@@ -86,13 +85,6 @@ def _gpu() -> Finding:
     if torch.cuda.is_available():
         return Finding("GPU", "ok", torch.cuda.get_device_name(0), "not used: this version computes on the CPU")
     return Finding("GPU", "optional", "none that torch can use", "not needed: this version computes on the CPU")
-
-
-def _graphics() -> Finding:
-    found = [name for name in ("EGL", "OSMesa", "GL") if ctypes.util.find_library(name)]
-    if found:
-        return Finding("OpenGL", "ok", ", ".join(found), "only used for videos")
-    return Finding("OpenGL", "optional", "none", "not needed: cameras are ray-cast")
 
 
 def _writable(results: Path) -> Finding:

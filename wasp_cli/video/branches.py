@@ -18,8 +18,8 @@ from wasp_cli.learning.counterfactual import branches
 from wasp_cli.learning.rerun import Rerun
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.tasks.base import Floats, HasScene, Observation, Pixels, Step, VectorTask
-from wasp_cli.tasks.camera.look import Look, Scene
+from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
+from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.video.encode import STILL, checked, write
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, Pose, along, draw_actions, font
 from wasp_cli.video.trace import Progress, Source, with_threads
@@ -102,7 +102,7 @@ class BranchPair:
             chosen = [[t] if e == episode else [] for e in range(world.batch)]
             found = branches(rerun, chosen, window, progress)
         self.world, self.t, self.window = world, t, window
-        self.look: Look | None = world.look() if isinstance(world, HasScene) else None
+        self.look: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
         self.traces: Mapping[str, BranchTrace] = {
             branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in found
         }

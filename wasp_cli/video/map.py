@@ -14,8 +14,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.camera.look import Look, Scene
-from wasp_cli.tasks.mujoco_import import require_mujoco
+from wasp_cli.tasks.camera.appearance import Appearance, Scene
+from wasp_cli.tasks.make import require_mujoco
 
 COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
 """Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and Ito, distinguishable with every common
@@ -46,7 +46,7 @@ def stick(task: object, action: Floats) -> Floats | None:
 class Pose:
     """Where a robot is [2] and where it looks: unit vectors forward and left [2]."""
 
-    def __init__(self, look: Look, scene: Scene, row: int = 0) -> None:
+    def __init__(self, look: Appearance, scene: Scene, row: int = 0) -> None:
         forward = (scene.rotation[row] @ np.array([*look.forward, 0.0]))[:2]
         self.at = scene.position[row, :2].copy()
         self.forward = forward / max(float(np.hypot(*forward)), 1e-9)
@@ -61,7 +61,7 @@ class Pose:
 class MapView:
     """Draws one episode, scene after scene."""
 
-    def __init__(self, look: Look, size: int) -> None:
+    def __init__(self, look: Appearance, size: int) -> None:
         """Draw a task of this look as images of `size` px."""
         self._look, self._size = look, size
         self.half = min(look.map_half_side, WIDEST)
@@ -86,7 +86,7 @@ class MapPicture:
         self._draw = ImageDraw.Draw(image, "RGBA")
 
     @classmethod
-    def of(cls, look: Look, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
+    def of(cls, look: Appearance, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
         """The only row of a scene as `size` px, `half` m from `centre` [2] to each side."""
         require_mujoco()
         from wasp_cli.tasks.camera.topdown import draw_map

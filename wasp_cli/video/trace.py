@@ -20,8 +20,8 @@ from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.tasks.base import Floats, HasScene, Pixels, VectorTask
-from wasp_cli.tasks.camera.look import Look, Scene
+from wasp_cli.tasks.base import Floats, Pixels, VectorTask
+from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.imagined import Readout, RolloutStart, displacements, fit, rollout_start
 
@@ -87,7 +87,7 @@ class PlayedEpisode(NamedTuple):
 
     model: SafetyWorldModel
     world: VectorTask
-    look: Look | None
+    look: Appearance | None
     cameras: int
     decisions: list[PlayedDecision]
     """in order; the decisions that are shown"""
@@ -130,7 +130,7 @@ def _play_episode(
     source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
 ) -> PlayedEpisode:
     world, model = source.world(), load_world_model(source.world_model)
-    look = world.look() if isinstance(world, HasScene) else None
+    look = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
     features: list[NDArray[np.float32]] = []
@@ -156,7 +156,7 @@ def _play_episode(
     return PlayedEpisode(model, world, look, getattr(world, "cameras", 2), decisions, places, readout, explained)
 
 
-def _poses(look: Look, scene: Scene) -> Floats:
+def _poses(look: Appearance, scene: Scene) -> Floats:
     """[B, 3] x, y and yaw of the robots' fronts."""
     front = scene.rotation[:, :2, :2] @ np.array(look.forward)
     return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)

@@ -41,7 +41,7 @@ class Trained:
 def trained_artifacts(
     layout: Layout, roots: Iterable[tuple[str, str]], origins: Origins | None = None
 ) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
-    """Artifacts and what is behind them, needed ones first, without evaluated cells; and what is damaged.
+    """Find artifacts and what is behind them, needed ones first, without evaluated cells; and what is damaged.
 
     Args:
         layout: the results folder.
@@ -94,7 +94,7 @@ def _missing_part(error: Exception) -> str:
 
 
 def trained_markdown(artifacts: Iterable[Trained]) -> str:
-    """A Markdown section; the rows keep their order."""
+    """Lay out a Markdown section; the rows keep their order."""
     lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
     for artifact in artifacts:
         numbers = numbers_text(artifact.summary).replace("|", "\\|")
@@ -104,14 +104,14 @@ def trained_markdown(artifacts: Iterable[Trained]) -> str:
 
 
 def numbers_text(summary: Mapping[str, Any]) -> str:
-    """The scalar numbers of a summary on one line, nested ones with dotted names."""
+    """Write the scalar numbers of a summary on one line, nested ones with dotted names."""
     found = list(scalars(summary))
     text = ", ".join(f"{name} {short(value)}" for name, value in found[:SHOWN])
     return text + (f", and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
 
 
 def duration(seconds: float | None) -> str:
-    """`41 s`, `3 min 20 s`, `2 h 05 min`."""
+    """Write a time: `41 s`, `3 min 20 s`, `2 h 05 min`."""
     if seconds is None or not math.isfinite(seconds):
         return "?"
     whole = round(seconds)
@@ -123,7 +123,7 @@ def duration(seconds: float | None) -> str:
 
 
 def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
-    """The numbers and words of a summary, nested ones with dotted names."""
+    """Iterate over the numbers and words of a summary, nested ones with dotted names."""
     for name, value in summary.items():
         if isinstance(value, Mapping):
             yield from scalars(value, f"{prefix}{name}.")
@@ -132,5 +132,5 @@ def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str,
 
 
 def short(value: int | float | bool | str) -> str:
-    """A number as a table has it."""
+    """Write a number as a table has it."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -73,7 +73,7 @@ class Training:
         return sorted({number for named, _, number in self.wanted if named == task})
 
     def parts(self, task: str, stage: str, number: int) -> tuple[Part, ...]:
-        """What a round reads of a stage: the expert is that of the first one, and rollouts complete the dataset."""
+        """Find what a round reads of a stage: the expert is that of the first one, and rollouts complete the dataset."""
         if stage == "expert":
             number = 1
         elif stage == "dataset" and number > 1:
@@ -81,13 +81,13 @@ class Training:
         return self.wanted.get((task, stage, number), ())
 
     def value(self, parts: Sequence[Part], name: str) -> Value:
-        """Mean over the seeds whose part is there and tells the number."""
+        """Return the mean over the seeds whose part is there and tells the number."""
         told = (self.summaries.get(part, {}).get(name) for part in parts)
         numbers = [float(number) for number in told if isinstance(number, int | float) and math.isfinite(number)]
         return over_seeds(numbers, ranked=False)
 
     def tells(self, parts: Sequence[Part], name: str) -> bool:
-        """Whether a part knows the number, be it undefined."""
+        """Say whether a part knows the number, be it undefined."""
         return any(name in self.summaries.get(part, {}) for part in parts)
 
     def missing(self, parts: Sequence[Part]) -> list[Part]:
@@ -97,7 +97,7 @@ class Training:
 def training_tables(
     parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str] | None = None
 ) -> list[Table]:
-    """The tables that have something to show: the stages one by one, and how far ahead the world model can be trusted.
+    """Make the tables that have something to show: the stages one by one, and how far ahead the world model can be trusted.
 
     Args:
         parts: what a run trains, each with the key of its artifact.
