@@ -37,7 +37,7 @@ def test_env_steps(benchmark: Any, name: str, batch: int, repeat: int, observe: 
 @pytest.mark.parametrize("name", NAMES)
 def test_images(benchmark: Any, name: str) -> None:
     task = speed._task(name, 16, ("pixels",), 4)
-    camera, scene = Camera(task.look()), task.scene(np.arange(16))
+    camera, scene = Camera(task.appearance()), task.scene(np.arange(16))
     benchmark(camera.render, scene)
     benchmark.extra_info["pairs_per_s"] = 16 / benchmark.stats.stats.mean
     benchmark.extra_info["raw_rays_per_s"] = speed._raw_rays(0.5)

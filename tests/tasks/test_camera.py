@@ -9,16 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
 from wasp_cli.tasks.camera.camera import Camera
-from wasp_cli.tasks.camera.look import Look, Scene, Things
-from wasp_cli.tasks.camera.rays import FAR, FRONT_SLOPE, camera_axes, camera_rays, make_view
+from wasp_cli.tasks.camera.frame import FAR, FRONT_SLOPE, camera_axes, camera_rays, make_view
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.formula.look import look as formula_look
-from wasp_cli.tasks.goal.look import look as goal_look
+from wasp_cli.tasks.formula.appearance import appearance as formula_appearance
+from wasp_cli.tasks.goal.appearance import appearance as goal_appearance
 from wasp_cli.tasks.outline import segments
-from wasp_cli.tasks.race.look import look as race_look
+from wasp_cli.tasks.race.appearance import appearance as race_appearance
 
-LOOKS: dict[str, Callable[[int], Look]] = {"goal": goal_look, "race": race_look, "formula": formula_look}
+APPEARANCES: dict[str, Callable[[int], Appearance]] = {"goal": goal_appearance, "race": race_appearance, "formula": formula_appearance}
 STRAIGHT = range(28, 39)
 """Indices into the lap of Formula One where it is straight for some metres to both sides."""
 HEIGHTS = {"goal": 0.16, "hazard": 0.02, "vase": 0.1}
@@ -26,7 +26,7 @@ HEIGHTS = {"goal": 0.16, "hazard": 0.02, "vase": 0.1}
 
 @pytest.fixture(scope="module")
 def cameras() -> dict[str, Camera]:
-    return {task: Camera(look(1)) for task, look in LOOKS.items()}
+    return {task: Camera(appearance(1)) for task, appearance in APPEARANCES.items()}
 
 
 def turned(yaw: float, roll: float = 0.0) -> np.ndarray:
@@ -39,7 +39,7 @@ def scene(task: str, at=(0.0, 0.0), heading=0.0, roll=0.0, **things) -> Scene:
     """One robot whose front points to `heading`, and things by name at [(x, y) or (x, y, yaw)]."""
     yaw = heading if task == "goal" else heading + np.pi / 2
     placed = {}
-    for kind in LOOKS[task](1).kinds:
+    for kind in APPEARANCES[task](1).kinds:
         where = [(*place, 0.0)[:3] for place in things.get(kind.name, ())]
         height = HEIGHTS[kind.name] if task == "goal" else 0.0
         placed[kind.name] = Things(
@@ -138,7 +138,7 @@ def test_nearer_things_look_larger_and_the_goal_lets_see_through(cameras):
     assert (plain != behind).any()
 
 
-@pytest.mark.parametrize("task", LOOKS)
+@pytest.mark.parametrize("task", APPEARANCES)
 def test_the_robot_sees_its_own_body_below(cameras, task):
     front, _ = front_and_rear(cameras[task], scene(task))
     red = (front[..., 0] > 60) & (front[..., 1] < 40) & (front[..., 2] < 80)
@@ -158,7 +158,7 @@ def test_a_hazard_underneath_adds_nothing_that_was_not_there(cameras):
     assert not changed.reshape(2, 64, 64)[:, :32].any()
 
 
-@pytest.mark.parametrize(("task", "kind"), [(task, kind.name) for task, look in LOOKS.items() for kind in look(1).kinds])
+@pytest.mark.parametrize(("task", "kind"), [(task, kind.name) for task, appearance in APPEARANCES.items() for kind in appearance(1).kinds])
 def test_every_kind_of_thing_is_seen_two_metres_ahead_and_behind(cameras, task, kind):
     place = {"goal": {"at": (0.0, 0.0)}, "race": {"at": (0.0, 1.1), "heading": 0.0}, "formula": lap_pose(32)}[task]
     heading = float(place.get("heading", 0.0))
@@ -171,7 +171,7 @@ def test_every_kind_of_thing_is_seen_two_metres_ahead_and_behind(cameras, task, 
         assert changed[1 - visible] == 0
 
 
-@pytest.mark.parametrize("task", LOOKS)
+@pytest.mark.parametrize("task", APPEARANCES)
 def test_a_thing_that_is_not_shown_is_not_drawn(cameras, task):
     with_things = some_scenes(task, 1)[0]
     hidden = {name: things._replace(shown=np.zeros_like(things.shown)) for name, things in with_things.things.items()}
@@ -236,10 +236,10 @@ def test_a_beacon_is_at_least_a_pixel_wide_from_any_distance(cameras):
 # Against casting every ray
 
 
-def everything(look: Look, view: Scene) -> tuple[mujoco.MjModel, int, int]:
+def everything(appearance: Appearance, view: Scene) -> tuple[mujoco.MjModel, int, int]:
     """Floor, every side of every wall as a thin box, then opaque things; the first geom of the walls and of the things."""
     geoms = ['<geom type="plane" size="0 0 1"/>']
-    for wall in look.walls:
+    for wall in appearance.walls:
         for (x0, y0), (x1, y1) in segments(wall.outline):
             length, angle = np.hypot(x1 - x0, y1 - y0), np.arctan2(y1 - y0, x1 - x0)
             geoms.append(
@@ -247,7 +247,7 @@ def everything(look: Look, view: Scene) -> tuple[mujoco.MjModel, int, int]:
                 f' euler="0 0 {angle}"/>'
             )
     walls_end = len(geoms)
-    for kind in look.kinds:
+    for kind in appearance.kinds:
         things = view.things[kind.name]
         if kind.alpha == 1.0 and kind.column is None and kind.painted is None:
             for position, rotation in zip(things.position[0], things.rotation[0], strict=True):
@@ -259,31 +259,31 @@ def everything(look: Look, view: Scene) -> tuple[mujoco.MjModel, int, int]:
     return mujoco.MjModel.from_xml_string(text), 1, walls_end
 
 
-def brute_force(look: Look, view: Scene) -> tuple[np.ndarray, np.ndarray]:
+def brute_force(appearance: Appearance, view: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Depth and class (0 sky, 1 floor, 2 wall, 3 thing) of every pixel [2 * 64 * 64], the robot itself left out."""
-    model, walls, things = everything(look, view)
+    model, walls, things = everything(appearance, view)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    fx, fy = look.forward
+    fx, fy = appearance.forward
     rays = np.concatenate([camera_rays(camera_axes((fx, fy), FRONT_SLOPE)), camera_rays(camera_axes((-fx, -fy), 0.0))])
     rays = rays @ view.rotation[0].T
-    start = view.position[0] + view.rotation[0] @ [0.0, 0.0, look.camera_height]
+    start = view.position[0] + view.rotation[0] @ [0.0, 0.0, appearance.camera_height]
     geoms, distance = np.empty(len(rays), np.int32), np.empty(len(rays))
     mujoco.mj_multiRay(model, data, start, rays.ravel(), None, True, -1, geoms, distance, None, len(rays), FAR)
     return np.where(geoms < 0, FAR, distance), np.select([geoms < 0, geoms < walls, geoms < things], [0, 1, 2], 3)
 
 
-@pytest.mark.parametrize("task", LOOKS)
+@pytest.mark.parametrize("task", APPEARANCES)
 def test_shortcuts_agree_with_casting_every_ray(task):
     # Columns are drawn wider than they are, so they have no part in this.
-    look = LOOKS[task](1)._replace(landmarks=())
-    camera, seen, right = Camera(look), np.zeros(4), np.zeros(4)
+    appearance = APPEARANCES[task](1)._replace(landmarks=())
+    camera, seen, right = Camera(appearance), np.zeros(4), np.zeros(4)
     elsewhere = np.ones(2 * 64 * 64, np.bool_)
-    elsewhere[make_view(look).own] = False
+    elsewhere[make_view(appearance).own] = False
     for view in some_scenes(task, 12, seed=3):
         view.things["goal"].shown[:] = task != "formula"
         depth = camera.depth(view).reshape(-1)
-        expected, kinds = brute_force(look, view)
+        expected, kinds = brute_force(appearance, view)
         agree = np.abs(depth - expected) < 0.02 * expected + 0.01
         for kind in range(4):
             mask = (kinds == kind) & elsewhere
@@ -295,12 +295,12 @@ def test_shortcuts_agree_with_casting_every_ray(task):
 
 
 def test_a_tumbling_cube_is_seen_as_it_lies(cameras):
-    look, rng = goal_look(1), np.random.default_rng(3)
+    appearance, rng = goal_appearance(1), np.random.default_rng(3)
     for _ in range(10):
         view = scene("goal", (0.9, 0.9), -2.36, vase=[rng.uniform(-0.3, 0.5, 2)])
         spin, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         view.things["vase"].rotation[0, 0] = spin * np.sign(np.linalg.det(spin))
-        _, kinds = brute_force(look, view)
+        _, kinds = brute_force(appearance, view)
         thing = cyan(cameras["goal"].render(view)[0].reshape(2, 3, 64, 64).transpose(0, 2, 3, 1).astype(int)).reshape(-1)
         assert ((kinds == 3) != thing).sum() <= 3
         assert thing.sum() > 20
@@ -322,27 +322,27 @@ def golden_scene(task: str) -> Scene:
     return scene(task, (25.0, -9.0), 3.0, 0.015625, goal=[(4.0, -17.5)], vase=[(23.5, -9.25), (22.0, -8.25, 1.0), (27.0, -9.5)])
 
 
-@pytest.mark.parametrize("task", LOOKS)
+@pytest.mark.parametrize("task", APPEARANCES)
 def test_the_bytes_are_the_same_on_every_machine(cameras, task):
     """A change of these hashes makes recorded data sets and trained models stale."""
     view = golden_scene(task)
     assert hashlib.sha256(cameras[task].render(view).tobytes()).hexdigest()[:16] == GOLDEN[task]
 
 
-@pytest.mark.parametrize("task", LOOKS)
+@pytest.mark.parametrize("task", APPEARANCES)
 def test_bytes_do_not_depend_on_batch_or_threads(cameras, task):
     scenes = some_scenes(task, 5)
     images = cameras[task].render(stacked(scenes))
 
     assert images.shape == (5, 6, 64, 64)
     assert images.dtype == np.uint8
-    assert (images == Camera(LOOKS[task](1), threads=2).render(stacked(scenes))).all()
+    assert (images == Camera(APPEARANCES[task](1), threads=2).render(stacked(scenes))).all()
     assert (images[::-1] == cameras[task].render(stacked(scenes[::-1]))).all()
     for row in range(5):
         assert (images[row] == cameras[task].render(scenes[row])[0]).all()
 
 
-@pytest.mark.parametrize("task", LOOKS)
+@pytest.mark.parametrize("task", APPEARANCES)
 def test_the_last_bits_of_a_pose_do_not_reach_the_picture(cameras, task):
     view = some_scenes(task, 1)[0]
     # Some bits below what float32 can tell apart, upward from the middle between its steps.
@@ -357,13 +357,13 @@ def test_the_last_bits_of_a_pose_do_not_reach_the_picture(cameras, task):
 @pytest.mark.parametrize("task", ["race", "formula"])
 def test_odd_poses_do_no_harm(cameras, task):
     inside = (0.0, 0.0) if task == "race" else (11.0, -20.0)
-    corner = tuple((LOOKS[task](1).walls[0].outline[0]).tolist())
+    corner = tuple((APPEARANCES[task](1).walls[0].outline[0]).tolist())
     for at in (inside, corner, (500.0, -400.0)):
         for roll in (0.0, 1.5, 3.1):
-            image = cameras[task].render(scene(task, at, 0.7, roll, goal=[at], **{LOOKS[task](1).kinds[1].name: [at]}))
+            image = cameras[task].render(scene(task, at, 0.7, roll, goal=[at], **{APPEARANCES[task](1).kinds[1].name: [at]}))
             assert image.shape == (1, 6, 64, 64)
 
 
 def test_level_0_has_only_a_goal():
-    for look in LOOKS.values():
-        assert [kind.name for kind in look(0).kinds] == ["goal"]
+    for appearance in APPEARANCES.values():
+        assert [kind.name for kind in appearance(0).kinds] == ["goal"]

@@ -10,8 +10,7 @@ from wasp_cli.errors import TaskError
 from wasp_cli.tasks import car
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.formula.barrels import freed
-from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, sectors
+from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
 from wasp_cli.tasks.formula.task import Formula
 from wasp_cli.tasks.frames import distance, yaw_quaternion
 from wasp_cli.tasks.outline import distance_to_segments, inside
@@ -93,7 +92,7 @@ def test_bushes_and_scenery_cost_apart_and_once_together():
 
 
 def test_a_car_meets_every_prism_and_does_not_pass_through():
-    from wasp_cli.tasks.race.scenery import SCENERY
+    from wasp_cli.tasks.race.model import SCENERY
 
     task = Race(len(SCENERY), observe=())
     task.reset([0] * len(SCENERY))
@@ -246,7 +245,7 @@ def test_barrels_are_set_down_beside_barriers_and_others_stay():
     task.reset(range(4))
     for row in range(4):
         before = task.snapshot()["bodies"][row, :, :2]
-        after = freed(before)
+        after = clear_of_barriers(before)
         moved = distance(before, after) > 0
         assert 5 < moved.sum() < 40
         gaps = distance_to_segments(after[moved], track.SIDES).min(axis=1)
@@ -254,16 +253,16 @@ def test_barrels_are_set_down_beside_barriers_and_others_stay():
         clear = distance_to_segments(before, track.SIDES).min(axis=1) > 0.4
         assert not moved[clear].any()
         assert distance(before, after).max() < 1.2
-        assert (freed(after)[~moved] == after[~moved]).all()
+        assert (clear_of_barriers(after)[~moved] == after[~moved]).all()
 
 
-def test_freed_barrels_stand_about_where_the_original_has_them():
+def test_barrels_clear_of_barriers_stand_about_where_the_original_has_them():
     recording = load_recording("CarFormulaOne1_seed1.npz")
 
     def drivable(places):
         return places[inside(places, track.OUTER_BARRIER) & ~inside(places, track.INNER_BARRIER)]
 
-    ours, theirs = drivable(freed(recording["layout_vases_xy"])), drivable(recording["vases_xy_mm"][12] / 1000.0)
+    ours, theirs = drivable(clear_of_barriers(recording["layout_vases_xy"])), drivable(recording["vases_xy_mm"][12] / 1000.0)
     assert abs(len(ours) - len(theirs)) <= 3
     apart = np.linalg.norm(ours[:, None] - theirs, axis=2)
     assert (apart.min(axis=1) > 0.3).sum() <= 15

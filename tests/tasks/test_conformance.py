@@ -81,7 +81,7 @@ def test_a_wrong_recording_fails(name, field, change):
         ("CarFormulaOne1_seed1.npz", "formula.task.Formula.num_steps", 750, "meta num_steps"),
         ("CarFormulaOne1_seed1.npz", "formula.task.BARREL_KEEPOUT", 0.49, "layout vases_xy"),
         ("CarFormulaOne1_seed1.npz", "formula.task._REACH", 0.0, "first contact with a barrel"),
-        ("CarRace1_seed0.npz", "lidar.RANGE", 2.9, "hazards_lidar"),
+        ("CarRace1_seed0.npz", "features.RANGE", 2.9, "hazards_lidar"),
     ],
 )
 def test_a_wrong_task_is_noticed(name, place, value, noticed_by, monkeypatch):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wasp_cli.errors import TaskError
+from wasp_cli.tasks.camera.topdown import from_above
 from wasp_cli.tasks.goal.task import GOAL_KEEPOUT, HAZARD_KEEPOUT, Goal
-from wasp_cli.tasks.views import from_above
 
 VECTORS = ("state", "privileged")
 

@@ -34,7 +34,7 @@ def test_make_by_module_name_needs_no_import():
 
 
 def test_registration_leaves_mujoco_alone():
-    code = "import sys, wasp_cli, wasp_cli.tasks.gym, wasp_cli.tasks.views, wasp_cli.tasks.sheet; print('mujoco' in sys.modules)"
+    code = "import sys, wasp_cli, wasp_cli.tasks.gym, wasp_cli.tasks.sheet; print('mujoco' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
@@ -79,8 +79,6 @@ def test_rendering():
     assert picture.shape == (256, 256, 3)
     assert picture.dtype == np.uint8
     assert env.metadata["render_fps"] == 50
-    with pytest.raises(UsageError, match=r"no view 'chse'.*\n?.*"):
-        gymnasium.make(ID, render_mode="rgb_array", view="chse")
     with pytest.raises(UsageError, match="cannot render"):
         wasp_cli.tasks.gym.TaskEnv("goal1", render_mode="human")
     assert wasp_cli.tasks.gym.TaskEnv("goal1").render() is None
@@ -305,8 +303,7 @@ def test_wrong_actions_are_refused_and_change_nothing(action: Any, expected: str
         ({"action_repeat": 2.5}, "not 2.5", None),
         ({"task": "race1"}, f"'{ID}' is the task 'goal1', and task='race1' cannot change it", "wasp/SafetyCarRace1-v0"),
         ({"task": 3}, "task=3 cannot change it", None),
-        ({"view": "chase"}, "view 'chase' of task 'goal1' without a render mode", "render_mode='rgb_array'"),
-        ({"view": "map"}, "view 'map' of task 'goal1' without a render mode", "render_mode='rgb_array'"),
+        ({"render_mode": "rgb_array", "view": "chase"}, "no option 'view'", None),
     ],
 )
 def test_wrong_options_are_refused_with_a_suggestion(options: dict[str, Any], expected: str, hint: str | None) -> None:
@@ -334,25 +331,12 @@ def test_an_unknown_task_is_named_with_close_ones(name: str) -> None:
     assert "goal1" in caught.value.hint or "SafetyPointGoal1-v0" in caught.value.hint
 
 
-def test_a_view_from_behind_where_there_is_opengl():
-    env = gymnasium.make(ID, render_mode="rgb_array", view="chase")
-    env.reset(seed=0)
-    refused = None
-    try:
-        assert env.render().shape == (360, 480, 3)
-    except UsageError as error:
-        refused = error
-    # A machine without OpenGL is told what to do.
-    assert refused is None or "MUJOCO_GL" in refused.hint
-    env.close()
-
-
 @pytest.mark.parametrize(
     "code",
     [
         f"import gymnasium, wasp_cli.tasks.gym; gymnasium.make('{ID}')",
         f"import gymnasium, wasp_cli.tasks.gym; gymnasium.make_vec('{ID}', num_envs=2)",
-        "from wasp_cli.tasks.views import from_above; from_above(None, 0)",
+        "import pathlib, wasp_cli.tasks.sheet; wasp_cli.tasks.sheet.draw_sheet('goal1', 0, 0, pathlib.Path('never.png'))",
     ],
 )
 def test_mujoco_that_does_not_import_is_an_expected_error(code: str) -> None:

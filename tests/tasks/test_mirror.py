@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wasp_cli.tasks.goal.look import TILE_SIDE
+from tests.tasks.lights import Lights, registered
+from wasp_cli.tasks.goal.appearance import TILE_SIDE
 from wasp_cli.tasks.make import make_task
-from wasp_cli.tasks.mirror import mirror_of
 from wasp_cli.tasks.registry import TASKS
 
 EPISODES = 8
@@ -29,8 +29,7 @@ def reflected(snapshot: dict[str, np.ndarray[Any, Any]]) -> dict[str, np.ndarray
 
 
 def test_a_mirrored_episode_is_seen_paid_and_punished_like_its_original() -> None:
-    matrix = mirror_of("goal1")
-    assert matrix is not None
+    matrix = np.array(TASKS["goal1"].mirror)
     task = make_task("goal1", EPISODES, action_repeat=4, observe=("pixels",))
     twin = make_task("goal1", EPISODES, action_repeat=4, observe=("pixels",))
     task.reset(range(EPISODES))
@@ -46,7 +45,7 @@ def test_a_mirrored_episode_is_seen_paid_and_punished_like_its_original() -> Non
             off = np.abs(seen.pixels.astype(int) - original.pixels[..., ::-1].astype(int))
             assert (off > 2).mean() < 0.002
         action = random.uniform(-1, 1, (EPISODES, 2))
-        step, other = task.step(action), twin.step(action @ matrix.T.astype(float))
+        step, other = task.step(action), twin.step(action @ matrix.T)
         if t % 10 < 3:
             np.testing.assert_allclose(other.reward, step.reward, atol=2e-3)
             np.testing.assert_array_equal(other.cost, step.cost)
@@ -56,11 +55,14 @@ def test_a_mirrored_episode_is_seen_paid_and_punished_like_its_original() -> Non
 
 @pytest.mark.parametrize("name", list(TASKS))
 def test_only_tasks_without_a_map_have_a_mirror(name: str) -> None:
-    matrix = mirror_of(name)
-    assert (matrix is not None) == name.startswith("goal")
-    if matrix is not None:
+    info = TASKS[name]
+    assert (info.mirror is not None) == name.startswith("goal")
+    if info.mirror is not None:
+        matrix = np.array(info.mirror)
         np.testing.assert_array_equal(matrix @ matrix, np.eye(len(matrix)))
 
 
 def test_environments_of_others_have_none() -> None:
-    assert mirror_of("tests.tasks.lights:Lights-v0") is None
+    info = TASKS[registered(Lights)]
+    assert info.mirror is None
+    assert info.facts()["mirror"] is None

@@ -7,12 +7,14 @@ import time
 import numpy as np
 import pytest
 
-from wasp_cli.tasks.camera.look import Look, Scene, Things
-from wasp_cli.tasks.camera.topdown import draw_map
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
+from wasp_cli.tasks.camera.topdown import draw_map, from_above
+from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.formula.look import look as formula_look
-from wasp_cli.tasks.goal.look import look as goal_look
-from wasp_cli.tasks.race.look import look as race_look
+from wasp_cli.tasks.formula.appearance import appearance as formula_appearance
+from wasp_cli.tasks.goal.appearance import appearance as goal_appearance
+from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.race.appearance import appearance as race_appearance
 
 SIZE = 256
 
@@ -22,10 +24,10 @@ def turned(yaw: float) -> np.ndarray:
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
-def scene(look: Look, at=(0.0, 0.0), heading=0.0, **things) -> Scene:
-    yaw = heading - np.arctan2(look.forward[1], look.forward[0])
+def scene(appearance: Appearance, at=(0.0, 0.0), heading=0.0, **things) -> Scene:
+    yaw = heading - np.arctan2(appearance.forward[1], appearance.forward[0])
     placed = {}
-    for kind in look.kinds:
+    for kind in appearance.kinds:
         where = np.array(things.get(kind.name, np.zeros((0, 2))), float).reshape(1, -1, 2)
         position = np.concatenate([where, np.zeros((*where.shape[:2], 1))], axis=-1)
         placed[kind.name] = Things(position, np.broadcast_to(np.eye(3), (*where.shape[:2], 3, 3)), np.ones(where.shape[:2], np.bool_))
@@ -40,7 +42,7 @@ def at(image: np.ndarray, place, centre, half_side) -> np.ndarray:
 
 
 def test_things_of_goal_are_where_they_are():
-    image = draw_map(goal_look(1), scene(goal_look(1), goal=[(1.0, 0.5)], hazard=[(-1.0, 0.5)], vase=[(-0.5, -1.2)]), 0, SIZE)
+    image = draw_map(goal_appearance(1), scene(goal_appearance(1), goal=[(1.0, 0.5)], hazard=[(-1.0, 0.5)], vase=[(-0.5, -1.2)]), 0, SIZE)
 
     assert image.shape == (SIZE, SIZE, 3)
     assert image.dtype == np.uint8
@@ -55,15 +57,15 @@ def test_things_of_goal_are_where_they_are():
     assert np.ptp(at(image, (-1.0, -0.5), (0, 0), 2.0)) < 35
 
 
-@pytest.mark.parametrize("look", [goal_look(1), race_look(1), formula_look(1)])
+@pytest.mark.parametrize("appearance", [goal_appearance(1), race_appearance(1), formula_appearance(1)])
 @pytest.mark.parametrize("heading", [0.0, 0.7, 2.5, -1.5])
-def test_the_heading_is_seen(look, heading):
+def test_the_heading_is_seen(appearance, heading):
     """The white tip lies ahead of the middle of everything that the robot changed."""
     around = ((0.5, 1.0), 0.5)
-    gone = scene(look, (80.0, 80.0), heading)
-    there = scene(look, (0.5, 1.0), heading)
-    image = draw_map(look, there, 0, SIZE, around)
-    white = (image == 255).all(axis=-1) & (draw_map(look, gone, 0, SIZE, around) != image).any(axis=-1)
+    gone = scene(appearance, (80.0, 80.0), heading)
+    there = scene(appearance, (0.5, 1.0), heading)
+    image = draw_map(appearance, there, 0, SIZE, around)
+    white = (image == 255).all(axis=-1) & (draw_map(appearance, gone, 0, SIZE, around) != image).any(axis=-1)
     rows, columns = np.nonzero(white)
     assert len(rows) > 50
     ahead = np.array([columns.mean() - SIZE / 2, SIZE / 2 - rows.mean()])
@@ -72,17 +74,17 @@ def test_the_heading_is_seen(look, heading):
 
 
 def test_the_map_of_goal_follows_the_robot_out():
-    image = draw_map(goal_look(1), scene(goal_look(1), (5.0, -4.0)), 0, SIZE)
+    image = draw_map(goal_appearance(1), scene(goal_appearance(1), (5.0, -4.0)), 0, SIZE)
     red = (image[..., 0] > 150) & (image[..., 1] < 60)
     assert red.any()
 
 
 def test_the_map_of_race_shows_lane_rock_bushes_and_goal():
-    look = race_look(1)
-    image = draw_map(look, scene(look, (-2.2, 1.0), goal=[(3.15, 1.05)], hazard=[(0.0, 1.2)]), 0, SIZE)
+    appearance = race_appearance(1)
+    image = draw_map(appearance, scene(appearance, (-2.2, 1.0), goal=[(3.15, 1.05)], hazard=[(0.0, 1.2)]), 0, SIZE)
 
     def pixel(*place: float) -> np.ndarray:
-        return at(image, place, look.map_centre, look.map_half_side)
+        return at(image, place, appearance.map_centre, appearance.map_half_side)
 
     red, green, blue = pixel(3.15, 1.05)
     assert red > green + 100
@@ -96,25 +98,41 @@ def test_the_map_of_race_shows_lane_rock_bushes_and_goal():
 
 
 def test_the_whole_circuit_fits_and_robot_and_goal_stay_visible_on_it():
-    look = formula_look(1)
-    view = scene(look, tuple(track.STAGES[2]), 1.0, goal=[track.STAGES[3]], vase=[(-8.0, 5.0)])
-    image = draw_map(look, view, 0, SIZE)
+    appearance = formula_appearance(1)
+    view = scene(appearance, tuple(track.STAGES[2]), 1.0, goal=[track.STAGES[3]], vase=[(-8.0, 5.0)])
+    image = draw_map(appearance, view, 0, SIZE)
 
     for place in (*track.STAGES, *track.OUTER_BARRIER):
-        assert (np.abs(place - look.map_centre) < look.map_half_side).all()
-    assert at(image, track.STAGES[3], look.map_centre, look.map_half_side).tolist() == [255, 0, 255]
+        assert (np.abs(place - appearance.map_centre) < appearance.map_half_side).all()
+    assert at(image, track.STAGES[3], appearance.map_centre, appearance.map_half_side).tolist() == [255, 0, 255]
     magenta = (image[..., 0] > 240) & (image[..., 1] < 20) & (image[..., 2] > 240)
     assert magenta.sum() > 15
-    changed = (image != draw_map(look, scene(look, (0.0, 100.0), goal=[track.STAGES[3]], vase=[(-8.0, 5.0)]), 0, SIZE)).any(axis=-1)
+    changed = (image != draw_map(appearance, scene(appearance, (0.0, 100.0), goal=[track.STAGES[3]], vase=[(-8.0, 5.0)]), 0, SIZE)).any(
+        axis=-1
+    )
     assert changed.sum() > 20
-    close = draw_map(look, view, 0, SIZE, around=(tuple(track.STAGES[2]), 4.0))
+    close = draw_map(appearance, view, 0, SIZE, around=(tuple(track.STAGES[2]), 4.0))
     assert (close != image).any()
 
 
 def test_a_map_is_fast_enough_for_a_video():
-    look = formula_look(1)
-    view = scene(look, tuple(track.STAGES[2]), goal=[track.STAGES[3]])
-    draw_map(look, view, 0, SIZE)
+    appearance = formula_appearance(1)
+    view = scene(appearance, tuple(track.STAGES[2]), goal=[track.STAGES[3]])
+    draw_map(appearance, view, 0, SIZE)
     start = time.perf_counter()
-    draw_map(look, view, 0, SIZE)
+    draw_map(appearance, view, 0, SIZE)
     assert time.perf_counter() - start < 0.5
+
+
+@pytest.mark.parametrize("name", ["goal1", "race1", "formula1"])
+def test_an_episode_is_drawn_and_no_snapshot_knows(name):
+    task = make_task(name, 2, observe=("state",))
+    task.reset([3, 4])
+    task.step(drive(task))
+    before = task.snapshot()
+    first, second = from_above(task, 0, 64), from_above(task, 1, 64)
+    assert first.shape == second.shape == (64, 64, 3)
+    assert (first != second).any()
+    after = task.snapshot()
+    assert before.keys() == after.keys()
+    assert all((before[key] == after[key]).all() for key in before)

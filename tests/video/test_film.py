@@ -12,7 +12,7 @@ from PIL import Image, ImageColor
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.playback import play
-from wasp_cli.tasks.base import HasScene
+from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video import film as films
@@ -47,7 +47,7 @@ gymnasium.register("FilmMeter-v0", entry_point=Meter, max_episode_steps=40)
 
 
 def pose(task: Any) -> Pose:
-    return Pose(task.look(), task.scene(np.array([0])))
+    return Pose(task.appearance(), task.scene(np.array([0])))
 
 
 class Driven:
@@ -169,7 +169,7 @@ def test_the_map_follows_a_robot_that_leaves_it(name: str) -> None:
     task = make_task(name, 1, observe=())
     assert isinstance(task, HasScene)
     task.reset([5])
-    view = MapView(task.look(), 40)
+    view = MapView(task.appearance(), 40)
     centres = []
     for decision in range(60):
         if decision % 20 == 0:
@@ -184,7 +184,7 @@ def test_marks_lie_where_their_places_are() -> None:
     task = make_task("goal1", 1, observe=())
     assert isinstance(task, HasScene)
     task.reset([0])
-    picture = MapView(task.look(), 200).picture(task.scene(np.array([0])))
+    picture = MapView(task.appearance(), 200).picture(task.scene(np.array([0])))
     place = np.array([[1.0, -0.5]])  # of 2 m: three quarters to the right, a quarter below the middle
     picture.dots(place, "#FF00FF", 3)
     shown = np.asarray(picture.finished()).astype(int)

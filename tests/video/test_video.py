@@ -18,7 +18,7 @@ from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.report.figure import PALETTE
 from wasp_cli.store.recorded import read_recorded
-from wasp_cli.tasks.base import HasScene
+from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.video import encode as video_file
 from wasp_cli.video.encode import MEANT, checked, palette_of, write
 from wasp_cli.video.film import film
@@ -92,7 +92,7 @@ def test_the_readout_has_not_seen_the_shown_episode(cell: Evaluated) -> None:
     world.reset(recorded.layouts)
     poses = []
     for t in range(25):
-        made = [Pose(world.look(), world.scene(np.arange(3)), row) for row in range(3)]
+        made = [Pose(world.appearance(), world.scene(np.arange(3)), row) for row in range(3)]
         poses.append([[*pose.at, pose.yaw] for pose in made])
         world.step(np.stack([actions[t] for actions in recorded.a]))
     others = np.concatenate([displacements(np.array(poses)[:, row]) for row in (0, 2)])
@@ -166,7 +166,7 @@ def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_p
     source = source_of(cell)
     found = play_episode(source, 1, [None] * trace.length, {0}, HORIZON, lambda share, text: None)
     assert found.decisions[0].scene is None
-    assert (found.readout, found.look, found.cameras) == (None, None, 1)
+    assert (found.readout, found.appearance, found.cameras) == (None, None, 1)
     nothing = Correction([None] * trace.length, "", False)
     made = film_episode(source, trace, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
     assert made.frames == trace.length

@@ -303,7 +303,7 @@ def show_task(
 @app.command()
 @expected_errors
 def doctor(results: ResultsOption = Path("results")) -> None:
-    """Say what this machine has: Python, libraries, cores, memory, GPU, OpenGL, a writable results folder."""
+    """Say what this machine has: Python, libraries, cores, memory, GPU, a writable results folder."""
     from wasp_cli.cli.doctor import examine, require, show
 
     findings = examine(results)

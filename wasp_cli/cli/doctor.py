@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import os
 import platform
 import sys
@@ -33,7 +32,7 @@ class Finding:
 
 def examine(results: Path) -> list[Finding]:
     """Look for everything that a run can use. Imports torch and MuJoCo."""
-    return [*_software(), *_hardware(), _graphics(), _writable(results)]
+    return [*_software(), *_hardware(), _writable(results)]
 
 
 def _software() -> Iterator[Finding]:
@@ -72,13 +71,6 @@ def _gpu() -> Finding:
     if torch.cuda.is_available():
         return Finding("GPU", "ok", torch.cuda.get_device_name(0), "not used by this version yet; everything runs on the CPU")
     return Finding("GPU", "optional", "none that torch can use", "not needed: everything runs on the CPU")
-
-
-def _graphics() -> Finding:
-    found = [name for name in ("EGL", "OSMesa", "GL") if ctypes.util.find_library(name)]
-    if found:
-        return Finding("OpenGL", "ok", ", ".join(found), "only videos would use it")
-    return Finding("OpenGL", "optional", "none", "not needed: the cameras cast rays without it")
 
 
 def _writable(results: Path) -> Finding:

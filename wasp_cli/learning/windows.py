@@ -34,7 +34,7 @@ class Window(NamedTuple):
 class Windows:
     """Random sequences of those rows of a replay that may be learned from; a share of them contains a costly step.
 
-    Where the task has a `mirror` (see `tasks.mirror`), half of them are seen in it, with what follows. Everything lies on `device` (uint8
+    Where the task has a `mirror` (see `TaskInfo`), half of them are seen in it, with what follows. Everything lies on `device` (uint8
     images included), so that a batch is one gather. On the CPU the replay's own memory is used.
     """
 

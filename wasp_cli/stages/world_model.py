@@ -43,7 +43,7 @@ class WorldModelStage:
         from wasp_cli.learning.replay import HELD_OUT, read_replay
         from wasp_cli.learning.trained import load_world_model, save_world_model
         from wasp_cli.seeds import derive
-        from wasp_cli.tasks.mirror import mirror_of
+        from wasp_cli.tasks.registry import TASKS
 
         config = cast(WorldModelConfig, job.config)
         replay = read_replay(job.inputs["dataset"])
@@ -61,7 +61,8 @@ class WorldModelStage:
             return lambda share, text: job.progress(low + (high - low) * share, text)
 
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
-        mirror = mirror_of(job.task) if config.mirror else None
+        matrix = TASKS[job.task].mirror if config.mirror else None
+        mirror = None if matrix is None else np.array(matrix, np.float32)
         before = encode(model, replay, during(0.0, 0.1)) if "previous" in job.inputs else None
         curves, skipped = learning.train(
             model, replay, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), mirror=mirror, before=before

@@ -7,13 +7,10 @@ S = size of the state vector, P = size of the privileged vector.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from wasp_cli.tasks.camera.look import Look, Scene
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -56,19 +53,6 @@ class Step(NamedTuple):
     """[B] it ended by the task's own rule (not by the time limit)."""
 
 
-@runtime_checkable
-class HasScene(Protocol):
-    """A task that can be drawn for people (`wasp_cli.tasks.views`). No picture of these is an observation."""
-
-    def look(self) -> Look:
-        """What stays the same over the episodes."""
-        ...
-
-    def scene(self, rows: NDArray[np.intp]) -> Scene:
-        """Where everything is now, of n rows."""
-        ...
-
-
 class VectorTask(Protocol):
     """B episodes of one task. A finished episode stays finished until it is reset: there is no autoreset."""
 
@@ -100,7 +84,7 @@ class VectorTask(Protocol):
         ...
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Everything that determines the future of every row, as plain arrays; `restore` of it is bit-exact.
+        """Return everything that determines the future of every row, as plain arrays; `restore` of it is bit-exact.
 
         The first dimension of every array is B, so that rows can be taken from one snapshot and put into another (or into one of another
         batch); `ended` [B] is among them.

@@ -28,7 +28,7 @@ def check_options(batch: int, action_repeat: int, threads: int, observe: Sequenc
 
 
 def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterator[tuple[int, int]]:
-    """The rows that start anew, each with its seed; all are checked before the first one comes.
+    """Yield the rows that start anew, each with its seed; all are checked before the first one comes.
 
     Raises:
         TaskError: mask and seeds do not fit, or a seed is out of range.
@@ -42,7 +42,7 @@ def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterato
 
 
 def checked_action(action: NDArray[Any], batch: int, size: int) -> Floats:
-    """[B, A], clipped to [-1, 1].
+    """Return an action [B, A] as float64, clipped to [-1, 1].
 
     Raises:
         TaskError: it is not finite or has a wrong shape.
@@ -57,7 +57,7 @@ def checked_action(action: NDArray[Any], batch: int, size: int) -> Floats:
 
 
 def running_rows(ended: Bools) -> NDArray[np.intp]:
-    """The rows whose episodes have not ended [n].
+    """Return the rows [n] whose episodes have not ended, of `ended` [B].
 
     Raises:
         TaskError: there are none.
@@ -79,13 +79,13 @@ class Totals:
     sources: dict[str, NDArray[np.int64]]
 
     @classmethod
-    def nothing_yet(cls, batch: int, sources: Sequence[str]) -> Totals:
-        """All zero."""
+    def zeros(cls, batch: int, sources: Sequence[str]) -> Totals:
+        """Begin a decision step of B episodes: every sum [B] is zero."""
         counts = np.zeros((3 + len(sources), batch), np.int64)
         return cls(np.zeros(batch), counts[0], counts[1], counts[2], dict(zip(sources, counts[3:], strict=True)))
 
     def as_step(self, observation: Observation, ended: Bools, terminated: Bools) -> Step:
-        """The outcome of the decision step."""
+        """Return the outcome of the decision step; `ended` and `terminated` are [B]."""
         return Step(
             observation=observation,
             reward=self.reward,

@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.camera.appearance import Part
+from wasp_cli.tasks.features import lidars
 from wasp_cli.tasks.frames import ground_to_body, quaternion_rotation, yaw_quaternion
-from wasp_cli.tasks.lidar import lidars
 
 TIMESTEP = 0.004
 CAR_Z = 0.1
@@ -57,7 +58,7 @@ _SENSORS = """
 
 
 def car_mjcf(integrator: str, *, others: str = "", assets: str = "", sensors: str | None = None) -> str:
-    """The car on a floor.
+    """Return the car on a floor as MJCF.
 
     Args:
         integrator: of MuJoCo.
@@ -86,7 +87,7 @@ def car_mjcf(integrator: str, *, others: str = "", assets: str = "", sensors: st
 
 
 def start_pose(xy: Floats, yaw: float) -> Floats:
-    """qpos [13] of a car at rest; `yaw` is of the body's x axis."""
+    """Return qpos [13] of a car at rest at `xy` [2] in m; `yaw` in rad is of the body's x axis."""
     pose = np.zeros(NQ)
     pose[:2], pose[2] = xy, CAR_Z
     pose[3:7] = yaw_quaternion(np.array(yaw))
@@ -95,12 +96,12 @@ def start_pose(xy: Floats, yaw: float) -> Floats:
 
 
 def rotation(qpos: Floats) -> Floats:
-    """Body to world [n, 3, 3] of cars in states [n, 13]."""
+    """Return body to world [n, 3, 3] of cars in states [n, 13]."""
     return quaternion_rotation(qpos[:, 3:7])
 
 
 def heading(qpos: Floats) -> Floats:
-    """Direction [n] of the cars' front in rad, of states [n, 13]."""
+    """Return the direction [n] of the cars' front in rad, of states [n, 13]."""
     w, x, y, z = qpos[:, 3], qpos[:, 4], qpos[:, 5], qpos[:, 6]
     # The world direction of body -y.
     front: Floats = np.arctan2(-(w * w - x * x + y * y - z * z), -2.0 * (x * y - w * z))
@@ -108,13 +109,29 @@ def heading(qpos: Floats) -> Floats:
 
 
 def state_vector(sensors: Floats, qpos: Floats, *seen: Floats) -> Floats:
-    """float64 [B, 24 + 16 J]: the sensors with the caster's rotation as a matrix, then a lidar for each group of points.
+    """Join float64 [B, 24 + 16 J]: the sensors with the caster's rotation as a matrix, then a lidar for each group of points.
 
     Args:
         sensors: [B, 19].
         qpos: [B, 13].
-        seen: J arrays [B, K, 2] of world points on the ground.
+        seen: J arrays [B, K, 2] of world points on the ground, in m.
     """
     caster = quaternion_rotation(sensors[:, 15:19]).reshape(-1, 9)
     around = ground_to_body(np.concatenate(seen, axis=1), qpos[:, :3], rotation(qpos))
     return np.concatenate([sensors[:, :15], caster, lidars(around, [points.shape[1] for points in seen])], axis=1)
+
+
+CAMERA_HEIGHT = 0.2
+FORWARD = (0.0, -1.0)
+
+_RED, _BLUE = (0.7412, 0.0431, 0.1843), (0.0039, 0.1529, 0.3961)
+_BODY, *_BUMPERS = CHASSIS_GEOMS
+# Wheels do not show that they spin: they are as still as the rest.
+_WHEELS = (
+    '<geom type="cylinder" fromto="-0.155 0.1 -0.05 -0.105 0.1 -0.05" size="0.05"/>',
+    '<geom type="cylinder" fromto="0.105 0.1 -0.05 0.155 0.1 -0.05" size="0.05"/>',
+    '<geom type="sphere" pos="0 -0.1 -0.05" size="0.05"/>',
+)
+
+CAR_PARTS = (*(Part(geom, _RED) for geom in (*_WHEELS, _BODY)), *(Part(geom, _BLUE) for geom in _BUMPERS))
+"""Lowest first, all in the frame of the car's body."""

@@ -23,10 +23,9 @@ from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
 from wasp_cli.tasks.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
 from wasp_cli.tasks.frames import distance, quaternion_rotation, wrapped, yaw_quaternion
-from wasp_cli.tasks.local_physics import ModelBuilder
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments
-from wasp_cli.tasks.physics import BatchPhysics
+from wasp_cli.tasks.physics import BatchPhysics, ModelBuilder
 
 XY, YAW = 1e-6, 5e-6
 """m, rad after one env step without contact."""
@@ -75,7 +74,7 @@ class CarTask(NamedTuple):
 
 
 def check_car_episode(r: Recording, task: CarTask) -> list[Check]:
-    """Layout, motion, reward, observations, contacts and episode rules of one recorded episode."""
+    """Check layout, motion, reward, observations, contacts and episode rules of one recorded episode."""
     parts = (_numbers, _layout, _motion, _observations, _walls, _barrels, _rules)
     return [check for part in parts for check in part(r, task)]
 
@@ -235,7 +234,7 @@ def _walls(r: Recording, task: CarTask) -> list[Check]:
 
 
 def wall_gaps(build_model: ModelBuilder, qpos: Floats) -> Floats:
-    """Least signed distance [n] in m between the car in states [n, 13] and any wall; at most 0.5."""
+    """Measure the least signed distance [n] in m between the car in states [n, 13] and any wall; at most 0.5."""
     model = build_model(0, 1, False)
     data = mujoco.MjData(model)
     roots, car_root = model.body_rootid[model.geom_bodyid], model.body("agent").id
@@ -312,7 +311,7 @@ def _rules(r: Recording, task: CarTask) -> list[Check]:
 
 
 def check_car_dynamics(r: Recording, task: CarTask) -> list[Check]:
-    """The car alone under constant actions: single steps from recorded states, and means over 100 steps."""
+    """Check the car alone under constant actions: single steps from recorded states, and means over 100 steps."""
     prefix = task.prefix
     actions, qpos, qvel = r[f"{prefix}_actions"], r[f"{prefix}_qpos"], r[f"{prefix}_qvel"]
     physics = BatchPhysics(task.build_model(0, 0, True))

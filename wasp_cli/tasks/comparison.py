@@ -31,7 +31,7 @@ class Check(NamedTuple):
 
 
 def compare(quantity: str, ours: Any, theirs: Any, tolerance: float) -> Check:
-    """The worst absolute difference of two arrays of one shape."""
+    """Find the worst absolute difference of two arrays of one shape (any)."""
     ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
     if ours.shape != theirs.shape:
         raise ValueError(f"{quantity}: shapes {ours.shape} and {theirs.shape} differ")
@@ -39,12 +39,12 @@ def compare(quantity: str, ours: Any, theirs: Any, tolerance: float) -> Check:
 
 
 def errors(*parts: tuple[str, Floats, Bools, float]) -> list[Check]:
-    """Checks of errors [n] against 0 on the chosen entries [n]; what was not recorded is no check."""
+    """Check errors [n] against 0 on the chosen entries [n]; what was not recorded is no check."""
     return [compare(name, error[on], np.zeros_like(error[on]), tolerance) for name, error, on, tolerance in parts if on.any()]
 
 
 def check_rules(recording: Recording, expected: Mapping[str, float], costs: Sequence[str], sizes: int) -> list[Check]:
-    """The numbers that a recording states of its task.
+    """Check the numbers that a recording states of its task.
 
     Args:
         recording: with `meta`.
@@ -63,7 +63,7 @@ def check_rules(recording: Recording, expected: Mapping[str, float], costs: Sequ
 
 
 def check_rewards(recording: Recording, reward_goal: float, reward_clip: float, tolerance: float) -> list[Check]:
-    """Every recorded reward against the recorded way and our bonus."""
+    """Check every recorded reward against the recorded way and our bonus."""
     xy = np.concatenate([recording["layout_agent_xy"][None], recording["xy"]])
     before, after = distance(xy[:-1], recording["goal_before"]), distance(xy[1:], recording["goal_before"])
     rewards = np.clip(before - after + reward_goal * recording["goal_met"], -reward_clip, reward_clip)
@@ -71,12 +71,12 @@ def check_rewards(recording: Recording, reward_goal: float, reward_clip: float, 
 
 
 def path_means(path: Floats, seconds: float) -> tuple[Floats, Floats]:
-    """Mean speed [A] in m/s and mean turn rate [A] in rad/s along x, y, yaw [A, T, 3], whose rows are `seconds` apart."""
+    """Return mean speed [A] in m/s and mean turn rate [A] in rad/s along x, y, yaw [A, T, 3] (m, rad), in rows `seconds` apart."""
     moves = np.diff(path, axis=1)
     speed: Floats = np.hypot(moves[..., 0], moves[..., 1]).mean(axis=1) / seconds
     return speed, wrapped(moves[..., 2]).mean(axis=1) / seconds
 
 
 def mean_ratio(ours: Floats, theirs: Floats) -> Floats:
-    """Ours / theirs [A]; next to standstill (0.02 of a unit) the absolute difference counts."""
+    """Return ours / theirs [A]; next to standstill (0.02 of a unit) the absolute difference counts."""
     return 1.0 + (ours - theirs) / np.maximum(np.abs(theirs), 0.02)

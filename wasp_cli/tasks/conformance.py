@@ -37,7 +37,7 @@ _EPISODES: dict[str, Callable[[Recording], list[Check]]] = {
 
 
 def checks_of(recording: Recording) -> Callable[[Recording], list[Check]] | None:
-    """The function that checks such a recording, or None when its task is not one of ours."""
+    """Return the function that checks such a recording, or None when its task is not one of ours."""
     if any(f"{prefix}_traj" in recording for prefix in ("point", "car", "car_rk4")):
         return _dynamics
     task = json.loads(str(recording["meta"])).get("task", "") if "meta" in recording else ""

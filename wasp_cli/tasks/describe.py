@@ -31,7 +31,7 @@ class Description:
 
 
 def describe() -> list[Description]:
-    """A description of each registered task, in the order of the registry."""
+    """Describe each registered task, in the order of the registry."""
     return [_described(name) for name in TASKS]
 
 

@@ -10,7 +10,7 @@ from wasp_cli.tasks.navigation import Navigation
 
 
 def drive(task: Navigation, target: Floats | None = None) -> Floats:
-    """An action [B, 2] that steers toward `target` [B, 2], by default the next point of the route."""
+    """Choose an action [B, 2] in [-1, 1] that steers toward `target` [B, 2] in m, by default the next point of the route."""
     xy, heading, velocity = task.pose()
     offset = (task.route() if target is None else target) - xy
     if task.drive == "car":

@@ -8,14 +8,14 @@ from wasp_cli.tasks.base import Floats
 
 
 def yaw_rotation(yaw: Floats) -> Floats:
-    """Body to world [..., 3, 3] of upright bodies turned by `yaw` [...]."""
+    """Return body to world [..., 3, 3] of upright bodies turned by `yaw` [...] in rad."""
     cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     rows = [cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1.0]
     return np.stack(rows, axis=-1).reshape(*yaw.shape, 3, 3)
 
 
 def quaternion_rotation(quaternion: Floats) -> Floats:
-    """Body to world [..., 3, 3] of unit quaternions w, x, y, z [..., 4]."""
+    """Return body to world [..., 3, 3] of unit quaternions w, x, y, z [..., 4]."""
     w, x, y, z = quaternion[..., 0], quaternion[..., 1], quaternion[..., 2], quaternion[..., 3]
     ww, xx, yy, zz = w * w, x * x, y * y, z * z
     rotation = np.empty((*quaternion.shape[:-1], 3, 3))
@@ -27,13 +27,13 @@ def quaternion_rotation(quaternion: Floats) -> Floats:
 
 
 def yaw_quaternion(yaw: Floats) -> Floats:
-    """Unit quaternions w, x, y, z [..., 4] of upright bodies turned by `yaw` [...]."""
+    """Return unit quaternions w, x, y, z [..., 4] of upright bodies turned by `yaw` [...] in rad."""
     zero = np.zeros_like(yaw)
     return np.stack([np.cos(yaw / 2.0), zero, zero, np.sin(yaw / 2.0)], axis=-1)
 
 
 def to_body(points: Floats, origin: Floats, yaw: Floats) -> Floats:
-    """World points [B, K, 2] in upright body frames at `origin` [B, 2] turned by `yaw` [B] -> [B, K, 2]."""
+    """Transform world points [B, K, 2] into upright body frames at `origin` [B, 2] in m turned by `yaw` [B] in rad -> [B, K, 2]."""
     x, y = points[..., 0] - origin[:, None, 0], points[..., 1] - origin[:, None, 1]
     cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     seen = np.empty(points.shape)
@@ -42,7 +42,7 @@ def to_body(points: Floats, origin: Floats, yaw: Floats) -> Floats:
 
 
 def ground_to_body(points: Floats, position: Floats, rotation: Floats) -> Floats:
-    """World points [B, K, 2] on the ground, seen from bodies [B, 3] that may be tilted [B, 3, 3] -> their x and y [B, K, 2]."""
+    """Transform world points [B, K, 2] on the ground into frames of bodies [B, 3] that may be tilted [B, 3, 3] -> x and y [B, K, 2]."""
     dx, dy = points[..., 0] - position[:, None, 0], points[..., 1] - position[:, None, 1]
     dz = -position[:, None, 2]
     axis = rotation[:, None]
@@ -53,13 +53,13 @@ def ground_to_body(points: Floats, position: Floats, rotation: Floats) -> Floats
 
 
 def distance(a: Floats, b: Floats) -> Floats:
-    """Euclidean distances [...] of points [..., 2]."""
+    """Return Euclidean distances [...] of points [..., 2], in their unit."""
     dx, dy = a[..., 0] - b[..., 0], a[..., 1] - b[..., 1]
     apart: Floats = np.sqrt(dx * dx + dy * dy)
     return apart
 
 
 def wrapped(angle: Floats) -> Floats:
-    """The same angles in [-pi, pi)."""
+    """Return the same angles [...] in [-pi, pi) rad."""
     within: Floats = np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
     return within

@@ -7,30 +7,129 @@ call (`TaskVectorEnv`); `upstream` and the option `upstream_api=True` give the r
 
 from __future__ import annotations
 
-from typing import Any, Literal, SupportsFloat, cast
+from typing import Any, Literal, SupportsFloat, cast, get_args
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.errors import TaskError, UnknownName
-from wasp_cli.tasks.base import Pixels
-from wasp_cli.tasks.gym_shared import (
-    ObservationName,
-    Seen,
-    checked_control,
-    chosen_fields,
-    first_row,
-    observed_task,
-    refuse_other_task,
-    refuse_reset_options,
-    refuse_unknown,
-    space_of,
-    viewer_of,
-)
+from wasp_cli.errors import TaskError, UnknownName, UsageError, did_you_mean
+from wasp_cli.tasks.base import CAMERA_SIZE, Floats, Observation, Pixels, VectorTask
+from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.layout import SEED_LIMIT
+from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS, task_named
-from wasp_cli.tasks.views import ViewName
+
+ObservationName = Literal["state", "pixels", "privileged", "all"]
+Seen = NDArray[Any] | dict[str, NDArray[Any]]
+"""An observation: an array, or with `all` a dictionary of three."""
+
+
+def observed_task(task: str, batch: int, observation: str, action_repeat: int, threads: int = 1) -> VectorTask:
+    """Make a batch of a task that shows the asked observation.
+
+    Raises:
+        UnknownName: no such task.
+        UsageError: an unknown observation, or a number below 1.
+    """
+    if observation not in (known := get_args(ObservationName)):
+        raise UsageError(f"task '{task}' has no observation '{observation}'", did_you_mean(str(observation), known))
+    for option, value in (("num_envs", batch), ("action_repeat", action_repeat), ("threads", threads)):
+        if not isinstance(value, int | np.integer) or value < 1:
+            raise UsageError(f"{option} should be an integer of at least 1, not {value!r}")
+    observe = Observation._fields if observation == "all" else (observation,)
+    return make_task(task, batch, action_repeat=action_repeat, observe=observe, threads=threads)
+
+
+def drawn_task(task: str, made: VectorTask, mode: str | None) -> HasScene | None:
+    """Return the task that a render mode draws; None without one.
+
+    Raises:
+        UsageError: a mode that the task does not have.
+    """
+    if mode is None:
+        return None
+    if mode != "rgb_array" or not isinstance(made, HasScene):
+        raise UsageError(f"task '{task}' cannot render '{mode}'", "render_mode is None or 'rgb_array'")
+    return made
+
+
+def map_of(task: HasScene, row: int) -> Pixels:
+    """Draw one episode as a map from above: uint8 [256, 256, 3]."""
+    # Not above: it imports MuJoCo, and a registered task does not need it before it is made.
+    from wasp_cli.tasks.camera.topdown import from_above
+
+    return from_above(task, row)
+
+
+def refuse_other_task(task: str, registered: str | None) -> None:
+    """Refuse another task under an id that stands for one: results under its name must not be those of another."""
+    if registered is not None and task != registered:
+        hint = f"that is gymnasium.make('{TASKS[task].gym_id}')" if task in TASKS else "leave task= out"
+        raise UsageError(f"'{TASKS[registered].gym_id}' is the task '{registered}', and task={task!r} cannot change it", hint)
+
+
+def refuse_unknown(task: str, unknown: dict[str, object], known: tuple[str, ...]) -> None:
+    """Name an option that a task does not have, and what was meant.
+
+    Raises:
+        UsageError: there is one.
+    """
+    for option in unknown:
+        raise UsageError(f"task '{task}' has no option '{option}'", did_you_mean(option, known))
+
+
+def refuse_reset_options(options: dict[str, Any] | None) -> None:
+    """Refuse options of a reset: nothing about it can be chosen.
+
+    Raises:
+        UsageError: there is an option.
+    """
+    for option in options or {}:
+        raise UsageError(f"reset has no option '{option}'", "a seed names a layout; there is nothing else to choose")
+
+
+def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
+    """Return the space of one episode's observation."""
+    spaces: dict[str, gymnasium.Space[Any]] = {
+        "state": gymnasium.spaces.Box(-np.inf, np.inf, (task.state_size,), np.float64),
+        "pixels": gymnasium.spaces.Box(0, 255, (6, CAMERA_SIZE, CAMERA_SIZE), np.uint8),
+        "privileged": gymnasium.spaces.Box(-np.inf, np.inf, (task.privileged_size,), np.float32),
+    }
+    return gymnasium.spaces.Dict(spaces) if observation == "all" else spaces[observation]
+
+
+def chosen_fields(observation: Observation, name: str) -> Seen:
+    """Return what was asked for of an observation, [B, ...]."""
+    fields: dict[str, NDArray[Any]] = {field: value for field, value in observation._asdict().items() if value is not None}
+    return fields if name == "all" else fields[name]
+
+
+def first_row(seen: Seen) -> Seen:
+    """Return the observation of the first episode of a batch."""
+    return {name: value[0] for name, value in seen.items()} if isinstance(seen, dict) else seen[0]
+
+
+def checked_control(action: Any, shape: tuple[int, ...]) -> Floats:
+    """Return an action as float64 of a shape.
+
+    Raises:
+        TaskError: it is no array of finite real numbers of that shape.
+    """
+    try:
+        given = np.asarray(action)
+        # NumPy would drop imaginary parts, and read texts of digits.
+        if given.dtype.kind not in "biufO":
+            raise TypeError(given.dtype)
+        control = given.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        kind = f"{type(action).__name__} of {action.dtype}" if isinstance(action, np.ndarray) else type(action).__name__
+        raise TaskError(f"an action is an array of real numbers, not {kind}") from error
+    if control.shape != shape:
+        raise TaskError(f"action has shape {control.shape}, expected {shape}")
+    if not np.isfinite(control).all():
+        raise TaskError(f"action is not finite: {control.tolist()}")
+    return control
 
 
 class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
@@ -41,9 +140,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         observation: `state` (float64 [S], the reference package's vector), `pixels` (uint8 [6, 64, 64]), `privileged` (float32 [P]), or
             `all` (a dictionary of these three).
         action_repeat: env steps per `step`; rewards and costs add up.
-        render_mode: `rgb_array` gives pictures for people: what `view` says.
-        view: `map` from above (uint8 [256, 256, 3]; the default), or `chase` from behind the robot (uint8 [360, 480, 3]), which needs
-            OpenGL. With a render mode only.
+        render_mode: `rgb_array` gives pictures for people: a map from above, uint8 [256, 256, 3].
         upstream_api: `step` returns the reference package's six values (obs, reward, cost, terminated, truncated, info), with its keys in
             `info`: `cost_<source>` and `cost_sum` in every step, `goal_met` in those that reach a goal. Wrappers of gymnasium expect five
             values and fail on it, so nothing but what `gymnasium.make` adds here by itself may lie around it (no `max_episode_steps=`).
@@ -66,19 +163,18 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         observation: ObservationName = "state",
         action_repeat: int = 1,
         render_mode: Literal["rgb_array"] | None = None,
-        view: ViewName | None = None,
         upstream_api: bool = False,
         registered: str | None = None,
         **unknown: object,
     ) -> None:
         refuse_other_task(task, registered)
-        refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "view", "upstream_api"))
+        refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "upstream_api"))
         self._task, self._name = observed_task(task, 1, observation, action_repeat), observation
         self._success_goals = TASKS[task].success_goals
         self._upstream = bool(upstream_api)
         self._goals = 0
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self._task.decision_seconds)}
-        self.render_mode, self._viewer = render_mode, viewer_of(task, self._task, render_mode, view)
+        self.render_mode, self._drawn = render_mode, drawn_task(task, self._task, render_mode)
         self.action_space = gymnasium.spaces.Box(self._task.action_low, self._task.action_high, dtype=np.float64)
         self.observation_space = space_of(self._task, observation)
 
@@ -123,19 +219,11 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         return seen, reward, terminated, truncated, {"cost": cost, "cost_sources": sources, "goals": self._goals, "success": success}
 
     def render(self) -> Pixels | None:
-        """The picture that `view` names.
-
-        Raises:
-            UsageError: it needs OpenGL, which cannot be used here.
-        """
-        return None if self._viewer is None else self._viewer.draw(0)
-
-    def close(self) -> None:
-        if self._viewer is not None:
-            self._viewer.close()
+        """Draw the episode as a map from above, uint8 [256, 256, 3]; None without a render mode."""
+        return None if self._drawn is None else map_of(self._drawn, 0)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
+        """Return everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
 
         Which layouts later resets without a seed draw is not part of it.
         """
@@ -155,7 +243,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
 
 def upstream(task: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
-    """A task under the reference package's interface: stands for `safety_gymnasium.make(task)` in code that is to be ported.
+    """Make a task under the reference package's interface: stands for `safety_gymnasium.make(task)` in code that is to be ported.
 
     Args:
         task: `SafetyPointGoal1-v0`, with or without `wasp/`, or a name such as `goal1`.

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import UsageError
 from wasp_cli.tasks.base import Bools, Floats, Observation, Pixels
-from wasp_cli.tasks.gym_shared import (
+from wasp_cli.tasks.gym import (
     ObservationName,
     Seen,
     checked_control,
     chosen_fields,
+    drawn_task,
+    map_of,
     observed_task,
     refuse_other_task,
     refuse_reset_options,
     refuse_unknown,
     space_of,
-    viewer_of,
 )
 from wasp_cli.tasks.layout import SEED_LIMIT
 from wasp_cli.tasks.registry import TASKS
-from wasp_cli.tasks.views import ViewName
 
 
 class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
@@ -35,7 +35,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
 
     Args:
         num_envs: B, episodes side by side.
-        task: as for `TaskEnv`; so are `observation`, `action_repeat`, `render_mode` and `view`.
+        task: as for `TaskEnv`; so are `observation`, `action_repeat` and `render_mode`.
         observation: see `task`.
         action_repeat: see `task`.
         render_mode: see `task`; `render` gives B pictures.
@@ -55,14 +55,13 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         observation: ObservationName = "state",
         action_repeat: int = 1,
         render_mode: Literal["rgb_array"] | None = None,
-        view: ViewName | None = None,
         threads: int = 1,
         upstream_api: bool = False,
         registered: str | None = None,
         **unknown: object,
     ) -> None:
         refuse_other_task(task, registered)
-        refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "view", "threads"))
+        refuse_unknown(task, unknown, ("observation", "action_repeat", "render_mode", "threads"))
         if upstream_api:
             raise UsageError("a vector of environments has no six-tuple", "read infos['cost'], or step single environments")
         self._task, self._name = observed_task(task, num_envs, observation, action_repeat, threads), observation
@@ -73,7 +72,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
             "render_fps": round(1.0 / self._task.decision_seconds),
             "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP,
         }
-        self.render_mode, self._viewer = render_mode, viewer_of(task, self._task, render_mode, view)
+        self.render_mode, self._drawn = render_mode, drawn_task(task, self._task, render_mode)
         self.single_action_space = gymnasium.spaces.Box(self._task.action_low, self._task.action_high, dtype=np.float64)
         self.single_observation_space = space_of(self._task, observation)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
@@ -137,13 +136,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
         return seen, reward, terminated, truncated, infos
 
     def render(self) -> tuple[Pixels, ...] | None:
-        """The picture that `view` names, of each episode."""
-        return None if self._viewer is None else tuple(self._viewer.draw(row) for row in range(self.num_envs))
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Give an OpenGL context back."""
-        if self._viewer is not None:
-            self._viewer.close()
+        """Draw a map of each episode, uint8 [256, 256, 3]; None without a render mode."""
+        return None if self._drawn is None else tuple(map_of(self._drawn, row) for row in range(self.num_envs))
 
     def _start(self, rows: Bools, seeds: list[int | None]) -> Observation:
         layouts = []

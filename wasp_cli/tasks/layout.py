@@ -50,7 +50,7 @@ class Thing:
 
 
 def square(half_side: float) -> tuple[Rectangle]:
-    """The square around the origin."""
+    """Return the square around the origin; lengths in m."""
     return ((-half_side, -half_side, half_side, half_side),)
 
 
@@ -68,7 +68,7 @@ class Layout:
 
 
 def checked_seed(seed: int) -> int:
-    """The seed itself.
+    """Return the seed itself.
 
     Raises:
         TaskError: the seed is outside [0, 2^32).
@@ -79,7 +79,7 @@ def checked_seed(seed: int) -> int:
 
 
 def random_stream(seed: int) -> np.random.RandomState:
-    """The stream of one episode: numpy's legacy generator, on which the reference package's layouts are defined."""
+    """Return the stream of one episode: numpy's legacy generator, on which the reference package's layouts are defined."""
     return np.random.RandomState(checked_seed(seed))
 
 
@@ -106,7 +106,7 @@ def draw_layout(stream: np.random.RandomState, agent: Thing, goal: Thing, others
 
 
 def draw_goal(stream: np.random.RandomState, goal: Thing, others: tuple[Thing, ...], others_xy: Floats) -> Floats | None:
-    """A free place [2] for the goal among the others [K, 2], or None when none was found."""
+    """Draw a free place [2] in m for the goal among the others [K, 2], or None when none was found."""
     limits = np.array([thing.keepout + goal.keepout for thing in others])
     for _ in range(TRIES_PER_GOAL):
         place = _draw(stream, goal)
@@ -160,19 +160,19 @@ class Streams:
         self._owed[row] = 0
         return self._streams[row]
 
-    def pass_step(self, rows: NDArray[np.intp]) -> None:
-        """Account for one env step of these rows."""
+    def count_step(self, rows: NDArray[np.intp]) -> None:
+        """Account for one env step of these rows [n]."""
         self._owed[rows] += 1
 
     def catch_up(self, row: int) -> np.random.RandomState:
-        """A row's stream, after the draws that its env steps owe."""
+        """Return a row's stream, after the draws that its env steps owe."""
         stream = self._streams[row]
         stream.random_sample(int(self._owed[row]))
         self._owed[row] = 0
         return stream
 
     def snapshot(self) -> dict[str, NDArray[np.uint32] | NDArray[np.int64]]:
-        """Plain arrays: `stream_key` [B, 624], `stream_position` [B], `stream_owed` [B]."""
+        """Return plain arrays: `stream_key` [B, 624], `stream_position` [B], `stream_owed` [B]."""
         states = [stream.get_state(legacy=False)["state"] for stream in self._streams]
         return {
             "stream_key": np.stack([np.asarray(state["key"], np.uint32) for state in states]),

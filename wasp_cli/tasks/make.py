@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from wasp_cli.tasks.mujoco_import import require_mujoco
+from wasp_cli.errors import UsageError
 from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
     from wasp_cli.tasks.base import VectorTask
+
+
+def require_mujoco() -> None:
+    """Import MuJoCo.
+
+    Raises:
+        UsageError: it does not import, because MUJOCO_GL names a backend that is not there.
+    """
+    try:
+        import mujoco  # noqa: F401
+    except (AttributeError, ImportError, RuntimeError) as error:
+        chosen = os.environ.get("MUJOCO_GL")
+        if chosen is None:
+            raise
+        raise UsageError(f"MuJoCo does not import with MUJOCO_GL={chosen}: {error}", "unset MUJOCO_GL, or set it to egl") from error
 
 
 def make_task(

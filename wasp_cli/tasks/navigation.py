@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
 from wasp_cli.tasks.batch import Totals, check_options, checked_action, chosen_rows, running_rows
+from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.camera.camera import Camera
-from wasp_cli.tasks.camera.look import Look, Scene
 from wasp_cli.tasks.frames import distance, wrapped
 from wasp_cli.tasks.layout import Streams
-from wasp_cli.tasks.local_physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
+from wasp_cli.tasks.physics import BODY_POSE, BODY_SPEED, Contacts, LocalPhysics, ModelBuilder, State, Surroundings
 
 PHYSICS_STEPS = 10
 """Physics steps per env step."""
@@ -53,8 +53,8 @@ class Navigation(ABC):
     cost_sources: tuple[str, ...]
 
     @abstractmethod
-    def look(self) -> Look:
-        """What it looks like."""
+    def appearance(self) -> Appearance:
+        """Return what it looks like."""
 
     @abstractmethod
     def _start(self, row: int, stream: np.random.RandomState) -> None:
@@ -62,7 +62,7 @@ class Navigation(ABC):
 
     @abstractmethod
     def route(self) -> Floats:
-        """The next point [B, 2] on the way to each goal, for the scripted driver."""
+        """Return the next point [B, 2] in m on the way to each goal, for the scripted driver."""
 
     @abstractmethod
     def _heading(self, rows: NDArray[np.intp]) -> Floats:
@@ -90,7 +90,7 @@ class Navigation(ABC):
 
     @abstractmethod
     def scene(self, rows: NDArray[np.intp]) -> Scene:
-        """What the cameras see."""
+        """Return what the cameras see, of `rows` [n]."""
 
     @abstractmethod
     def _own_arrays(self) -> dict[str, NDArray[Any]]:
@@ -131,7 +131,7 @@ class Navigation(ABC):
         self._ended = np.ones(batch, np.bool_)
         self._terminated = np.zeros(batch, np.bool_)
         self._streams = Streams(batch)
-        self._camera = Camera(self.look(), threads) if "pixels" in self.observe else None
+        self._camera = Camera(self.appearance(), threads) if "pixels" in self.observe else None
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
 
     # -- episodes ---------------------------------------------------------------------------------------------------------------
@@ -152,7 +152,7 @@ class Navigation(ABC):
         rows = running_rows(self._ended)
         self._control[rows] = control[rows]
         heading = self._heading(rows)
-        totals = Totals.nothing_yet(self.batch, self.cost_sources)
+        totals = Totals.zeros(self.batch, self.cost_sources)
         for _ in range(self.action_repeat):
             running = np.flatnonzero(~self._ended)
             if running.size:
@@ -176,7 +176,7 @@ class Navigation(ABC):
             # MuJoCo starts a state that it finds unstable anew, at the origin, and only writes a line into a log.
             raise TaskError(f"the physics of row {rows[np.argmin(way < _JUMP)]} became unstable: its robot jumped")
         self._velocity[rows] = (xy - origin) / self.env_seconds
-        self._streams.pass_step(rows)
+        self._streams.count_step(rows)
         self._env_steps[rows] += 1
         self._refresh(rows)
 
@@ -199,11 +199,11 @@ class Navigation(ABC):
         self._ended[row] = self._terminated[row] = True
 
     def pose(self) -> tuple[Floats, Floats, Floats]:
-        """Positions [B, 2], directions [B] of the robots' front, and velocities [B, 2] over the last env step, world frame."""
+        """Return positions [B, 2] in m, directions [B] of the robots' front in rad, and velocities [B, 2] in m/s over the last env step."""
         return self._qpos[:, :2].copy(), self._heading(np.arange(self.batch)), self._velocity.copy()
 
     def costs(self) -> dict[str, Bools]:
-        """Whether each source costs in the present state [B]."""
+        """Tell whether each source costs in the present state [B]."""
         return self._costs(np.arange(self.batch))
 
     # -- physics ----------------------------------------------------------------------------------------------------------------

@@ -8,17 +8,17 @@ from wasp_cli.tasks.base import Floats
 
 
 def parse_outline(text: str) -> Floats:
-    """Rows of comma-separated numbers, apart by white space -> [V, numbers in a row]."""
+    """Read rows of comma-separated numbers, apart by white space -> [V, numbers in a row]."""
     return np.array([[float(number) for number in row.split(",")] for row in text.split()])
 
 
 def segments(*rings: Floats) -> Floats:
-    """The sides of closed rings [V, 2] -> [sum of V, 2, 2] start and end points."""
+    """Return the sides of closed rings [V, 2] -> [sum of V, 2, 2] start and end points."""
     return np.concatenate([np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings])
 
 
 def distance_to_segments(places: Floats, sides: Floats) -> Floats:
-    """Distance of every place [n, 2] from every side [V, 2, 2] -> [n, V]."""
+    """Measure the distance of every place [n, 2] from every side [V, 2, 2] -> [n, V], in their unit."""
     start, along = sides[:, 0], sides[:, 1] - sides[:, 0]
     offset = places[:, None, :] - start
     length2 = np.maximum(along[:, 0] ** 2 + along[:, 1] ** 2, 1e-18)
@@ -29,7 +29,7 @@ def distance_to_segments(places: Floats, sides: Floats) -> Floats:
 
 
 def inside(places: Floats, ring: Floats) -> np.ndarray:
-    """Whether places [n, 2] lie within a closed ring [V, 2] -> bool [n], by the parity of crossings."""
+    """Tell whether places [n, 2] lie within a closed ring [V, 2] -> bool [n], by the parity of crossings."""
     x, y = places[:, 0, None], places[:, 1, None]
     x0, y0 = ring[:, 0], ring[:, 1]
     x1, y1 = np.roll(x0, -1), np.roll(y0, -1)

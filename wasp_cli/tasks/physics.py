@@ -1,15 +1,25 @@
-"""Physics of a batch: MuJoCo's own C loop over rows, each row a pure function of its state and control.
+"""Physics of a batch: an agent among free bodies and walls, of which only what is near it takes part.
 
-Every call starts the solver from zero, so that nothing but the state carries over: not the neighbours, not the thread, not the past.
+`BatchPhysics` is MuJoCo's own C loop over rows. Every call starts the solver from zero, so that nothing but the state carries over: not the
+neighbours, not the thread, not the past. In `LocalPhysics`, a body at rest out of reach neither moves nor exerts a force: leaving it out
+changes no motion, and saves most of the time. Every row is stepped in the smallest model that holds its agent, its K active bodies and,
+when one of them can touch a wall, the walls around.
+
+n = rows, F = free bodies of a row, K = those that are active. Units are m, rad, s and kg, as in MuJoCo.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
 import mujoco
 import numpy as np
 from mujoco import rollout
+from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.base import Bools, Floats
+from wasp_cli.tasks.frames import distance
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
@@ -26,7 +36,7 @@ class BatchPhysics:
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def advance(self, qpos: Floats, qvel: Floats, control: Floats, steps: int) -> tuple[Floats, Floats]:
-        """States after `steps` physics steps under a held control: [n, nq], [n, nv], [n, nu] -> [n, nq], [n, nv]."""
+        """Advance states by `steps` physics steps under a held control: [n, nq], [n, nv], [n, nu] -> [n, nq], [n, nv]."""
         if len(qpos) == 1:
             data = self._placed(qpos, qvel, control)
             mujoco.mj_step(self.model, data, nstep=steps)
@@ -36,7 +46,7 @@ class BatchPhysics:
         return state[:, -1, 1 : 1 + nq], state[:, -1, 1 + nq :]
 
     def sensors(self, qpos: Floats, qvel: Floats, control: Floats) -> Floats:
-        """Sensor readings [n, nsensordata] at these very states."""
+        """Read sensors [n, nsensordata] at these very states: [n, nq], [n, nv], [n, nu]."""
         if len(qpos) == 1:
             data = self._placed(qpos, qvel, control)
             mujoco.mj_forward(self.model, data)
@@ -72,3 +82,157 @@ class BatchPhysics:
                 sensordata=sensordata,
             )
         return state, sensordata
+
+
+BODY_POSE, BODY_SPEED = 7, 6
+"""Numbers in the pose (x, y, z, quaternion) and the velocity of a free body."""
+
+STATIC_SENSOR = "touches_static"
+"""Name of the contact sensor between agent and walls; models with walls have it."""
+
+
+def body_sensor(index: int) -> str:
+    """Return the name of the contact sensor between the agent and the active body `index`."""
+    return f"touches_body{index}"
+
+
+class ModelBuilder(Protocol):
+    """Makes the model of an agent with some free bodies."""
+
+    def __call__(self, bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
+        """The agent's joints come first, then one free joint per body; sensors of the agent first.
+
+        Walls are 0 (none), 1 (all of them), or a task's own number for a part of them. A model that is not to integrate only tells
+        sensors and contacts; it may be simpler.
+        """
+        ...
+
+
+class State(NamedTuple):
+    """Agents and free bodies of n rows."""
+
+    qpos: Floats
+    """[n, nq] of the agent."""
+    qvel: Floats
+    """[n, nv] of the agent."""
+    bodies: Floats
+    """[n, F, 7]"""
+    speeds: Floats
+    """[n, F, 6]"""
+
+
+class Surroundings(NamedTuple):
+    """What takes part in the physics of n rows."""
+
+    active: Bools
+    """[n, F]"""
+    walls: NDArray[np.int64]
+    """[n] which walls, as a `ModelBuilder` numbers them."""
+
+
+class Contacts(NamedTuple):
+    """What the agents touch."""
+
+    static: Bools
+    """[n]"""
+    bodies: Bools
+    """[n] any free body."""
+
+
+class LocalPhysics:
+    """Steps rows in groups that share a model; models are built when first needed."""
+
+    def __init__(self, build: ModelBuilder, threads: int = 1) -> None:
+        self._build = build
+        self._threads = threads
+        self._physics: dict[tuple[int, int, bool], BatchPhysics] = {}
+        model = self._of(0, 0, True).model
+        self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
+
+    def advance(self, state: State, control: Floats, around: Surroundings, steps: int) -> State:
+        """Advance states by `steps` physics steps under a held control [n, nu]. Bodies that are not active stay as they are."""
+        after = State(*(array.copy() for array in state))
+        for rows, picked, physics in self._groups(around, integrate=True):
+            qpos, qvel = physics.advance(*_packed(state, rows, picked), control[rows], steps)
+            after.qpos[rows], after.qvel[rows] = qpos[:, : self.nq], qvel[:, : self.nv]
+            if picked.size:
+                count = picked.shape[1]
+                after.bodies[rows[:, None], picked] = qpos[:, self.nq :].reshape(-1, count, BODY_POSE)
+                after.speeds[rows[:, None], picked] = qvel[:, self.nv :].reshape(-1, count, BODY_SPEED)
+        return after
+
+    def sensors(self, state: State, control: Floats, around: Surroundings, count: int) -> Floats:
+        """Read the first `count` sensor numbers [n, count] at these very states, under a control [n, nu]."""
+        out = np.empty((len(state.qpos), count))
+        for rows, picked, physics in self._groups(around, integrate=False):
+            out[rows] = physics.sensors(*_packed(state, rows, picked), control[rows])[:, :count]
+        return out
+
+    def contacts(self, state: State, control: Floats, around: Surroundings) -> Contacts:
+        """Tell whether the agents touch walls or bodies in these very states, under a control [n, nu]."""
+        static, bodies = np.zeros(len(state.qpos), np.bool_), np.zeros(len(state.qpos), np.bool_)
+        if not around.walls.any() and not around.active.any():
+            return Contacts(static, bodies)
+        for rows, picked, physics in self._groups(around, integrate=False):
+            count, model = picked.shape[1], physics.model
+            walls = int(around.walls[rows[0]])
+            if not count and not walls:
+                continue
+            found = physics.sensors(*_packed(state, rows, picked), control[rows])
+            if walls:
+                static[rows] = found[:, model.sensor(STATIC_SENSOR).adr[0]] > 0
+            if count:
+                bodies[rows] = (found[:, [model.sensor(body_sensor(i)).adr[0] for i in range(count)]] > 0).any(axis=1)
+        return Contacts(static, bodies)
+
+    def _groups(self, around: Surroundings, integrate: bool) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], BatchPhysics]]:
+        """Rows that share a model, the indices [n', K] of their active bodies, and the model's physics."""
+        counts = around.active.sum(axis=1)
+        radix = int(around.walls.max(initial=0)) + 1
+        keys = (radix * counts + around.walls).tolist()
+        for key in sorted(set(keys)):
+            rows = np.array([row for row, own in enumerate(keys) if own == key])
+            count, walls = divmod(key, radix)
+            picked = np.argsort(~around.active[rows], axis=1, kind="stable")[:, :count] if count else np.zeros((len(rows), 0), np.intp)
+            yield rows, picked, self._of(count, walls, integrate)
+
+    def _of(self, bodies: int, walls: int, integrate: bool) -> BatchPhysics:
+        key = (bodies, walls, integrate)
+        if key not in self._physics:
+            self._physics[key] = BatchPhysics(self._build(bodies, walls, integrate), self._threads)
+        return self._physics[key]
+
+
+def _packed(state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """qpos and qvel of some rows with their active bodies."""
+    if not picked.size:
+        return state.qpos[rows], state.qvel[rows]
+    bodies = state.bodies[rows[:, None], picked].reshape(len(rows), -1)
+    speeds = state.speeds[rows[:, None], picked].reshape(len(rows), -1)
+    return np.concatenate([state.qpos[rows], bodies], axis=1), np.concatenate([state.qvel[rows], speeds], axis=1)
+
+
+def active_bodies(
+    agent_xy: Floats, bodies: Floats, speeds: Floats, *, reach: float | Floats, apart: float, rest: float, max_distance: float = np.inf
+) -> Bools:
+    """Choose the free bodies [n, F] that take part: those in the agent's reach, those that move, and those in reach of one of these.
+
+    Args:
+        agent_xy: [n, 2] in m.
+        bodies: [n, F, 7] poses: m and quaternion.
+        speeds: [n, F, 6] in m/s and rad/s.
+        reach: distance of the agent's origin from a body's within which they can touch during an env step, in m; one, or [n, F].
+        apart: the same between two bodies, in m.
+        rest: largest entry of a velocity that counts as rest, in m/s or rad/s.
+        max_distance: a body farther than this from the agent stands still, whatever its velocity, in m.
+    """
+    if not bodies.shape[1]:
+        return np.zeros(bodies.shape[:2], np.bool_)
+    range_ = distance(bodies[..., :2], agent_xy[:, None])
+    moving = (np.abs(speeds) > rest).any(axis=2) & (range_ < max_distance)
+    active: Bools = (range_ < reach) | moving
+    if active.any():
+        row, first = np.nonzero(active)
+        close = distance(bodies[row, :, :2], bodies[row, first, None, :2]) < apart
+        np.logical_or.at(active, row, close)
+    return active

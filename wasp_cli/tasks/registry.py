@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from wasp_cli.errors import UnknownName, closeness
-from wasp_cli.registry import Registry, load_target, module_of
+from wasp_cli.registry import Registry, module_of
 
 if TYPE_CHECKING:
     from wasp_cli.tasks.foreign.examine import Facts
 
+Matrix = tuple[tuple[float, ...], ...]
 NAMESPACE = "wasp/"
 """Of our own tasks in gymnasium's registry."""
 _GYM_MODULE = "wasp_cli.tasks.gym:"
@@ -53,9 +54,12 @@ class TaskInfo(_Named):
     """Goals (stages) within the time limit that count as success."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """What the class is built with, beside what `make_task` passes."""
+    mirror: Matrix | None = None
+    """Turns an action [A] into that of the mirrored episode, as rows [A][A], where the task works and is seen the same with left and right
+    exchanged: every recorded episode is then another possible one. None where it does not, as on a track."""
 
     def facts(self) -> dict[str, Any]:
-        """What the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
+        """Return what the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
         return _facts(self)
 
 
@@ -66,21 +70,24 @@ class ForeignInfo(_Named):
     """
 
     options: ClassVar[Mapping[str, Any]] = {}
+    mirror: ClassVar[Matrix | None] = None
+    """Nothing is known of the symmetries of others' environments."""
 
     def __init__(self, name: str) -> None:
         gym_id = name.rpartition(":")[2]
         super().__init__(name, gym_id, gym_id, "wasp_cli.tasks.foreign.task:GymTask")
 
     def examine(self) -> Facts:
-        """What the environment says of itself.
+        """Return what the environment says of itself.
 
         Raises:
             UnknownName: no such id.
             TaskError: its module does not import, or it lacks something that a task needs.
         """
-        # By its import string: what plans and reads specs must not import gymnasium for every task.
-        facts: Facts = load_target("wasp_cli.tasks.foreign.examine:examine")(self.name)
-        return facts
+        # Not above: what plans and reads specs must not import gymnasium for every task.
+        from wasp_cli.tasks.foreign.examine import examine
+
+        return examine(self.name, [*TASKS, *(TASKS[task].gym_id for task in TASKS)])
 
     @property
     def env_seconds(self) -> float:
@@ -102,7 +109,7 @@ class ForeignInfo(_Named):
         return (*super().modules, *self.examine().modules)
 
     def facts(self) -> dict[str, Any]:
-        """See `TaskInfo`; how an environment is registered moves results too."""
+        """Return what `TaskInfo` does, and how an environment is registered, which moves results too."""
         return _facts(self) | {"registered": self.examine().registered}
 
 
@@ -110,7 +117,7 @@ AnyTaskInfo = TaskInfo | ForeignInfo
 
 
 def _facts(info: AnyTaskInfo) -> dict[str, Any]:
-    return {name: getattr(info, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options")}
+    return {name: getattr(info, name) for name in ("name", "env_seconds", "env_steps", "success_goals", "options", "mirror")}
 
 
 class TaskRegistry(Registry[AnyTaskInfo]):
@@ -125,10 +132,21 @@ class TaskRegistry(Registry[AnyTaskInfo]):
             raise UnknownName("task", name, _names(name)) from None
 
     def load(self, name: str) -> Any:
-        """The class of a task, or for a gymnasium id what takes the same arguments."""
-        made = super().load(name)
-        return functools.partial(made, name) if isinstance(self[name], ForeignInfo) else made
+        """Return the class of a task, or for a gymnasium id what takes the same arguments.
 
+        Raises:
+            UnknownName: no such task; of a gymnasium id with what it may have been meant to be.
+            TaskError: see `ForeignInfo.examine`.
+        """
+        info, made = self[name], super().load(name)
+        if not isinstance(info, ForeignInfo):
+            return made
+        info.examine()
+        return functools.partial(made, name)
+
+
+_TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))
+"""Of throttle and turn rate: nothing is left or right in Goal but the turning."""
 
 _GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
 
@@ -138,24 +156,24 @@ TASKS: Registry[AnyTaskInfo] = TaskRegistry(
     (
         TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", _RACE, 0.04, 500, 1, {"level": 1}),
         TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", _FORMULA, 0.04, 1000, 1, {"level": 1}),
-        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}),
+        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}, _TURNING),
         TaskInfo("race0", "Race0", "wasp/SafetyCarRace0-v0", _RACE, 0.04, 500, 1, {"level": 0}),
         TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}),
-        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}),
-        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}),
+        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}, _TURNING),
+        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}, _TURNING),
     ),
 )
 
 
 def is_foreign(name: str) -> bool:
-    """Whether a name has the form of a gymnasium id that is not ours: `module:Name`, `space/Name` or `Name-v0`."""
+    """Tell whether a name has the form of a gymnasium id that is not ours: `module:Name`, `space/Name` or `Name-v0`."""
     own = name.removeprefix(_GYM_MODULE).startswith(NAMESPACE)
     marked = ":" in name or "/" in name or re.search(r"-v\d+$", name) is not None
     return marked and not own and _GYM_ID.fullmatch(name) is not None
 
 
 def task_named(text: str) -> str:
-    """The name of a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`.
+    """Find a task that people may also call by its gymnasium id: `goal1`, `wasp/SafetyPointGoal1-v0`, `SafetyPointGoal1-v0`.
 
     Raises:
         UnknownName: no task is called so.

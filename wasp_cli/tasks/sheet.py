@@ -9,11 +9,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.errors import UsageError
-from wasp_cli.tasks.base import HasScene, Observation, Pixels, VectorTask
-from wasp_cli.tasks.make import make_task
-from wasp_cli.tasks.mujoco_import import require_mujoco
+from wasp_cli.tasks.base import Observation, Pixels, VectorTask
+from wasp_cli.tasks.camera.appearance import HasScene
+from wasp_cli.tasks.make import make_task, require_mujoco
 from wasp_cli.tasks.registry import TASKS, task_named
-from wasp_cli.tasks.views import from_above
 
 CAMERA, GAP, TITLE, CAPTION = 256, 12, 56, 22
 """Sides and heights in px; a camera image is shown at four times its size."""
@@ -63,6 +62,9 @@ def draw_sheet(task: str, seed: int, steps: int, path: Path | None) -> Path:
     require_mujoco()
     made = make_task(name, 1, observe=("pixels",))
     first = _seen(made.reset([seed]), 0)
+    # Not above: it imports MuJoCo, and whether that imports is asked first.
+    from wasp_cli.tasks.camera.topdown import from_above
+
     overview = from_above(made, 0, MAP) if isinstance(made, HasScene) else None
     moments = _driven(made, first, seed, min(steps, made.max_decisions))
     # Others' environments may have one camera; then the rear image of their pixels is black.

@@ -56,7 +56,7 @@ class Speed(NamedTuple):
 def measure(name: str, seconds: float = 1.0) -> Speed:
     """Measure one task, spending about `seconds` on each figure."""
     seen = _task(name, 16, ("pixels",), 4)
-    camera, scene = Camera(seen.look()), seen.scene(np.arange(16))
+    camera, scene = Camera(seen.appearance()), seen.scene(np.arange(16))
     one = _task(name, 1, (), 1)
     kept = one.snapshot()
     seeds = iter(range(10**9))

@@ -15,7 +15,8 @@ from PIL import Image, features
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.playback import Played, play
 from wasp_cli.report.page.films import Sprite
-from wasp_cli.tasks.base import Floats, HasScene, Pixels
+from wasp_cli.tasks.base import Floats, Pixels
+from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.map import COST, MapView, Pose, along, draw_actions
 
@@ -67,7 +68,7 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
     for actions in (a, a_h):
         if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
             raise ArtifactError(f"the rows do not have {made.action_size} finite numbers for every action", "run the spec again")
-    view = MapView(made.look(), size) if isinstance(made, HasScene) else None
+    view = MapView(made.appearance(), size) if isinstance(made, HasScene) else None
     frames: list[Pixels] = []
     decisions: list[int] = []
     positions: list[Floats] = []
@@ -87,7 +88,7 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
             picture.trail(along(positions), size / 160)
             picture.dots(along(paid), COST, size / 90)
             if played.t < len(a):
-                draw_actions(picture, made, Pose(made.look(), scene), a_h[played.t], a[played.t], size / 70)
+                draw_actions(picture, made, Pose(made.appearance(), scene), a_h[played.t], a[played.t], size / 70)
             if costly:
                 picture.edge(COST, size / 50)
             frames.append(np.asarray(picture.finished()))

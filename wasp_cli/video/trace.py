@@ -24,8 +24,8 @@ from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.tasks.base import Floats, HasScene, Pixels, VectorTask
-from wasp_cli.tasks.camera.look import Look, Scene
+from wasp_cli.tasks.base import Floats, Pixels, VectorTask
+from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.imagined import Readout, RolloutStart, displacements, fit, rollout_start
 
@@ -91,7 +91,7 @@ class PlayedEpisode(NamedTuple):
 
     model: SafetyWorldModel
     world: VectorTask
-    look: Look | None
+    appearance: Appearance | None
     cameras: int
     decisions: list[PlayedDecision]
     """in order; the decisions that are shown"""
@@ -134,7 +134,7 @@ def _play_episode(
     source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
 ) -> PlayedEpisode:
     world, model = source.world(), load_world_model(source.world_model)
-    look = world.look() if isinstance(world, HasScene) else None
+    appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
     features: list[NDArray[np.float32]] = []
@@ -142,8 +142,8 @@ def _play_episode(
     decisions: list[PlayedDecision] = []
     for moment in rerun:
         t = moment.t
-        if look is not None and isinstance(world, HasScene):
-            poses.append(_poses(look, world.scene(everyone)))
+        if appearance is not None and isinstance(world, HasScene):
+            poses.append(_poses(appearance, world.scene(everyone)))
             features.append(moment.latent.features.numpy().copy())
         if t in shown and t < length:
             assert moment.seen.pixels is not None
@@ -157,12 +157,12 @@ def _play_episode(
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
     readout, explained = _read_out(features, poses, rerun.lengths, episode)
-    return PlayedEpisode(model, world, look, getattr(world, "cameras", 2), decisions, places, readout, explained)
+    return PlayedEpisode(model, world, appearance, getattr(world, "cameras", 2), decisions, places, readout, explained)
 
 
-def _poses(look: Look, scene: Scene) -> Floats:
+def _poses(appearance: Appearance, scene: Scene) -> Floats:
     """[B, 3] x, y and yaw of the robots' fronts."""
-    front = scene.rotation[:, :2, :2] @ np.array(look.forward)
+    front = scene.rotation[:, :2, :2] @ np.array(appearance.forward)
     return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)
 
 

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import CAMERA_SIZE, Floats
-from wasp_cli.tasks.camera.frame import Frame, column, put, rounded
-from wasp_cli.tasks.camera.look import Kind, Look, Scene, Shades, Things
-from wasp_cli.tasks.camera.panorama import DIRECTIONS, Columns, board_sides, directions, join, look_around, make_columns, wall_sides
-from wasp_cli.tasks.camera.rays import FAR, View
+from wasp_cli.tasks.camera.appearance import Appearance, Kind, Scene, Shades, Things
+from wasp_cli.tasks.camera.frame import FAR, Frame, View, column, put, rounded
+from wasp_cli.tasks.camera.panorama import DIRECTIONS, Columns, column_sides, directions, draw_panorama, join, make_columns, wall_sides
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
@@ -34,21 +33,21 @@ class _Ground(NamedTuple):
 
 
 class Backdrop:
-    """Draws it for one look and the view of its robot."""
+    """Draws it for one appearance and the view of its robot."""
 
-    def __init__(self, look: Look, view: View) -> None:
-        self._look, self._view = look, view
-        self._walls, self._wall_layers = wall_sides(look.walls, look.haze)
-        marks = look.landmarks
+    def __init__(self, appearance: Appearance, view: View) -> None:
+        self._appearance, self._view = appearance, view
+        self._walls, self._wall_layers = wall_sides(appearance.walls, appearance.haze)
+        marks = appearance.landmarks
         shapes, colours = [(mark.radius, mark.top) for mark in marks], [mark.colour for mark in marks]
         self._landmarks = make_columns([mark.xy for mark in marks], shapes, colours, self._wall_layers)
-        self._columns = [kind for kind in look.kinds if kind.column is not None]
-        self._painted = [kind for kind in look.kinds if kind.painted is not None]
-        self._anything_upright = bool(look.walls or look.landmarks or self._columns)
+        self._columns = [kind for kind in appearance.kinds if kind.column is not None]
+        self._painted = [kind for kind in appearance.kinds if kind.painted is not None]
+        self._anything_upright = bool(appearance.walls or appearance.landmarks or self._columns)
 
     def draw(self, frame: Frame, scene: Scene, row: int) -> None:
-        """Fill every pixel."""
-        look, rays, depth = self._look, frame.rays, frame.depth
+        """Fill every pixel of a frame with what is behind the things of one row of a scene, in image and depth (m)."""
+        appearance, rays, depth = self._appearance, frame.rays, frame.depth
         # A ray meets the floor at `height * fall`; above the horizon that is so far away that it never counts.
         fall = _ONE / np.maximum(-rays[2], np.float32(1e-6))
         floor_depth = np.float32(frame.origin[2]) * fall
@@ -61,8 +60,8 @@ class Backdrop:
             ground = _Ground(pixels, floor_depth[pixels], fall, rays[0][pixels] * fall, rays[1][pixels] * fall)
             frame.put(pixels, self._floor(ground, frame.origin, scene, row))
         sky = np.flatnonzero(depth >= np.float32(FAR))
-        horizon = column(look.horizon)
-        frame.put(sky, horizon + (column(look.zenith) - horizon) * np.clip(rays[2][sky] * np.float32(2.0), _ZERO, _ONE))
+        horizon = column(appearance.horizon)
+        frame.put(sky, horizon + (column(appearance.zenith) - horizon) * np.clip(rays[2][sky] * np.float32(2.0), _ZERO, _ONE))
         frame.put(self._view.own, self._view.own_colour)
 
     def _floor(self, ground: _Ground, origin: Floats, scene: Scene, row: int) -> Shades:
@@ -71,14 +70,14 @@ class Backdrop:
         # A pixel's size on the floor, along its longer side.
         footprint = ground.depth * ground.fall
         footprint *= np.float32(2.0 / CAMERA_SIZE)
-        colours = self._look.floor.paint(x + z * ground.run_x, y + z * ground.run_y, footprint)
+        colours = self._appearance.floor.paint(x + z * ground.run_x, y + z * ground.run_y, footprint)
         for kind in self._painted:
             _paint_discs(colours, kind, scene.things[kind.name], row, ground, origin)
-        left = ground.depth * np.float32(1.0 / self._look.haze)
+        left = ground.depth * np.float32(1.0 / self._appearance.haze)
         left *= left
         left += _ONE
         np.divide(_ONE, left, out=left)
-        horizon = column(self._look.horizon)
+        horizon = column(self._appearance.horizon)
         colours -= horizon
         colours *= left
         colours += horizon
@@ -89,7 +88,7 @@ class Backdrop:
         rays, depth = frame.rays, frame.depth
         x, y, z = (np.float32(value) for value in frame.origin)
         columns, layers = self._all_columns(scene, row)
-        panorama = look_around(join([self._walls, board_sides(columns, x, y)]), layers, x, y, column(self._look.horizon))
+        panorama = draw_panorama(join([self._walls, column_sides(columns, x, y)]), layers, x, y, column(self._appearance.horizon))
         step = directions(rays[0], rays[1]).astype(np.intp)
         step &= DIRECTIONS - 1
         # Length of a ray per length of the direction's vector on the square.

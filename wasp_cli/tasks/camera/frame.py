@@ -1,15 +1,124 @@
-"""One image pair while it is being drawn. P = 2 * 64 * 64 pixels, front image first; m = some of them."""
+"""The rays of both cameras, what they see of the robot itself, and one image pair while it is being drawn.
+
+P = 2 * 64 * 64 pixels, front image first; m = some of them.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.camera.look import Colour, Scene, Shades
-from wasp_cli.tasks.camera.rays import View
+from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats
+from wasp_cli.tasks.camera.appearance import Appearance, Colour, Scene, Shades
+
+FRONT_SLOPE = 0.4
+"""The front camera looks down by this slope (21.8 degrees), the rear camera is level; both have 90 degrees field of view."""
+
+FAR = 300.0
+"""Depth of the sky in m: nothing that is farther away is drawn."""
+
+
+class View(NamedTuple):
+    """What is constant in the robot's frame. Every image of a robot starts from it."""
+
+    axes: Floats
+    """[2, 3, 3] for each camera its forward, right and up unit vectors."""
+    rays: Shades
+    """[3, P] unit vectors."""
+    depth: Shades
+    """[P] distance to the robot's own body, FAR where it is out of sight."""
+    own: NDArray[np.intp]
+    """[O] the pixels that show the robot's own body."""
+    own_colour: Shades
+    """[3, O]"""
+
+
+def camera_axes(forward: tuple[float, float], slope: float) -> Floats:
+    """Return unit vectors [3, 3] forward, right and up of a camera that looks along `forward` and down by `slope` (a tangent)."""
+    ahead = np.array([*forward, -slope]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2 + slope**2)
+    right = np.array([forward[1], -forward[0], 0.0]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2)
+    return np.stack([ahead, right, np.cross(right, ahead)])
+
+
+def camera_rays(axes: Floats) -> Floats:
+    """Return unit vectors [64 * 64, 3] through the pixel centres of a camera, `axes` [3, 3], 90 degrees field of view, top row first."""
+    forward, right, up = axes
+    at = (np.arange(CAMERA_SIZE) + 0.5) / (CAMERA_SIZE / 2) - 1.0
+    rays = (forward + at[None, :, None] * right - at[:, None, None] * up).reshape(-1, 3)
+    x, y, z = rays.T
+    unit: Floats = rays / np.sqrt(x * x + y * y + z * z)[:, None]
+    return unit
+
+
+def make_view(appearance: Appearance) -> View:
+    """Cast all rays once at the robot itself."""
+    fx, fy = appearance.forward
+    axes = np.stack([camera_axes((fx, fy), FRONT_SLOPE), camera_axes((-fx, -fy), 0.0)])
+    # Rounded first, so that the last bit of a machine's square root or cross product cannot reach an image.
+    rays = np.concatenate([camera_rays(each) for each in axes]).astype(np.float32).astype(np.float64)
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{''.join(part.geom for part in appearance.robot)}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    distance, normals, geoms = cast(model, data, np.array([0.0, 0.0, appearance.camera_height]), rays)
+    own = np.flatnonzero(geoms >= 0)
+    colours = np.array([part.colour for part in appearance.robot], np.float32)
+    depth = np.full(len(rays), FAR, np.float32)
+    depth[own] = distance[own]
+    own_colour = colours[geoms[own]].T * shade(normals[own], rays[own])
+    return View(axes, np.ascontiguousarray(rays.T, np.float32), depth, own, own_colour)
+
+
+def cast(model: mujoco.MjModel, data: mujoco.MjData, origin: Floats, rays: Floats) -> tuple[Floats, Floats, NDArray[np.int32]]:
+    """Return distances [m] in m (-1: no hit), normals [m, 3] and geom ids [m] (-1) from `origin` [3] along unit vectors `rays` [m, 3]."""
+    count = len(rays)
+    distance, normal, geoms = np.full(count, -1.0), np.zeros(3 * count), np.full(count, -1, np.int32)
+    if count:
+        mujoco.mj_multiRay(model, data, origin, rays.reshape(-1), None, True, -1, geoms, distance, normal, count, FAR)
+    return distance, normal.reshape(-1, 3), geoms
+
+
+def shade(normals: Floats, rays: Floats) -> Shades:
+    """Return brightness [m] in [0.45, 1] of `normals` [m, 3] seen along `rays` [m, 3]: a light straight above and one at the camera."""
+    facing = np.abs(normals[:, 0] * rays[:, 0] + normals[:, 1] * rays[:, 1] + normals[:, 2] * rays[:, 2])
+    bright: Shades = (0.45 + 0.3 * np.maximum(normals[:, 2], 0.0) + 0.25 * facing).astype(np.float32)
+    return bright
+
+
+def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDArray[np.intp]]:
+    """Find where cameras with `axes` [2, 3, 3] in the world see spheres: `radii` [m] in m, `centres` [m, 3] relative to the cameras.
+
+    Returns:
+        Whether any pixel can show it [2, m], and the first and last-plus-one row and column [2, m, 4] of those that can.
+    """
+    ahead, right, up = (
+        axes[:, axis, 0, None] * centres[:, 0] + axes[:, axis, 1, None] * centres[:, 1] + axes[:, axis, 2, None] * centres[:, 2]
+        for axis in range(3)
+    )
+    half = CAMERA_SIZE / 2
+    bottom, top = _span(ahead, up, radii)
+    left, right_end = _span(ahead, right, radii)
+    # A pixel of slack: a candidate too many costs a ray, one too few would cut the thing.
+    edges = np.stack([(1.0 - top) * half, (1.0 - bottom) * half, (left + 1.0) * half, (right_end + 1.0) * half], axis=-1)
+    edges += [-1.0, 1.0, -1.0, 1.0]
+    inner = np.clip(edges, 0, CAMERA_SIZE).astype(np.intp)
+    seen = (ahead > -radii) & (inner[..., 0] < inner[..., 1]) & (inner[..., 2] < inner[..., 3])
+    return seen, inner
+
+
+def _span(ahead: Floats, across: Floats, radii: Floats) -> tuple[Floats, Floats]:
+    """Least and greatest across / ahead at which spheres are seen: of the tangents to their outlines, where they lie ahead."""
+    radii2 = radii * radii
+    reach = radii * np.sqrt(np.maximum(across * across + ahead * ahead - radii2, 0.0))
+    beside, clear, mixed = across * across - radii2, ahead * ahead - radii2, across * ahead
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Twice the same quotient, once in the form that holds beside the camera and once in that which holds ahead of it.
+        low = np.where(across > radii, beside / (mixed + reach), np.where(ahead > radii, (mixed - reach) / clear, -1e3))
+        high = np.where(across < -radii, beside / (mixed - reach), np.where(ahead > radii, (mixed + reach) / clear, 1e3))
+    return low, high
+
 
 _LOWEST = 0.02
 """Height in m below which no camera sinks, even that of a car on its back."""
@@ -35,7 +144,7 @@ class Frame(NamedTuple):
 
 
 def open_frame(view: View, camera_height: float, scene: Scene, row: int) -> Frame:
-    """The cameras of one row, of which nothing was drawn but the depth of the robot's own body."""
+    """Place the cameras (`camera_height` in m) of one row; nothing is drawn yet but the depth of the robot's own body."""
     turn = rounded(scene.rotation[row])
     origin = rounded(scene.position[row]) + turn[:, 2] * camera_height
     origin[2] = max(origin[2], _LOWEST)
@@ -54,10 +163,10 @@ def put(image: Shades, pixels: NDArray[np.intp], colours: Shades) -> None:
 
 
 def rounded(values: Floats) -> Floats:
-    """To float32 and back: differences of the last bits between machines are gone, the arithmetic stays in float64."""
+    """Round to float32 and back, any shape: differences of the last bits between machines are gone, the arithmetic stays in float64."""
     return values.astype(np.float32).astype(np.float64)
 
 
 def column(rgb: Colour) -> Shades:
-    """[3, 1]"""
+    """Return a colour as float32 [3, 1]."""
     return np.array(rgb, np.float32)[:, None]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wasp_cli.tasks.base import CAMERA_SIZE
-from wasp_cli.tasks.camera.look import Colour, Shades, Wall
+from wasp_cli.tasks.camera.appearance import Colour, Shades, Wall
 
 DIRECTIONS = 512
 """N: at least three to the width of a pixel."""
@@ -37,7 +37,7 @@ class Sides(NamedTuple):
     """[S]"""
     mean: Shades
     """[3, S] mean of the two colours."""
-    swing: Shades
+    amplitude: Shades
     """[3, S] half their difference."""
     stripe: Shades
     """[S] length of one stripe."""
@@ -74,7 +74,7 @@ class Panorama(NamedTuple):
 
 
 def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
-    """All sides of the walls, and into how many layers they fall: walls of similar height share one.
+    """Return all sides of the walls, and into how many layers they fall: walls of similar height share one.
 
     At the distance `haze` in m half of their colour is left.
     """
@@ -96,7 +96,7 @@ def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
 
 
 def make_columns(places: ArrayLike, shapes: Sequence[tuple[float, float]], colours: Sequence[Colour], layer: int) -> Columns:
-    """S columns at `places` [S, 2] with radii and heights `shapes` [S, 2], all in one layer."""
+    """Return S columns at `places` [S, 2] with radii and heights `shapes` [S, 2] in m, all in one layer."""
     count = len(shapes)
     shape = np.array(shapes, np.float32).reshape(count, 2)
     return Columns(
@@ -108,8 +108,8 @@ def make_columns(places: ArrayLike, shapes: Sequence[tuple[float, float]], colou
     )
 
 
-def board_sides(columns: Columns, ox: np.float32, oy: np.float32) -> Sides:
-    """Columns as boards that face the viewer at (ox, oy), at least a pixel wide."""
+def column_sides(columns: Columns, ox: np.float32, oy: np.float32) -> Sides:
+    """Turn columns into boards that face the viewer at (ox, oy) in m, at least a pixel wide."""
     dx, dy = columns.centre[0] - ox, columns.centre[1] - oy
     distance = np.maximum(np.sqrt(dx * dx + dy * dy), np.float32(1e-6))
     # Five quarters of a pixel at the middle of the image, where a pixel sees the least.
@@ -124,13 +124,13 @@ _Parts = TypeVar("_Parts", Sides, Columns)
 
 
 def join(parts: Sequence[_Parts]) -> _Parts:
-    """All parts in one."""
+    """Concatenate parts along S."""
     first = parts[0]
     return first if len(parts) == 1 else type(first)(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
 
 
 def directions(x: Shades, y: Shades) -> Shades:
-    """Where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N]."""
+    """Return where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N]."""
     steep = np.abs(y) > np.abs(x)
     along, ahead = np.where(steep, -x, y), np.where(steep, y, x)
     quarter = np.where(ahead > 0, np.float32(0.0), np.float32(2.0))
@@ -155,8 +155,8 @@ _TOWARDS = _unit_square()
 _LENGTH = np.sqrt(_TOWARDS[0] * _TOWARDS[0] + _TOWARDS[1] * _TOWARDS[1])
 
 
-def look_around(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horizon: Shades) -> Panorama:
-    """What there is to see from (ox, oy), fading into the colour `horizon` [3, 1]. A place inside of a solid sees its walls from behind."""
+def draw_panorama(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horizon: Shades) -> Panorama:
+    """Find what there is to see from (ox, oy) in m, fading into `horizon` [3, 1]. A place inside of a solid sees its walls from behind."""
     x0, y0, x1, y1 = sides.start[0] - ox, sides.start[1] - oy, sides.end[0] - ox, sides.end[1] - oy
     # A viewer exactly on a corner: any direction will do for it.
     x0[(x0 == 0) & (y0 == 0)] = x1[(x1 == 0) & (y1 == 0)] = np.float32(1e-6)
@@ -201,7 +201,7 @@ def look_around(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horiz
     light = np.float32(0.65) + np.float32(0.35) * facing
     away = distance * _LENGTH[step]
     left = np.float32(1.0) / (np.float32(1.0) + sides.fading[owner] * away * away)
-    colours = np.take(sides.swing, owner, axis=1)
+    colours = np.take(sides.amplitude, owner, axis=1)
     colours *= wave
     colours += np.take(sides.mean, owner, axis=1)
     colours *= light * left

@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Bools, Floats, Pixels
-from wasp_cli.tasks.camera.look import Colour, Look, Scene
+from wasp_cli.tasks.camera.appearance import Appearance, Colour, HasScene, Scene
 from wasp_cli.tasks.camera.raster import around as window_around
 from wasp_cli.tasks.camera.raster import filled, near_sides
 from wasp_cli.tasks.outline import segments
 
 # On a map of a whole track things are smaller than a pixel: as shares of the map's half side, what they are drawn as at least.
 LEAST_ROBOT, LEAST_GOAL, LEAST_THING = 0.045, 0.02, 0.005
+MAP_SIZE = 256
+"""Side of a map in pixels, where nothing else is asked for."""
 _MARGIN = 0.2
 """How close in m the robot may come to the border of a map that follows it."""
 _HEADING_COLOUR = (1.0, 1.0, 1.0)
@@ -57,16 +59,16 @@ class _Canvas:
         self._blend((rows, columns), inside, colour, alpha)
 
     def in_view(self, places: Floats, extent: float) -> Bools:
-        """Whether something of a size may show at each of [K, 2]; most of a long track is outside of a map that follows the robot."""
+        """Tell whether something of `extent` m may show at places [K, 2]; most of a long track is beyond a map that follows the robot."""
         near: Bools = np.abs(places - self.centre).max(axis=1) <= self.half_side + extent
         return near
 
     def disc(self, centre: Floats, radius: float, colour: Colour, alpha: float = 1.0) -> None:
-        """Fill a disc."""
+        """Fill a disc around `centre` [2]; lengths in m."""
         self.shape(_disc(radius), centre, np.eye(2), colour, alpha)
 
     def triangle(self, corners: Floats, colour: Colour) -> None:
-        """Fill the triangle `corners` [3, 2]."""
+        """Fill the triangle `corners` [3, 2] in m."""
         rows, columns = window_around(self.x, self.y, corners.min(axis=0), corners.max(axis=0))
         self._blend((rows, columns), filled(corners, self.x[columns], self.y[rows]), colour, 1.0)
 
@@ -75,41 +77,54 @@ class _Canvas:
         view[inside] = (1.0 - alpha) * view[inside] + alpha * np.array(colour)
 
 
-def draw_map(look: Look, scene: Scene, row: int, size: int, around: tuple[tuple[float, float], float] | None = None) -> Pixels:
-    """uint8 [size, size, 3] of one row, +x to the right, +y up; `around`: its centre and half its side in m, instead of the look's own."""
-    position, forward = scene.position[row, :2], scene.rotation[row, :2, :2] @ np.array(look.forward)
-    half_side = look.map_half_side if around is None else around[1]
+def from_above(task: HasScene, row: int, size: int = MAP_SIZE) -> Pixels:
+    """Draw one episode of a task as a map: uint8 [size, size, 3], +x to the right, +y up."""
+    return draw_map(task.appearance(), task.scene(np.array([row])), 0, size)
+
+
+def draw_map(appearance: Appearance, scene: Scene, row: int, size: int, around: tuple[tuple[float, float], float] | None = None) -> Pixels:
+    """Draw one row of a scene as a map: uint8 [size, size, 3], +x to the right, +y up.
+
+    Args:
+        appearance: of the task.
+        scene: n rows.
+        row: which of them.
+        size: side of the map in pixels.
+        around: centre and half side of the map in m, instead of the appearance's own.
+    """
+    position, forward = scene.position[row, :2], scene.rotation[row, :2, :2] @ np.array(appearance.forward)
+    half_side = appearance.map_half_side if around is None else around[1]
     if around is not None:
         centre = np.array(around[0])
-    elif look.map_centre is not None:
-        centre = np.array(look.map_centre)
+    elif appearance.map_centre is not None:
+        centre = np.array(appearance.map_centre)
     else:
         centre = position - np.clip(position, _MARGIN - half_side, half_side - _MARGIN)
     canvas = _Canvas(centre, half_side, size)
-    _draw_ground(canvas, look)
-    _draw_things(canvas, look, scene, row, half_side)
-    _draw_robot(canvas, look, position, forward, half_side)
+    _draw_ground(canvas, appearance)
+    _draw_things(canvas, appearance, scene, row, half_side)
+    _draw_robot(canvas, appearance, position, forward, half_side)
     out: Pixels = (np.clip(canvas.image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     return out
 
 
-def _draw_ground(canvas: _Canvas, look: Look) -> None:
+def _draw_ground(canvas: _Canvas, appearance: Appearance) -> None:
     x, y = (each.ravel().astype(np.float32) for each in np.meshgrid(canvas.x, canvas.y))
-    colours = look.floor.paint(x, y, np.full(x.shape, canvas.pixel, np.float32))
+    colours = appearance.floor.paint(x, y, np.full(x.shape, canvas.pixel, np.float32))
     canvas.image[:] = colours.T.reshape(canvas.image.shape)
-    for wall in look.walls:
+    for wall in appearance.walls:
         first, second = (np.array(colour) for colour in wall.colours)
         if not wall.hollow:
             canvas.image[filled(wall.outline, canvas.x, canvas.y)] = (first + second) / 2.0
         width = max(0.05, 0.75 * canvas.pixel)
         for _, window, distance, _ in near_sides(segments(wall.outline), canvas.x, canvas.y, width):
             canvas.image[window][distance < width] = first
-    for mark in look.landmarks:
+    for mark in appearance.landmarks:
         canvas.disc(np.array(mark.xy), max(mark.radius, 1.5 * canvas.pixel), mark.colour)
 
 
-def _draw_things(canvas: _Canvas, look: Look, scene: Scene, row: int, half_side: float) -> None:
-    for kind in sorted(look.kinds, key=lambda kind: (kind.painted is None, kind.alpha == 1.0, kind.name == "goal")):
+def _draw_things(canvas: _Canvas, appearance: Appearance, scene: Scene, row: int, half_side: float) -> None:
+    for kind in sorted(appearance.kinds, key=lambda kind: (kind.painted is None, kind.alpha == 1.0, kind.name == "goal")):
         things = scene.things[kind.name]
         shapes = _shapes(kind.geoms) if kind.column is None else (_disc(kind.column[0]),)
         least = half_side * (LEAST_GOAL if kind.name == "goal" else LEAST_THING)
@@ -122,14 +137,14 @@ def _draw_things(canvas: _Canvas, look: Look, scene: Scene, row: int, half_side:
                 canvas.shape(shape, things.position[row, thing, :2], axes, kind.colour, alpha, scale)
 
 
-def _draw_robot(canvas: _Canvas, look: Look, position: Floats, forward: Floats, half_side: float) -> None:
-    parts = [(_shapes(part.geom), part.colour) for part in look.robot]
+def _draw_robot(canvas: _Canvas, appearance: Appearance, position: Floats, forward: Floats, half_side: float) -> None:
+    parts = [(_shapes(part.geom), part.colour) for part in appearance.robot]
     extent = max(_extent(shapes) for shapes, _ in parts)
     scale = max(1.0, half_side * LEAST_ROBOT / extent)
     forward = forward / max(float(np.hypot(*forward)), 1e-9)
     left = np.array([-forward[1], forward[0]])
     # Body x and y in the world, from where the body's own forward points.
-    fx, fy = look.forward
+    fx, fy = appearance.forward
     axes = np.stack([fx * forward - fy * left, fy * forward + fx * left])
     for shapes, colour in parts:
         for shape in shapes:

@@ -40,7 +40,7 @@ class EnvStep(NamedTuple):
 
 @contextmanager
 def of_environment(name: str) -> Iterator[None]:
-    """Every expected error of the block names the environment, and every other failure becomes an expected one."""
+    """Let every expected error of the block name the environment, and turn every other failure into an expected one."""
     try:
         with calling("code"):
             yield
@@ -50,7 +50,7 @@ def of_environment(name: str) -> Iterator[None]:
 
 @contextmanager
 def calling(part: str) -> Iterator[None]:
-    """What the block calls is code of another, which must neither end this process nor print its traceback."""
+    """Call code of another in the block, which must neither end this process nor print its traceback."""
     try:
         yield
     except TaskError:
@@ -63,7 +63,7 @@ def calling(part: str) -> Iterator[None]:
 
 
 def described(error: BaseException) -> str:
-    """The type of an error and what it says, in one line."""
+    """Return the type of an error and what it says, in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
@@ -82,7 +82,7 @@ def reset(env: GymEnv, seed: int) -> Any:
 
 
 def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
-    """Advance by an env step.
+    """Advance by an env step under `action`, of the shape of the environment's action space.
 
     Raises:
         TaskError: it fails, or returns something else than gymnasium and a task need.

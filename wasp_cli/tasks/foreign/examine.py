@@ -11,7 +11,7 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -25,7 +25,6 @@ from wasp_cli.errors import TaskError, UnknownName
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.foreign.calls import GymEnv, calling, described, of_environment, reset, step
 from wasp_cli.tasks.foreign.views import Views, views_of
-from wasp_cli.tasks.registry import TASKS
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,12 @@ class Facts:
     views: Views
 
 
-@cache
-def examine(name: str) -> Facts:
-    """Make the environment `name` and look at it.
+def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
+    """Make the environment `name` once per process, drive it for a step, and return what it says of itself.
+
+    Args:
+        name: `module:Id-v0`, or an id that is registered already.
+        tasks: what else `name` could stand for, to be suggested where there is no such id.
 
     Raises:
         UnknownName: no such id.
@@ -60,9 +62,11 @@ def examine(name: str) -> Facts:
     """
     # What modules and environments print as they start must not get between the lines of a plan that is JSON.
     with contextlib.redirect_stdout(sys.stderr):
+        find_spec(name, tasks)
         return _examined(name)
 
 
+@cache
 def _examined(name: str) -> Facts:
     spec = find_spec(name)
     env = make_env(name)
@@ -71,7 +75,7 @@ def _examined(name: str) -> Facts:
             limit = _env_steps(spec, env)
             low, high = _bounds(env)
             views = views_of(env.observation_space)
-            sources = _driven(env, views)
+            sources = _try_step(env, views)
             success = _success_goals(env)
             modules, registered = _modules(name, spec), _registered(spec)
             return Facts(modules, registered, limit, _env_seconds(env), success, sources, low.ravel(), high.ravel(), views)
@@ -80,8 +84,12 @@ def _examined(name: str) -> Facts:
             env.close()
 
 
-def find_spec(name: str) -> EnvSpec:
-    """The registration of an id; the module before the colon is imported first, and registers it.
+def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
+    """Return the registration of an id; the module before the colon is imported first, and registers it.
+
+    Args:
+        name: as for `examine`.
+        tasks: as for `examine`.
 
     Raises:
         UnknownName: no such id, or the module registers none.
@@ -102,14 +110,14 @@ def find_spec(name: str) -> EnvSpec:
             # Of few ids all are worth naming; a module without any is told how to register one.
             otherwise = None if own else f"write {example} in it"
             raise UnknownName("gymnasium id", gym_id, own, message=message, otherwise=otherwise) from error
-        known = {*TASKS, *(TASKS[task].gym_id for task in TASKS), *gymnasium.registry}
+        known = {*tasks, *gymnasium.registry}
         message = f"no task and no gymnasium id is called '{gym_id}'"
         otherwise = f"write module:{gym_id} for an id that a module of yours registers"
         raise UnknownName("gymnasium id", gym_id, known, message=message, otherwise=otherwise) from error
 
 
 def make_env(name: str) -> GymEnv:
-    """One environment without gymnasium's own time limit and checks, which the task replaces.
+    """Make one environment without gymnasium's own time limit and checks, which the task replaces.
 
     Raises:
         TaskError: it cannot be made.
@@ -189,7 +197,7 @@ def _success_goals(env: GymEnv) -> int:
     return goals
 
 
-def _driven(env: GymEnv, views: Views) -> tuple[str, ...]:
+def _try_step(env: GymEnv, views: Views) -> tuple[str, ...]:
     """One step of two equal episodes.
 
     Returns:

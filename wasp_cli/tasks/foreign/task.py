@@ -76,12 +76,12 @@ class GymTask:
                 seen = calls.reset(self._envs[row], seed)
                 for zeroed in (self._env_steps, self._goals, self._ended, self._terminated):
                     zeroed[row] = 0
-                self._look(row, seen, first=True)
+                self._observe_row(row, seen, first=True)
         return self._observation()
 
     def step(self, action: NDArray[Any]) -> Step:
         control = self._scaled(checked_action(action, self.batch, self.action_size))
-        totals = Totals.nothing_yet(self.batch, self.cost_sources)
+        totals = Totals.zeros(self.batch, self.cost_sources)
         for row in running_rows(self._ended).tolist():
             with of_environment(self._name):
                 self._advance(row, control[row], totals)
@@ -108,7 +108,7 @@ class GymTask:
             self._ended[row] = done.terminated or done.truncated or self._env_steps[row] >= self._facts.env_steps
             if self._ended[row]:
                 break
-        self._look(row, done.seen, first=False)
+        self._observe_row(row, done.seen, first=False)
 
     def _count(self, row: int, done: EnvStep, totals: Totals) -> None:
         """Add up cost and goals of an env step."""
@@ -123,13 +123,13 @@ class GymTask:
 
     # -- observation ------------------------------------------------------------------------------------------------------------
 
-    def _look(self, row: int, seen: Any, *, first: bool) -> None:
+    def _observe_row(self, row: int, seen: Any, *, first: bool) -> None:
         """Keep what a row's environment shows, as far as it is asked for."""
         views = self._facts.views
-        blind = views.privileged is None  # then state and privileged are made of images
-        if "pixels" in self.observe or blind:
+        from_images = views.privileged is None  # then state and privileged are made of images
+        if "pixels" in self.observe or from_images:
             self._pixels[row] = views.pixels(seen)
-        if blind:
+        if from_images:
             coarse, before = views.coarse(self._pixels[row]), self._privileged[row, : self.privileged_size // 2].copy()
             self._privileged[row] = np.concatenate([coarse, coarse - (coarse if first else before)])
             self._state[row] = self._privileged[row]
@@ -159,7 +159,7 @@ class GymTask:
         }
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """See `VectorTask`; the environment's own part are the arrays of its `snapshot()`.
+        """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`.
 
         Raises:
             TaskError: the environment has no `snapshot`.
@@ -171,7 +171,7 @@ class GymTask:
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
-        """See `VectorTask`.
+        """Return to a snapshot; see `VectorTask`.
 
         Raises:
             TaskError: the environment has no `restore`, or the snapshot is of another task.

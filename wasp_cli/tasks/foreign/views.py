@@ -37,7 +37,7 @@ class _Camera:
     """Of the image as the observation holds it."""
 
     def image(self, observation: Any) -> Pixels:
-        """The image as it is.
+        """Return the image as it is, checked: uint8, of the shape of its space.
 
         Raises:
             TaskError: it is not there, or is not what the observation space says.
@@ -54,7 +54,7 @@ class _Camera:
         return f"uint8 of shape {self.shape}"
 
     def images(self, observation: Any) -> Pixels:
-        """uint8 [channels, 64, 64]: every pixel the mean of the area that it covers."""
+        """Scale to uint8 [channels, 64, 64]: every pixel the mean of the area that it covers."""
         image = self.image(observation)
         last = image if self.channels_last else np.moveaxis(image, 0, -1)
         parts = [_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)]
@@ -79,7 +79,7 @@ class Views:
         return 2 if self.rear is not None or self.front.channels == 6 else 1
 
     def pixels(self, observation: Any) -> Pixels:
-        """uint8 [6, 64, 64]: front, then rear, which is black where there is one camera."""
+        """Return uint8 [6, 64, 64]: front, then rear, which is black where there is one camera."""
         out = np.zeros((6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
         out[: self.front.channels] = self.front.images(observation)
         if self.rear is not None:
@@ -100,14 +100,14 @@ class Views:
                 self.vector(observation, entry)
 
     def coarse(self, pixels: Pixels) -> NDArray[np.float32]:
-        """From [6, 64, 64] to [C]: 8 x 8 colours of each camera, in [0, 1]."""
+        """Average pixels [6, 64, 64] to float32 [C]: 8 x 8 colours of each camera, in [0, 1]."""
         side = CAMERA_SIZE // COARSE
         blocks = pixels[: 3 * self.cameras].reshape(-1, COARSE, side, COARSE, side)
         means: NDArray[np.float32] = (blocks.sum((2, 4), dtype=np.int64) / (255.0 * side * side)).astype(np.float32).ravel()
         return means
 
     def vector(self, observation: Any, entry: str) -> Floats:
-        """float64 of an entry, flat.
+        """Return an entry of an observation as float64, flat.
 
         Raises:
             TaskError: it is not there, not finite, or has another size than the observation space says.
@@ -126,7 +126,7 @@ class Views:
 
 
 def views_of(space: gymnasium.Space[Any]) -> Views:
-    """How to read observations of a space.
+    """Find how to read observations of a space.
 
     Raises:
         TaskError: there is no image in it.

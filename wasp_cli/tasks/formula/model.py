@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.car import car_mjcf
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.local_physics import STATIC_SENSOR, body_sensor
-from wasp_cli.tasks.outline import segments
+from wasp_cli.tasks.outline import distance_to_segments, inside, segments
+from wasp_cli.tasks.physics import STATIC_SENSOR, body_sensor
 
 BARREL_RADIUS, BARREL_RIM, BARREL_TOP_RADIUS, BARREL_HEIGHT = 0.162, 0.05, 0.09, 0.375
 """A barrel is as wide as its foot up to the rim's height, and narrows to its top; in m."""
@@ -32,7 +32,7 @@ _COLUMNS = 32
 
 
 def sectors(xy: Floats) -> NDArray[np.int64]:
-    """Number [n], from 2, of the square that holds each place [n, 2] of the map."""
+    """Return the number [n], from 2, of the square that holds each place [n, 2] of the map, in m."""
     cell = np.clip(np.floor((xy - _ORIGIN) / SECTOR), 0, _COLUMNS - 1).astype(np.int64)
     numbers: NDArray[np.int64] = 2 + cell[:, 0] + _COLUMNS * cell[:, 1]
     return numbers
@@ -42,7 +42,7 @@ _ORIGIN = np.array([-32.0, -64.0])
 
 
 def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
-    """The car, some barrels, and no barriers (`walls` 0), all of them (1), or those in and around a square (its number).
+    """Build the car, some barrels, and no barriers (`walls` 0), all of them (1), or those in and around a square (its number).
 
     Barrels of 14 mg are unstable under Euler with this timestep, hence RK4. Sensors and contacts are those of a single forward pass,
     for which any integrator does.
@@ -62,7 +62,7 @@ def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
 
 
 def barrel_corners() -> str:
-    """Vertices of a barrel's convex hull as MJCF wants them; the foot stands on z = 0."""
+    """Return the vertices of a barrel's convex hull as MJCF wants them, in m; the foot stands on z = 0."""
     around = np.arange(_BARREL_CORNERS) * (2.0 * math.pi / _BARREL_CORNERS)
     rings = ((BARREL_RADIUS, 0.0), (BARREL_RADIUS, BARREL_RIM), (BARREL_TOP_RADIUS, BARREL_HEIGHT))
     return " ".join(f"{r * math.cos(a):.6f} {r * math.sin(a):.6f} {z}" for r, z in rings for a in around.tolist())
@@ -106,3 +106,50 @@ def _fence(ring: Floats, thickness: float, bottom: float, top: float, walls: int
         turn = math.atan2(along[1], along[0])
         boxes.append(f'<geom type="box" pos="{centre[0]:.6f} {centre[1]:.6f} {centre[2]}" size="{size}" euler="0 0 {turn:.8f}"/>')
     return boxes
+
+
+_CLEARANCE = BARREL_RADIUS + 0.002
+_ROUNDS = 4
+
+_OUTER_MIDDLE = 0.15
+"""How far behind its face in m the middle of the outer barrier lies: what is laid out farther out leaves it outward."""
+_RINGS = ((track.OUTER_BARRIER, _OUTER_MIDDLE), (track.INNER_BARRIER, 0.0), (track.PIT_WALL, 0.0))
+
+
+def clear_of_barriers(places: Floats) -> Floats:
+    """Move those of the barrels [F, 2] (in m) that overlap a barrier away from its nearest side until they touch it no more -> [F, 2].
+
+    Those that lie outside of the outer barrier stay there, out of everybody's way.
+    Where two sides meet, moving away from one can lead into the other: what still overlaps after some rounds stays as it is.
+    """
+    places = places.copy()
+    for _ in range(_ROUNDS):
+        moved = False
+        for ring, outside in _RINGS:
+            moved |= _free_of(places, ring, -outside)
+        if not moved:
+            break
+    return places
+
+
+def _free_of(places: Floats, ring: Floats, behind: float) -> bool:
+    """Move barrels in place; `behind` tells how far behind its ring those lie that it sends inward (0: the ring is a solid)."""
+    sides = segments(ring)
+    apart = distance_to_segments(places, sides)
+    nearest = apart.argmin(axis=1)
+    gap = apart[np.arange(len(places)), nearest]
+    within = inside(places, ring)
+    stuck = np.where(within, gap < _CLEARANCE, gap < behind) if behind else (gap < _CLEARANCE) | (within & (gap < 2.0 * _CLEARANCE))
+    if not stuck.any():
+        return False
+    start, end = sides[nearest[stuck], 0], sides[nearest[stuck], 1]
+    along = end - start
+    share = ((places[stuck] - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-18)
+    foot = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    # Away from the ring's line, toward the free side: outward of a solid, inward of the outer barrier's ring.
+    away = places[stuck] - foot
+    wrong_side = within[stuck] if not behind else ~within[stuck]
+    away[wrong_side] *= -1.0
+    length = np.sqrt((away**2).sum(axis=1, keepdims=True))
+    places[stuck] = foot + away / np.maximum(length, 1e-9) * _CLEARANCE * 1.001
+    return True

@@ -15,19 +15,16 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
-from wasp_cli.tasks.camera.look import Look, Scene, Things
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
+from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, motion_and_goal, nearness, ray_distances
 from wasp_cli.tasks.formula import track
-from wasp_cli.tasks.formula.barrels import freed
-from wasp_cli.tasks.formula.look import look
-from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, sectors
+from wasp_cli.tasks.formula.appearance import appearance
+from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
 from wasp_cli.tasks.frames import quaternion_rotation, to_body, yaw_quaternion
 from wasp_cli.tasks.layout import Thing, draw_layout, square
-from wasp_cli.tasks.lidar import BINS
-from wasp_cli.tasks.local_physics import Surroundings, active_bodies
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments
-from wasp_cli.tasks.privileged import MOTION_AND_GOAL, bounded, motion_and_goal, nearness
-from wasp_cli.tasks.rays import RAYS, ray_distances
+from wasp_cli.tasks.physics import Surroundings, active_bodies
 
 BARRELS = {0: 0, 1: 200}
 """By level."""
@@ -43,7 +40,7 @@ _REACH = car.REACH + BARREL_RADIUS
 _APART = 2.0 * BARREL_RADIUS + 0.04
 _LYING = 0.25
 """How much farther from its origin a tilted barrel reaches, in m."""
-_REST, _LEASH = 1e-3, 3.0
+_REST, _MAX_DISTANCE = 1e-3, 3.0
 
 WAY_POINTS = (1.0, 2.0, 4.0, 8.0)
 """Distances ahead, along the lap, of the way points that an expert sees, in m."""
@@ -80,8 +77,8 @@ class Formula(Navigation):
         self._stage = np.zeros(batch, np.int64)
         """[B] index of the goal in `track.STAGES`."""
 
-    def look(self) -> Look:
-        return look(self.level)
+    def appearance(self) -> Appearance:
+        return appearance(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         layout = draw_layout(stream, AGENT, GOAL, self._barrel_things, goal_again=False)
@@ -99,7 +96,7 @@ class Formula(Navigation):
 
     def _settle(self, rows: NDArray[np.intp]) -> None:
         for row in rows.tolist():
-            self._bodies[row, :, :2] = freed(self._bodies[row, :, :2])
+            self._bodies[row, :, :2] = clear_of_barriers(self._bodies[row, :, :2])
 
     def _heading(self, rows: NDArray[np.intp]) -> Floats:
         return car.heading(self._qpos[rows])
@@ -113,7 +110,7 @@ class Formula(Navigation):
         xy, barrels = self._qpos[rows, :2], self._bodies[rows]
         upright = 1.0 - 2.0 * (barrels[..., 4] ** 2 + barrels[..., 5] ** 2)
         reach = np.where(upright > 0.9, _REACH, _REACH + _LYING)
-        active = active_bodies(xy, barrels, self._speeds[rows], reach=reach, apart=_APART, rest=_REST, leash=_LEASH)
+        active = active_bodies(xy, barrels, self._speeds[rows], reach=reach, apart=_APART, rest=_REST, max_distance=_MAX_DISTANCE)
         walls = distance_to_segments(xy, track.SIDES).min(axis=1) < car.REACH
         row, barrel = np.nonzero(active)
         if row.size:

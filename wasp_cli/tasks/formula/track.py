@@ -108,18 +108,18 @@ FINE_LAP, LAP_LENGTH = _fine_lap()
 
 
 def progress(xy: Floats) -> NDArray[np.intp]:
-    """Index [n] into `FINE_LAP` of the point of the centre line that is nearest to each place [n, 2]."""
+    """Return the index [n] into `FINE_LAP` of the point of the centre line that is nearest to each place [n, 2] in m."""
     dx, dy = xy[:, None, 0] - FINE_LAP[:, 0], xy[:, None, 1] - FINE_LAP[:, 1]
     nearest: NDArray[np.intp] = np.argmin(dx * dx + dy * dy, axis=1)
     return nearest
 
 
 def ahead(index: NDArray[np.intp], distance: float) -> Floats:
-    """Points [n, 2] of the centre line at a distance in m ahead of indices [n], in driving order."""
+    """Return points [n, 2] of the centre line, in m, at a distance in m ahead of indices [n], in driving order."""
     points: Floats = FINE_LAP[(index + round(distance / _STEP)) % len(FINE_LAP), :2]
     return points
 
 
 def lap_distance(start: NDArray[np.intp], end: NDArray[np.intp]) -> Floats:
-    """Way in m from indices [n] to indices [n], in driving order."""
+    """Return the way [n] in m from indices [n] to indices [n], in driving order."""
     return np.asarray(((end - start) % len(FINE_LAP)) * _STEP, np.float64)

@@ -32,7 +32,7 @@ _Snapshot = dict[str, NDArray[Any]]
 
 
 def check_point_goal(recording: Recording) -> list[Check]:
-    """Layout, motion, reward, cost, observations and goals of one recorded episode."""
+    """Check layout, motion, reward, cost, observations and goals of one recorded episode."""
     return _numbers(recording) + _layout(recording) + _motion(recording) + _observations(recording) + _goals(recording)
 
 
@@ -150,14 +150,14 @@ def _goals(r: Recording) -> list[Check]:
 
 
 def check_point_dynamics(recording: Recording) -> list[Check]:
-    """The agent alone under constant actions: single steps from recorded states, and means over 100 steps."""
+    """Check the agent alone under constant actions: single steps from recorded states, and means over 100 steps."""
     actions, qpos, qvel = recording["point_actions"], recording["point_qpos"], recording["point_qvel"]
     count, steps = len(actions), qpos.shape[1] - 1
-    single = _lonely(count * steps, qpos[:, :-1].reshape(-1, 3), qvel[:, :-1].reshape(-1, 3))
+    single = _agents_alone(count * steps, qpos[:, :-1].reshape(-1, 3), qvel[:, :-1].reshape(-1, 3))
     single.step(np.repeat(actions, steps, axis=0))
     ours = single.snapshot()["qpos"][:, :3].reshape(count, steps, 3)
 
-    whole = _lonely(count, np.zeros((count, 3)), np.zeros((count, 3)))
+    whole = _agents_alone(count, np.zeros((count, 3)), np.zeros((count, 3)))
     trajectory = [whole.snapshot()["qpos"][:, :3]]
     for _ in range(recording["point_traj"].shape[1] - 1):
         whole.step(actions)
@@ -195,7 +195,7 @@ def _forced(r: Recording) -> tuple[Goal, _Snapshot]:
     return task, forced
 
 
-def _lonely(rows: int, qpos: Floats, qvel: Floats) -> Goal:
+def _agents_alone(rows: int, qpos: Floats, qvel: Floats) -> Goal:
     """Agents in the given states [rows, 3], with everything else far away."""
     task = Goal(rows, action_repeat=1, observe=())
     task.reset([0] * rows)

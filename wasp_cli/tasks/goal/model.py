@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import mujoco
 
-from wasp_cli.tasks.local_physics import body_sensor
+from wasp_cli.tasks.physics import body_sensor
 
 TIMESTEP = 0.002
 
@@ -37,7 +37,7 @@ AGENT_SENSORS = 12
 
 
 def build_model(bodies: int, walls: int = 0, integrate: bool = True) -> mujoco.MjModel:
-    """The robot and some vases; qpos = x, y, yaw, then the vases' free joints.
+    """Build the robot and some vases; qpos = x, y (m), yaw (rad), then the vases' free joints.
 
     A robot alone needs no floor: it cannot fall, and its sphere touches the floor at distance 0, which exerts no force.
     """

@@ -9,14 +9,71 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Bools, Floats
-from wasp_cli.tasks.camera.look import Look, Scene, Things
-from wasp_cli.tasks.frames import distance, quaternion_rotation, yaw_quaternion, yaw_rotation
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
+from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, lidars, motion_and_goal, nearness, ray_distances
+from wasp_cli.tasks.frames import distance, quaternion_rotation, to_body, yaw_quaternion, yaw_rotation
 from wasp_cli.tasks.goal import model as g
-from wasp_cli.tasks.goal.features import privileged_size, privileged_vector, state_size, state_vector
-from wasp_cli.tasks.goal.look import look
+from wasp_cli.tasks.goal.appearance import appearance
 from wasp_cli.tasks.layout import Thing, draw_goal, draw_layout, square
-from wasp_cli.tasks.local_physics import Surroundings, active_bodies
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
+from wasp_cli.tasks.physics import Surroundings, active_bodies
+
+_RAY_LIMIT = 3.0
+_NO_WALLS = np.zeros((0, 2, 2))
+
+
+def state_size(hazards: int, vases: int) -> int:
+    """Return the length of the state vector."""
+    return g.AGENT_SENSORS + BINS * (1 + (hazards > 0) + (vases > 0))
+
+
+def privileged_size(hazards: int, vases: int) -> int:
+    """Return the length of the privileged vector."""
+    return MOTION_AND_GOAL + 3 * hazards + 2 * vases + (RAYS if hazards else 0)
+
+
+def state_vector(sensors: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats) -> Floats:
+    """Join float64 [B, S]: accelerometer, velocimeter, gyro, magnetometer, then 16 lidar bins of goal, hazards, vases (of those there are).
+
+    Args:
+        sensors: [B, 12] in this order.
+        pose: [B, 3] agent x, y in m, yaw in rad.
+        goal: [B, 2] in m.
+        hazards: [B, K, 2] in m.
+        vases: [B, F, 2] in m.
+    """
+    kinds = [points for points in (goal[:, None], hazards, vases) if points.shape[1]]
+    seen = to_body(np.concatenate(kinds, axis=1), pose[:, :2], pose[:, 2])
+    return np.concatenate([sensors, lidars(seen, [points.shape[1] for points in kinds])], axis=1)
+
+
+def privileged_vector(velocity: Floats, turn: Floats, pose: Floats, goal: Floats, hazards: Floats, vases: Floats) -> NDArray[np.float32]:
+    """Join float32 [B, P], entries within [-3, 3]; everything in the robot's frame, lengths in m unless said.
+
+    First `motion_and_goal`; then for each hazard, nearest first, its position / 1.5 (2) and twice the clearance from its rim, clipped to
+    [-0.2, 1] m; then the vases' positions / 1.5 (2 each, nearest first); last the nearness of hazards along 32 rays.
+
+    Args:
+        velocity: [B, 2] mean world velocity over the last env step (the instantaneous sensors chatter).
+        turn: [B] mean turn rate over the last decision step in rad/s.
+        pose: as for `state_vector`; goal, hazards and vases too.
+    """
+    xy, yaw = pose[:, :2], pose[:, 2]
+    parts = [motion_and_goal(velocity, turn, xy, yaw, goal)]
+    around, range_ = _nearest_first(to_body(hazards, xy, yaw))
+    clearance = 2.0 * np.clip(range_ - g.HAZARD_RADIUS, -g.HAZARD_RADIUS, 1.0)
+    parts.append(np.concatenate([around / 1.5, clearance[..., None]], axis=2).reshape(len(pose), -1))
+    parts.append(_nearest_first(to_body(vases, xy, yaw))[0].reshape(len(pose), -1) / 1.5)
+    if hazards.shape[1]:
+        parts.append(nearness(ray_distances(xy, yaw, hazards, g.HAZARD_RADIUS, _NO_WALLS, _RAY_LIMIT)))
+    return bounded(*parts)
+
+
+def _nearest_first(points: Floats) -> tuple[Floats, Floats]:
+    """Points [B, K, 2] by their distance from the origin, and the distances [B, K]."""
+    range_ = np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2)
+    order = np.argsort(range_, axis=1, kind="stable")
+    return np.take_along_axis(points, order[..., None], axis=1), np.take_along_axis(range_, order, axis=1)
 
 
 class Level(NamedTuple):
@@ -49,8 +106,6 @@ class Goal(Navigation):
     num_steps = 1000
     reward_goal = 1.0
     reward_clip = 10.0
-    mirror = ((1.0, 0.0), (0.0, -1.0))
-    """See `tasks.mirror`: nothing is left or right here but the turning."""
 
     def __init__(
         self,
@@ -76,8 +131,8 @@ class Goal(Navigation):
         super().__init__(batch, g.build_model, numbers.vases, action_repeat=action_repeat, observe=observe, threads=threads)
         self._hazards = np.zeros((batch, numbers.hazards, 2))
 
-    def look(self) -> Look:
-        return look(self.level)
+    def appearance(self) -> Appearance:
+        return appearance(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         layout = draw_layout(stream, self._agent_thing, self._goal_thing, self._others)

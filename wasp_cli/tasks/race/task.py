@@ -13,18 +13,15 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
-from wasp_cli.tasks.camera.look import Look, Scene, Things
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
+from wasp_cli.tasks.features import BINS, MOTION_AND_GOAL, RAYS, bounded, motion_and_goal, nearness, ray_distances
 from wasp_cli.tasks.frames import distance, to_body
 from wasp_cli.tasks.layout import Rectangle, Thing, draw_layout
-from wasp_cli.tasks.lidar import BINS
-from wasp_cli.tasks.local_physics import Surroundings
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments, segments
-from wasp_cli.tasks.privileged import MOTION_AND_GOAL, bounded, motion_and_goal, nearness
-from wasp_cli.tasks.race.look import look
-from wasp_cli.tasks.race.model import build_model
-from wasp_cli.tasks.race.scenery import SCENERY
-from wasp_cli.tasks.rays import RAYS, ray_distances
+from wasp_cli.tasks.physics import Surroundings
+from wasp_cli.tasks.race.appearance import appearance
+from wasp_cli.tasks.race.model import SCENERY, build_model
 
 HAZARDS = {0: 0, 1: 7}
 """Bushes by level."""
@@ -91,8 +88,8 @@ class Race(Navigation):
         self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
         self._hazards = np.zeros((batch, hazards, 2))
 
-    def look(self) -> Look:
-        return look(self.level)
+    def appearance(self) -> Appearance:
+        return appearance(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         layout = draw_layout(stream, AGENT, GOAL, self._hazard_things)

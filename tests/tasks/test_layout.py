@@ -1,12 +1,12 @@
+"""Layouts are drawn as the reference package draws them, and seeds name them."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
 from wasp_cli.errors import TaskError
-from wasp_cli.tasks.frames import to_body
 from wasp_cli.tasks.layout import Streams, Thing, draw_goal, draw_layout, random_stream, square
-from wasp_cli.tasks.lidar import lidars
 
 
 def test_things_keep_their_distance():
@@ -50,43 +50,10 @@ def test_owed_draws_are_the_draws_of_each_step():
     streams, plain = Streams(2), random_stream(5)
     streams.start(1, 5)
     for _ in range(7):
-        streams.pass_step(np.array([1]))
+        streams.count_step(np.array([1]))
         plain.random_sample()
     kept = streams.snapshot()
     expected = plain.random_sample()
     assert streams.catch_up(1).random_sample() == expected
     streams.restore(kept["stream_key"], kept["stream_position"], kept["stream_owed"])
     assert streams.catch_up(1).random_sample() == expected
-
-
-def lidar(points: np.ndarray) -> np.ndarray:
-    """Of objects of one kind."""
-    return lidars(points, [points.shape[1]])
-
-
-def test_lidar_of_one_object():
-    width = 2 * np.pi / 16
-    angle, distance = 2.25 * width, 1.5
-    bins = lidar(distance * np.array([[[np.cos(angle), np.sin(angle)]]]))[0]
-
-    np.testing.assert_allclose(bins[[1, 2, 3]], [0.75 * 0.5, 0.5, 0.25 * 0.5], atol=1e-12)
-    assert np.count_nonzero(bins) == 3
-
-
-def test_lidar_wraps_and_ends():
-    just_below = lidar(np.array([[[1.0, -1e-17]]]))[0]
-    assert just_below.max() == pytest.approx(2 / 3)
-    assert lidar(np.array([[[3.0, 0.1]]])).max() == 0.0
-    both = lidar(np.array([[[1.0, 0.01], [2.0, 0.01]]]))
-    assert both[0, 0] == lidar(np.array([[[1.0, 0.01]]]))[0, 0]
-
-
-def test_body_frame():
-    seen = to_body(np.array([[[1.0, 2.0]]]), np.array([[1.0, 1.0]]), np.array([np.pi / 2]))
-    np.testing.assert_allclose(seen, [[[1.0, 0.0]]], atol=1e-15)
-
-
-def test_lidars_of_several_kinds_are_those_of_each():
-    points = np.random.default_rng(0).uniform(-2.5, 2.5, (3, 9, 2))
-    together = lidars(points, [1, 3, 5])
-    np.testing.assert_array_equal(together, np.concatenate([lidar(points[:, :1]), lidar(points[:, 1:4]), lidar(points[:, 4:])], axis=1))

@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.tasks.camera.car_parts import CAMERA_HEIGHT, CAR_PARTS, FORWARD
-from wasp_cli.tasks.camera.look import Colour, Kind, Landmark, Look, Shades, Wall
-from wasp_cli.tasks.race.scenery import SCENERY
+from wasp_cli.tasks.camera.appearance import Appearance, Colour, Kind, Landmark, Shades, Wall
+from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
+from wasp_cli.tasks.race.model import SCENERY
 
 _WALLS: dict[str, tuple[tuple[Colour, Colour], float]] = {
     "fence": (((0.40, 0.24, 0.10), (0.62, 0.42, 0.22)), 0.25),
@@ -29,10 +29,10 @@ class Cobbles:
     _joint = 0.06
     """Width of a joint as a share of a stone."""
     _mean = np.array([[0.47], [0.44], [0.40]], np.float32)
-    _swing = np.array([[0.05], [0.05], [0.055]], np.float32)
+    _amplitude = np.array([[0.05], [0.05], [0.055]], np.float32)
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
         across = y * np.float32(1.0 / self.side)
         row = np.floor(across)
         # Every other row is shifted by half a stone, as masons lay them.
@@ -50,7 +50,7 @@ class Cobbles:
         blur = np.float32(self._joint) + width
         mix -= np.float32(3.0) * np.clip((blur - edge) / blur, np.float32(0.0), np.float32(1.0))
         mix *= np.clip(np.float32(2.0) - np.float32(2.0) * width, np.float32(0.0), np.float32(1.0))
-        image: Shades = self._swing * mix
+        image: Shades = self._amplitude * mix
         image += self._mean
         return image
 
@@ -64,11 +64,11 @@ def _bush(radius: float, height: float, knobs: float) -> str:
 
 
 @lru_cache
-def look(level: int) -> Look:
-    """Of level 0 (only a goal) or higher."""
+def appearance(level: int) -> Appearance:
+    """Return the appearance of level 0 (only a goal) or higher."""
     goal = Kind("goal", _bush(0.36, 0.28, 0.18), (1.0, 0.25, 0.62))
     hazard = Kind("hazard", _bush(0.28, 0.22, 0.1), (0.05, 0.36, 0.08))
-    return Look(
+    return Appearance(
         robot=CAR_PARTS,
         camera_height=CAMERA_HEIGHT,
         forward=FORWARD,

@@ -1,7 +1,6 @@
-"""The ground of Formula One as a texture: grass, run-off strips along the barriers, and a road that shows the direction of the lap.
+"""What Formula One looks like: a striped circuit with chevrons, barriers of two colours, towers to tell places by.
 
-The road is painted with chevrons that point forward, each brightening from its tail to its tip: seen forward, brightness rises slowly and
-drops at once; seen backward, it is the other way round. The texture is built once per process, in three sizes for near and far.
+Seen forward, the outer barrier (red and white) is always on the left and the inner one (blue and white) on the right.
 """
 
 from __future__ import annotations
@@ -13,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.camera.look import Shades
+from wasp_cli.tasks.camera.appearance import Appearance, Kind, Landmark, Shades, Wall
 from wasp_cli.tasks.camera.raster import filled, near_sides
+from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
 from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.outline import segments
 
@@ -36,7 +36,7 @@ class Ground:
     """The texture, looked up."""
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
         texture = _texture()
         level = (footprint > np.float32(2.0 * CELL)).astype(np.intp)
         level += footprint > np.float32(2.0 * CELL * _COARSER)
@@ -122,3 +122,56 @@ def _finest() -> Floats:
 
 def _colour(rgb: tuple[float, float, float]) -> Floats:
     return np.array(rgb)[:, None, None]
+
+
+_WALL_TOP = 0.6
+"""Lower than what the car collides with (invisible in the reference package), so that beacon and towers are seen over it."""
+_BEACON_RADIUS, _BEACON_TOP = 0.3, 3.0
+_BARREL_REACH = 15.0
+
+_WHITE = (0.92, 0.92, 0.92)
+_LANDMARKS = (
+    Landmark((6.0, 21.0), 0.8, 6.0, (0.85, 0.10, 0.10)),
+    Landmark((19.0, 9.0), 0.8, 6.0, (1.00, 0.55, 0.00)),
+    Landmark((33.0, 6.0), 0.8, 6.0, (0.98, 0.90, 0.10)),
+    Landmark((43.0, -6.0), 0.8, 6.0, (0.45, 0.85, 0.10)),
+    Landmark((33.0, -16.0), 0.8, 6.0, (0.05, 0.40, 0.15)),
+    Landmark((22.0, -4.8), 0.6, 4.0, (0.10, 0.75, 0.75)),
+    Landmark((22.0, -32.0), 0.8, 6.0, (0.10, 0.25, 0.90)),
+    Landmark((3.0, -42.0), 0.8, 6.0, (0.50, 0.10, 0.75)),
+    Landmark((-19.0, -38.0), 0.8, 6.0, (0.30, 0.15, 0.05)),
+    Landmark((-14.0, -18.0), 0.8, 6.0, (0.95, 0.95, 0.95)),
+    Landmark((-7.0, 4.0), 0.8, 6.0, (0.05, 0.05, 0.08)),
+    Landmark((10.0, -14.2), 0.4, 4.0, (0.95, 0.60, 0.60)),
+)
+
+
+@lru_cache
+def appearance(level: int) -> Appearance:
+    """Return the appearance of level 0 (no barrels) or 1."""
+    beacon = f'<geom type="cylinder" pos="0 0 {_BEACON_TOP / 2}" size="{_BEACON_RADIUS} {_BEACON_TOP / 2}"/>'
+    goal = Kind("goal", beacon, (1.0, 0.0, 1.0), column=(_BEACON_RADIUS, _BEACON_TOP))
+    barrel = "".join(
+        f'<geom type="cylinder" pos="0 0 {(low + high) / 2:.4f}" size="{radius} {(high - low) / 2:.4f}"/>'
+        for radius, low, high in ((0.162, 0.0, 0.05), (0.146, 0.05, 0.14), (0.124, 0.14, 0.25), (0.1, 0.25, 0.375))
+    )
+    vase = Kind("vase", barrel, (1.00, 0.40, 0.00), reach=_BARREL_REACH)
+    return Appearance(
+        robot=CAR_PARTS,
+        camera_height=CAMERA_HEIGHT,
+        forward=FORWARD,
+        floor=Ground(),
+        walls=(
+            Wall(track.OUTER_BARRIER, _WALL_TOP, ((0.72, 0.05, 0.08), _WHITE), 1.0, hollow=True),
+            Wall(track.INNER_BARRIER, _WALL_TOP, ((0.10, 0.20, 0.80), _WHITE), 1.0),
+            Wall(track.PIT_WALL, _WALL_TOP, ((0.95, 0.80, 0.05), (0.15, 0.15, 0.15)), 1.0),
+        ),
+        landmarks=_LANDMARKS,
+        kinds=(goal,) if level == 0 else (goal, vase),
+        map_half_side=26.5,
+        map_centre=(11.4, -10.8),
+        # A bright sky, in which dark and bright towers are seen alike; haze of a clear day.
+        horizon=(0.66, 0.75, 0.85),
+        zenith=(0.38, 0.54, 0.80),
+        haze=40.0,
+    )

@@ -5,7 +5,7 @@ n = episodes drawn, K = things of one kind in each.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class Scene(NamedTuple):
     rotation: Floats
     """[n, 3, 3] robot body to world."""
     things: dict[str, Things]
-    """By the names of `Look.kinds`."""
+    """By the names of `Appearance.kinds`."""
 
 
 class Kind(NamedTuple):
@@ -92,11 +92,11 @@ class Floor(Protocol):
     """The colours of the ground."""
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres, so that nothing flickers far away."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m: nothing may flicker far away."""
         ...
 
 
-class Look(NamedTuple):
+class Appearance(NamedTuple):
     """Everything that stays the same over the episodes of a task."""
 
     robot: tuple[Part, ...]
@@ -118,3 +118,16 @@ class Look(NamedTuple):
     """Of the sky above."""
     haze: float = 12.0
     """Distance in m at which half of the colour of floor and walls is left. Things and landmarks do not fade."""
+
+
+@runtime_checkable
+class HasScene(Protocol):
+    """A task that can be drawn for people (`wasp_cli.tasks.camera.topdown`). No picture of these is an observation."""
+
+    def appearance(self) -> Appearance:
+        """Return what stays the same over the episodes."""
+        ...
+
+    def scene(self, rows: NDArray[np.intp]) -> Scene:
+        """Return where everything is now, of `rows` [n]."""
+        ...

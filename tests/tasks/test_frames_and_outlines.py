@@ -1,15 +1,18 @@
-"""Rays and outlines against brute force."""
+"""Changes of frame, and outlines against brute force."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from wasp_cli.tasks.frames import ground_to_body, quaternion_rotation, to_body, yaw_quaternion, yaw_rotation
 from wasp_cli.tasks.outline import distance_to_segments, inside, parse_outline, segments
-from wasp_cli.tasks.rays import RAYS, ray_distances
 
 SQUARE = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)])
+
+
+def test_body_frame():
+    seen = to_body(np.array([[[1.0, 2.0]]]), np.array([[1.0, 1.0]]), np.array([np.pi / 2]))
+    np.testing.assert_allclose(seen, [[[1.0, 0.0]]], atol=1e-15)
 
 
 def test_outlines_are_parsed_and_closed():
@@ -31,33 +34,6 @@ def test_inside():
     places = np.array([(1.0, 1.0), (3.0, 1.0), (-0.1, 0.5), (1.999, 0.001)])
     assert inside(places, SQUARE).tolist() == [True, False, False, True]
     assert inside(places, SQUARE[::-1]).tolist() == [True, False, False, True]
-
-
-def test_rays_against_marching():
-    rng = np.random.default_rng(1)
-    origin, heading = rng.uniform(-1.0, 1.0, (4, 2)), rng.uniform(-3.0, 3.0, 4)
-    circles, sides = rng.uniform(-2.0, 2.0, (4, 6, 2)), segments(rng.uniform(-2.5, 2.5, (5, 2)))
-    radius, limit = 0.25, 2.0
-    found = ray_distances(origin, heading, circles, radius, sides, limit)
-    assert found.shape == (4, RAYS)
-
-    steps = np.arange(0.0, limit, 1e-3)
-    for b in range(4):
-        for k in range(RAYS):
-            angle = heading[b] + 2 * np.pi * k / RAYS
-            points = origin[b] + steps[:, None] * np.array([np.cos(angle), np.sin(angle)])
-            in_circle = (np.linalg.norm(points[:, None] - circles[b], axis=2) < radius).any(axis=1)
-            # A side is crossed between two points where it lies within half a step of one of them.
-            on_side = (distance_to_segments(points, sides) < 6e-4).any(axis=1)
-            hit = np.flatnonzero(in_circle | on_side)
-            assert found[b, k] == pytest.approx(steps[hit[0]] if hit.size else limit, abs=4e-3)
-
-
-def test_rays_see_nothing_where_there_is_nothing():
-    none = np.zeros((1, 0, 2))
-    assert (ray_distances(np.zeros((1, 2)), np.zeros(1), none, 1.0, np.zeros((0, 2, 2)), 3.0) == 3.0).all()
-    far = segments(SQUARE + 50.0)
-    assert (ray_distances(np.zeros((1, 2)), np.zeros(1), np.full((1, 1, 2), 9.0), 1.0, far, 3.0) == 3.0).all()
 
 
 def test_frames_agree():

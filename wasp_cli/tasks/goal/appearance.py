@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.tasks.camera.look import Kind, Look, Part, Shades
+from wasp_cli.tasks.camera.appearance import Appearance, Kind, Part, Shades
 from wasp_cli.tasks.goal import model
 
 CAMERA_HEIGHT = 0.15
@@ -25,15 +25,15 @@ class Checker:
     """Squares of two colours, whose edges are as wide as a pixel; squares smaller than a pixel fade into their mean."""
 
     _mean = (np.array(TILE_LIGHT, np.float32) + np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
-    _swing = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
+    _amplitude = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
 
     def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """float32 [3, m] at world places x, y [m], smoothed over `footprint` [m] metres."""
+        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
         sharpness: Shades = np.divide(np.float32(4.0 * TILE_SIDE), np.maximum(footprint, np.float32(1e-6)))
         mix = _wave(x, sharpness)
         mix *= _wave(y, sharpness)
         mix *= np.clip(np.float32(2.0) - footprint * np.float32(2.0 / TILE_SIDE), np.float32(0.0), np.float32(1.0))
-        image: Shades = self._swing * mix
+        image: Shades = self._amplitude * mix
         image += self._mean
         return image
 
@@ -50,13 +50,13 @@ def _wave(place: Shades, sharpness: Shades) -> Shades:
 
 
 @lru_cache
-def look(level: int) -> Look:
-    """Of level 0 (only a goal), 1, or 2 (more things on a larger square)."""
+def appearance(level: int) -> Appearance:
+    """Return the appearance of level 0 (only a goal), 1, or 2 (more things on a larger square)."""
     goal = Kind("goal", f'<geom type="cylinder" size="{GOAL_RADIUS} {GOAL_HALF_HEIGHT}"/>', GOAL_COLOUR, GOAL_ALPHA)
     disc = f'<geom type="cylinder" size="{model.HAZARD_RADIUS} {HAZARD_HALF_HEIGHT}"/>'
     hazard = Kind("hazard", disc, HAZARD_COLOUR, HAZARD_ALPHA, painted=model.HAZARD_RADIUS)
     vase = Kind("vase", model.VASE_GEOM, VASE_COLOUR)
-    return Look(
+    return Appearance(
         robot=(
             Part(model.SPHERE_GEOM, SPHERE_COLOUR),
             Part(model.ARROW_GEOM, ARROW_COLOUR),
