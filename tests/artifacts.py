@@ -7,15 +7,13 @@ from pathlib import Path
 
 import torch
 
-from wasp_cli.learning.policies import save_skills
-from wasp_cli.learning.trained import save_world_model
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble
-from wasp_cli.models.policy import Skills
+from wasp_cli.models.policy import Skills, save_skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.weights import save_weights
-from wasp_cli.models.world_model import SafetyWorldModel, Sizes
+from wasp_cli.models.world_model import SafetyWorldModel, Sizes, save_world_model
 
 SIZES = Sizes(action=2, deter=12, hidden=8, variables=2, classes=4, depth=2, head=8, unimix=0.01, reward_scale=5.0, cost_weight=5.0)
 

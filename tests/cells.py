@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from wasp_cli import seeds
-from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import EvaluateConfig, ReturnsConfig
-from wasp_cli.learning.policies import load_skills
-from wasp_cli.operators.base import Operator
+from wasp_cli.models.policy import load_skills
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.stages.base import Job
@@ -42,8 +41,8 @@ class Evaluated(NamedTuple):
     def operator(self, world: VectorTask) -> Operator:
         """The operator of the cell, fresh."""
         mistakes = [seeds.operator_seed(self.task, self.variant, self.value, self.seed, e) for e in range(self.episodes)]
-        owner = human(load_skills(self.inputs["policies"]), world.decision_seconds, world.action_size)
-        return build_operator(self.variant, self.value, owner, EpisodeNoise(mistakes), self.episodes)
+        context = OperatorContext(load_skills(self.inputs["policies"]).at, world.action_size, world.decision_seconds)
+        return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), self.episodes)
 
 
 def evaluated(

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Human, Operator, Policy
+from wasp_cli.operators.base import Operator, OperatorContext, Policy
 from wasp_cli.operators.delayed import DelayedOperator
 from wasp_cli.operators.noise import EpisodeNoise
 
@@ -181,4 +181,4 @@ def steered(wanted: Tensor, speed: Tensor) -> Tensor:
 
 def driver(world: PointWorld, policy: Policy, seconds: float = REACTION, batch: int = 1) -> Operator:
     """B drivers of one policy who react late by some seconds."""
-    return DelayedOperator.build(seconds, Human(lambda _: policy, world.action_size, STEP), EpisodeNoise(range(batch)), batch)
+    return DelayedOperator.build(seconds, OperatorContext(lambda _: policy, world.action_size, STEP), EpisodeNoise(range(batch)), batch)

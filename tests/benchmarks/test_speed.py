@@ -12,12 +12,11 @@ import torch
 
 from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ReturnsConfig, WorldModelConfig
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import roll_prior
+from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.world_model import Batch
+from wasp_cli.operators.base import OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 
@@ -111,7 +110,7 @@ def test_decision_against_matrix_products(benchmark: Any, tmp_path: Path) -> Non
     always = {"tau_c": 1e-9, "candidates": 64, "elites": 20, "feasible": 20, "iterations": 3, "probe": 64}
     assistant = build_assistant("wasp", always, parts)
     batch = 10
-    operator = build_operator("laggy", 0.7, human(parts.skills, 0.08, 2), EpisodeNoise(list(range(batch))), batch)
+    operator = build_operator("laggy", 0.7, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(list(range(batch))), batch)
     assistant.reset(torch.ones(batch, dtype=torch.bool), list(range(batch)))
     latent = parts.world_model.initial(batch)
     with torch.inference_mode():

@@ -15,9 +15,7 @@ from click.testing import Result
 
 from tests.commands import run_here
 from wasp_cli.errors import TaskError
-from wasp_cli.learning.configs import ExpertConfig
-from wasp_cli.learning.expert import checkpoint_name, save_skill
-from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privileged
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.seeds import layout_seed, operator_seed
 from wasp_cli.spec.load import load
@@ -61,7 +59,8 @@ def results(spec: Path, tmp_path: Path) -> Path:
     task = make_task("goal1", 1, observe=())
     folder = staging_folder(layout, node.key)
     torch.manual_seed(0)
-    save_skill(PrivilegedPolicy(task.privileged_size, [8], 2), folder / checkpoint_name(1.0), task, ExpertConfig(hidden=(8,)))
+    path = folder / checkpoint_name(1.0)
+    save_privileged(PrivilegedPolicy(task.privileged_size, [8], 2), path, task.privileged_size, [8], 2)
     publish(layout, "expert", node.key, folder, {})
     return layout.root
 

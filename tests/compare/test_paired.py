@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wasp_cli.compare.paired import EXACT, MEASURES, corrected, paired_episodes
-from wasp_cli.report.bootstrap import difference_of
-from wasp_cli.report.frame import CellNumbers, Floats
+from wasp_cli.report.stats.bootstrap import difference_of
+from wasp_cli.report.stats.frame import CellNumbers, Floats
 from wasp_cli.store.tables import CellIdentity
 
 IDENTITY = CellIdentity("goal1", "wasp", "full", "laggy", 0.5, 0)

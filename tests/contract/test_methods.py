@@ -10,13 +10,12 @@ from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, Heldout, Parts
 from wasp_cli.methods.record import blank_record
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 
@@ -55,7 +54,7 @@ def latents(parts: Parts, rows: int, step: int) -> Latent:
 
 
 def operator(parts: Parts, rows: list[int]) -> Operator:
-    return build_operator("laggy", 0.5, human(parts.skills, 0.08, 2), EpisodeNoise([100 + r for r in rows]), len(rows))
+    return build_operator("laggy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([100 + r for r in rows]), len(rows))
 
 
 @torch.inference_mode()
@@ -122,7 +121,7 @@ def test_calibration_gives_finite_thresholds(parts: Parts, name: str) -> None:
     latent = latents(parts, rows, 0)
     zeros = torch.zeros(rows)
     heldout = Heldout(latent, parts.skills.expert(latent.features), zeros, zeros, zeros.long(), zeros)
-    who = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * rows), rows)
+    who = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)
     with torch.inference_mode():
         thresholds = assistant(parts, name, "full").calibrate(heldout, zeros, who, 3)  # type: ignore[attr-defined]
     wanted = {"ida": "tau_q", "wasp": "tau_r"}.get(name)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
@@ -22,12 +22,12 @@ def policy(features: Tensor) -> Tensor:
     return features[:, :ACTION].tanh()
 
 
-def human() -> Human:
-    return Human(skill=lambda fraction: lambda f: policy(f) * fraction, action_size=ACTION, decision_seconds=0.08)
+def context() -> OperatorContext:
+    return OperatorContext(skill=lambda fraction: lambda f: policy(f) * fraction, action_size=ACTION, decision_seconds=0.08)
 
 
 def make(name: str, seeds: list[int]) -> Operator:
-    return build_operator(name, LADDER.get(name), human(), EpisodeNoise(seeds), len(seeds))
+    return build_operator(name, LADDER.get(name), context(), EpisodeNoise(seeds), len(seeds))
 
 
 def features(rows: int = ROWS) -> list[Tensor]:

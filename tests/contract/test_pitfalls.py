@@ -18,7 +18,6 @@ import wasp_cli
 from tests.artifacts import tiny_artifacts
 from wasp_cli import seeds
 from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
 from wasp_cli.methods.base import Heldout, Parts
 from wasp_cli.methods.configs import DiffusionConfig
@@ -27,11 +26,11 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
-from wasp_cli.operators.base import Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.report.statistics import over_seeds
+from wasp_cli.report.stats.summary import over_seeds
 
 STEPS = 50
 
@@ -60,7 +59,7 @@ def latents(parts: Parts, rows: int) -> Latent:
 
 
 def test_lag_of_a_new_episode_repeats_nothing_of_the_old_one() -> None:
-    policy = human_of(lambda f: f[:, :2])
+    policy = context_of(lambda f: f[:, :2])
     laggy = build_operator("laggy", 1.0, policy, EpisodeNoise([1, 2]), 2)
     first = laggy.command(torch.full((2, 2), 0.5))
     laggy.reset(torch.tensor([False, True]))
@@ -69,15 +68,13 @@ def test_lag_of_a_new_episode_repeats_nothing_of_the_old_one() -> None:
     assert torch.equal(again[1], torch.full((2,), -0.5))
 
 
-def human_of(policy: object) -> object:
-    from wasp_cli.operators.base import Human
-
-    return Human(skill=lambda fraction: policy, action_size=2, decision_seconds=0.08)  # type: ignore[arg-type, return-value]
+def context_of(policy: object) -> object:
+    return OperatorContext(skill=lambda fraction: policy, action_size=2, decision_seconds=0.08)  # type: ignore[arg-type, return-value]
 
 
 def test_environments_of_a_batch_lag_at_their_own_times() -> None:
     rows = 32
-    laggy = build_operator("laggy", 0.5, human_of(lambda f: f[:, :2]), EpisodeNoise(list(range(rows))), rows)  # type: ignore[arg-type]
+    laggy = build_operator("laggy", 0.5, context_of(lambda f: f[:, :2]), EpisodeNoise(list(range(rows))), rows)  # type: ignore[arg-type]
     issued = torch.stack([laggy.command(torch.full((rows, 2), t / STEPS)) for t in range(STEPS)])[..., 0]
     repeats = (issued[1:] == issued[:-1]).float()
     together = repeats.mean(1)  # of a batch that shares one draw, 0 or 1
@@ -90,7 +87,7 @@ def test_a_training_batch_of_saferl_holds_several_operators_at_once() -> None:
     rows = 64
     noise = EpisodeNoise(list(range(rows)))
     operators = [
-        build_operator(name, value, human_of(lambda f: f[:, :2]), noise, rows)  # type: ignore[arg-type]
+        build_operator(name, value, context_of(lambda f: f[:, :2]), noise, rows)  # type: ignore[arg-type]
         for name, values in ResidualConfig().operators.items()
         for value in values
     ]
@@ -214,7 +211,7 @@ def test_ida_overrules_an_exploring_expert_in_one_decision_of_twenty_and_the_exp
     latent, zeros = latents(parts, rows), torch.zeros(rows)
     expert = parts.skills.expert(latent.features)
     heldout = Heldout(latent, expert, zeros, zeros, zeros.long(), zeros)
-    operator = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * rows), rows)
+    operator = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)
     made = build_assistant("ida", {"copilot": copilot, "ratio": 0.2}, parts)
     made.ensemble = Nearness(parts.skills.expert)  # type: ignore[attr-defined]
 
@@ -246,7 +243,7 @@ def test_tau_q_is_the_margin_at_which_the_vote_tips(parts: Parts, vote: float, n
 def test_methods_without_a_threshold_of_their_own_leave_the_expert_s_command(parts: Parts) -> None:
     latent = latents(parts, 50)
     expert = parts.skills.expert(latent.features)
-    operator = Operator.build(1.0, human(parts.skills, 0.08, 2), EpisodeNoise([0] * 50), 50)
+    operator = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * 50), 50)
     with torch.inference_mode():
         for name in ("human", "expert", "saferl"):
             assert torch.equal(build_assistant(name, {}, parts).decide(latent, expert, operator).action, expert)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.run.harness import Fakes, prepared, run
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.store.layout import Layout
 

@@ -16,11 +16,11 @@ from tests.cells import Evaluated, evaluated
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampled
 from wasp_cli.learning.rerun import Recorded, Rerun
-from wasp_cli.learning.trained import load_world_model
 from wasp_cli.methods.base import Decision, Heldout
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.base import Latent
+from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.store.recorded import read_recorded
 

@@ -6,17 +6,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 import torch
 from scipy.stats import spearmanr
 from torch import Tensor
 
-from tests.learning.recordings import replay
+from tests.learning.recordings import recording
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
-from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, reliability_picture, returns_ahead, spearman
+from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, returns_ahead, spearman, write_pairs
 from wasp_cli.learning.critics import Starts, imagine, train_critics
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
@@ -52,7 +54,7 @@ def still(rows: int) -> Latents:
 @pytest.mark.parametrize("keep", [KEEP, 1.0])
 def test_values_of_a_plain_world_are_geometric_sums_with_the_continuation(keep: float) -> None:
     torch.manual_seed(0)
-    data, skills = replay(), Skills([1.0], 3, [8], 1)
+    data, skills = recording(), Skills([1.0], 3, [8], 1)
     config = CriticsConfig(hidden=(8,), updates=300, starts=4, horizon=15, learning_rate=1e-2, slow=0.2)
     returns = ReturnsConfig(gamma_r=0.9, gamma_c=0.5)
     critics, curve = train_critics(Plain(keep), skills, data, still(36), config, returns, 0, lambda share, text: None)  # type: ignore[arg-type]
@@ -71,7 +73,7 @@ def test_steps_after_a_likely_end_count_little() -> None:
 
 
 def test_starts_leave_out_ends_and_find_what_comes_before_a_cost() -> None:
-    data = replay((12, 9, 15))
+    data = recording((12, 9, 15))
     data.cost[:] = 0
     data.cost[[5, 12, 30]] = 1  # row 12 is the first of an episode: what came before belongs to another
     data.terminal[[20, 5]] = 1
@@ -138,7 +140,12 @@ def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path: 
     assert judged["r"]["predicted_over_real"] == pytest.approx(1.0, rel=1e-4)
     assert judged["c"]["rank"] is None
     assert judged["c"]["predicted_over_real"] == 0.0
-    reliability_picture(found, tmp_path / "critics.png")
-    once = (tmp_path / "critics.png").read_bytes()
-    reliability_picture(found, tmp_path / "critics.png")
-    assert (tmp_path / "critics.png").read_bytes() == once
+    write_pairs(tmp_path / "pairs.parquet", found)
+    once = (tmp_path / "pairs.parquet").read_bytes()
+    write_pairs(tmp_path / "pairs.parquet", found)
+    assert (tmp_path / "pairs.parquet").read_bytes() == once
+    stored = pq.read_table(tmp_path / "pairs.parquet")
+    for name, one in found.items():
+        mine = stored.filter(pc.field("critic") == name)
+        np.testing.assert_array_equal(mine["predicted"].to_numpy(), one.predicted)
+        np.testing.assert_array_equal(mine["real"].to_numpy(), one.real)

@@ -14,17 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
-from tests.learning.recordings import SOURCES, replay
+from tests.learning.recordings import SOURCES, recording
 from tests.learning.test_behaviours import commander
 from wasp_cli.learning.configs import DatasetConfig
-from wasp_cli.learning.contact_sheet import _COSTLY, EDGE, FRAME, FRAMES, GAP, TITLE, contact_sheet
-from wasp_cli.learning.contents import ALL, contents, contents_markdown, contents_of, unseen_sources, warnings
+from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
 from wasp_cli.learning.dataset import STICKY, Behaviour, record
-from wasp_cli.learning.expert import checkpoint_name
-from wasp_cli.learning.replay import cost_sources, read_replay, write_shard
-from wasp_cli.models.policy import PrivilegedPolicy
+from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
+from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name
 from wasp_cli.models.weights import save_weights
 from wasp_cli.stages import dataset as stage
 from wasp_cli.stages.base import Job
@@ -82,9 +79,7 @@ def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_by
     stage.DatasetStage().run(job(root, "resumed", work="killed-work"))
     assert kept.stat().st_mtime_ns == stamp, "the finished shard was not collected again"
     assert files(root / "resumed") == files(root / "whole")
-    assert set(files(root / "whole")) == {
-        "shard-0000.parquet", "shard-0001.parquet", "contents.json", "contents.md", "contact_sheet.png",
-    }  # fmt: skip
+    assert set(files(root / "whole")) == {"shard-0000.parquet", "shard-0001.parquet", "contents.json"}
 
 
 def test_shards_are_linked_or_where_that_fails_copied(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +97,7 @@ def test_shards_are_linked_or_where_that_fails_copied(root: Path, monkeypatch: p
 def test_the_stage_says_what_it_collected(root: Path) -> None:
     table = json.loads((root / "whole" / "contents.json").read_text())
     summary = json.loads((root / "summary.json").read_text())
-    data = read_replay(root / "whole")
+    data = read_shards(root / "whole")
     assert cost_sources(root / "whole") == make_task(TASK, 1).cost_sources
     assert summary["episodes"] == table[ALL]["episodes"] == ENVS * SHARDS
     assert summary["steps"] == len(data.first) - ENVS * SHARDS
@@ -110,11 +105,11 @@ def test_the_stage_says_what_it_collected(root: Path) -> None:
     assert ((data.sources > 0).any(1) == (data.cost > 0)).all(), "whatever costs has a source"
     assert (data.sources.max(1) <= data.cost_env).all()
     assert (data.cost_env <= data.sources.sum(1)).all()
-    assert summary.get("warning", "") == "; ".join(warnings(table))
+    assert summary["sources_not_seen"] == len(unseen_sources(table))
 
 
 def test_the_table_is_what_can_be_counted_by_hand() -> None:
-    data = replay()  # episodes of 12, 9 and 15 rows: expert, noisy, expert
+    data = recording()  # episodes of 12, 9 and 15 rows: expert, noisy, expert
     table = contents(data, SOURCES)
     assert table[ALL]["episodes"] == 3
     assert table[ALL]["steps"] == 33
@@ -132,47 +127,16 @@ def test_the_table_is_what_can_be_counted_by_hand() -> None:
     terminal[11] = 1
     table = contents(data._replace(terminal=terminal), SOURCES)
     assert (table["expert"]["terminal"], table["noisy"]["terminal"]) == (0.5, 0.0)
-    assert "| noisy | 1 (33%) | 8 |" in contents_markdown(table)
 
 
-def test_datasets_without_enough_costs_or_a_source_are_warned_of() -> None:
-    data = replay()
+def test_sources_that_never_cost_are_named(tmp_path: Path) -> None:
+    data = recording()
     data.cost[:] = np.arange(36) % 12 == 5
     data.sources[:, 1] = 0
-    table = contents(data, SOURCES)
-    assert unseen_sources(table) == [SOURCES[1]]
-    assert warnings(table) == [f"no step costs by {SOURCES[1]}"]
-    assert f"Warning: no step costs by {SOURCES[1]}." in contents_markdown(table)
-    many = contents(data._replace(cost=data.cost * 0 + 1, sources=data.sources * 0 + 1), SOURCES)
-    assert warnings(many) == ["109.1% of the steps cost, not 3% to 15%"]  # first rows never cost in a real dataset
-    few = contents(data._replace(cost=data.cost * 0, sources=data.sources * 0 + 1), SOURCES)
-    assert warnings(few) == ["0.0% of the steps cost, not 3% to 15%"]
-    assert warnings(contents(data._replace(sources=data.sources[:, :0]), ())) == [], "nothing can cost in such a task"
-
-
-def test_the_sheet_shows_the_frames_and_marks_the_costly_ones(tmp_path: Path) -> None:
-    data = replay()
-    data.cost[:], data.sources[:] = 0, 0
-    data.cost[[4, 30]], data.sources[4, 0], data.sources[30, 1] = 1, 4, 1
+    assert unseen_sources(contents(data, SOURCES)) == [SOURCES[1]]
     for number in (0, 1):
         write_shard(tmp_path / f"shard-{number:04d}.parquet", data.rows((data.episode == 2) == (number == 1)), SOURCES)
-    contact_sheet(tmp_path, tmp_path / "sheet.png")
-    sheet = np.asarray(Image.open(tmp_path / "sheet.png"))
-    pitch = FRAME + 2 * EDGE + GAP
-    assert sheet.shape[1] == GAP + 2 * FRAMES * pitch
-
-    def frame(column: int, camera: int) -> np.ndarray[Any, Any]:
-        top, left = GAP + TITLE + EDGE + camera * (FRAME + EDGE), GAP + column * pitch + EDGE
-        return sheet[top : top + FRAME : 2, left : left + FRAME : 2]
-
-    # The first behaviour by name is the expert, with rows 0-11 and 21-35: four frames ever later in their episodes, then the costly ones
-    # from both sources.
-    for column, row in ((0, 1), (1, 4), (2, 30), (3, 34), (FRAMES, 4), (FRAMES + 1, 30)):
-        for camera in range(2):
-            np.testing.assert_array_equal(frame(column, camera), data.pixels[row, 3 * camera : 3 * camera + 3].transpose(1, 2, 0))
-    edges = [tuple(sheet[GAP + TITLE + 1, GAP + column * pitch + 1].tolist()) for column in range(FRAMES + 3)]
-    assert [edge == _COSTLY for edge in edges] == [False, True, True, False, True, True, False]
-    assert contents_of(tmp_path)[ALL]["steps"] == 33
+    assert contents_of(tmp_path) == contents(data, SOURCES), "shard after shard as if all were one"
 
 
 def test_recording_counts_what_the_task_says(root: Path) -> None:

@@ -8,25 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import torch
-from PIL import Image
 
-from tests.learning.recordings import SOURCES, replay
+from tests.learning.recordings import SOURCES, recording
 from tests.learning.test_dataset import job as dataset_job
 from tests.learning.test_dataset import root  # noqa: F401 - a fixture
 from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
-from wasp_cli.learning import pictures
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.dataset import behaviours
-from wasp_cli.learning.diagnostics import Forecast
-from wasp_cli.learning.replay import Replay, read_replay
-from wasp_cli.learning.trained import save_world_model
-from wasp_cli.learning.unseen import unseen_behaviours
+from wasp_cli.learning.diagnostics import Forecast, unseen_behaviours
+from wasp_cli.learning.image_samples import CALM, COSTLY, decoded_sample, imagined_samples, sampled_windows, write_samples
+from wasp_cli.learning.shards import Recording, read_shards
 from wasp_cli.learning.world_model import build
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
+from wasp_cli.models.world_model import save_world_model
+from wasp_cli.report.trained.pages import open_loop_markdown
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5
@@ -43,9 +43,9 @@ class Rows:
         return Latent(self.values[index], torch.zeros(len(index), 1))
 
 
-def corridor() -> tuple[Corridor, Replay, Rows]:
+def corridor() -> tuple[Corridor, Recording, Rows]:
     """Episodes of different lengths in a corridor, driven at random."""
-    data = replay((60, 9, 5, 80, 3))
+    data = recording((60, 9, 5, 80, 3))
     random = np.random.default_rng(1)
     action = np.where(data.first[:, None] > 0, 0, random.uniform(-1, 1, (157, 1))).astype(np.float32)
     x = np.concatenate([np.cumsum(0.1 * action[data.episode == e, 0]) for e in range(5)])
@@ -55,12 +55,12 @@ def corridor() -> tuple[Corridor, Replay, Rows]:
     return Corridor(LOW, HIGH), data._replace(action=action, cost=cost, reward=0.1 * action[:, 0], sources=sources), Rows(x)
 
 
-def forecast_of(model: Any, data: Replay, latents: Any, count: int = 1000, samples: int = 2) -> Forecast:
+def forecast_of(model: Any, data: Recording, latents: Any, count: int = 1000, samples: int = 2) -> Forecast:
     return judge.forecast(model, data, latents, judge.spread_starts(data, HORIZON, count), HORIZON, samples, 0)
 
 
 def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
-    data = replay((60, 9, 5, 80, 3))
+    data = recording((60, 9, 5, 80, 3))
     starts = judge.spread_starts(data, HORIZON, 1000)
     assert len(starts) == 55 + 4 + 75
     for chosen in (starts, judge.spread_starts(data, HORIZON, 20)):
@@ -73,7 +73,7 @@ def test_windows_stay_within_their_episodes_and_are_spread_over_them() -> None:
 
 def test_where_a_goal_ends_the_episode_the_goal_is_judged_too() -> None:
     """The steps before a terminal row count as far as they go; those before a time limit do not."""
-    data = replay((12, 9, 4))
+    data = recording((12, 9, 4))
     data.terminal[[11, 24]] = 1
     starts = judge.spread_starts(data, 5, 1000, ended=True)
     assert starts.tolist() == [*range(11), *range(12, 16), *range(21, 24)]
@@ -183,7 +183,7 @@ class Film:
 
     action_size, noise_size = 2, 1
 
-    def __init__(self, data: Replay, lag: int = 0) -> None:
+    def __init__(self, data: Recording, lag: int = 0) -> None:
         self.data, self.lag, self.mean_image = data, lag, torch.zeros(6, 64, 64)
 
     def imagine(self, latent: Latent, action: torch.Tensor, noise: torch.Tensor) -> Latent:
@@ -198,7 +198,7 @@ class Film:
 
 
 def test_imagined_images_are_held_against_the_true_ones_and_a_copy() -> None:
-    data, rows = replay((12, 20)), Rows(np.arange(32))
+    data, rows = recording((12, 20)), Rows(np.arange(32))
     starts = judge.spread_starts(data, 4, 11)
     perfect = judge.judged_images(Film(data), data, rows, starts, 4, 2, 0)  # type: ignore[arg-type]
     assert [row["image_error"] for row in perfect] == pytest.approx([0] * 4)
@@ -215,8 +215,8 @@ def test_imagined_images_are_held_against_the_true_ones_and_a_copy() -> None:
     assert filtered["base"] == pytest.approx(data.cost[data.first == 0].mean())
 
 
-def test_the_strip_shows_onsets_and_calm_windows_frame_by_frame(tmp_path: Path) -> None:
-    data = replay((40, 40))
+def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(tmp_path: Path) -> None:
+    data = recording((40, 40))
     data.cost[:] = 0
     data.cost[[20, 60, 61]] = 1
     film, rows = Film(data), Rows(np.arange(80))
@@ -224,24 +224,29 @@ def test_the_strip_shows_onsets_and_calm_windows_frame_by_frame(tmp_path: Path) 
     follow, within = judge.what_followed(data, starts, 6)
     nothing = np.zeros((len(starts), 6))
     seen = Forecast(starts, data.cost[follow], nothing, nothing, follow, within)
-    windows = pictures.shown_windows(data, seen)
+    windows = sampled_windows(data, seen)
     costly = [bool(data.cost[s + 1 : s + 7].any()) for s in starts[windows]]
-    assert costly == [True] * pictures.COSTLY + [False] * pictures.CALM
+    assert costly == [True] * COSTLY + [False] * CALM
     assert (data.cost[starts[windows]] == 0).all()
-    found = pictures.strips(film, data, rows, seen, windows, 0)  # type: ignore[arg-type]
-    for strip, start in zip(found, starts[windows].tolist(), strict=True):
-        np.testing.assert_array_equal(strip.true, data.pixels[start : start + 7])
-        np.testing.assert_array_equal(strip.imagined, strip.true)
-        np.testing.assert_array_equal(strip.predicted, strip.cost)
-    pictures.open_loop_sheet(found, tmp_path / "sheet.png")
-    sheet = np.asarray(Image.open(tmp_path / "sheet.png"))
-    pitch = pictures.SIDE + pictures.GAP
-    top = pictures.TEXT + pictures.GAP
-    frame = sheet[top + 2 * pitch : top + 2 * pitch + pictures.SIDE, pictures.LABEL : pictures.LABEL + pictures.SIDE]  # true rear, step 0
-    wanted = Image.fromarray(found[0].true[0, 3:].transpose(1, 2, 0)).resize((pictures.SIDE,) * 2, Image.Resampling.NEAREST)
-    np.testing.assert_array_equal(frame, np.asarray(wanted))
-    pictures.open_loop_film(found, tmp_path / "film.gif")
-    assert getattr(Image.open(tmp_path / "film.gif"), "n_frames", 1) == 7
+    imagined = imagined_samples(film, data, rows, seen, windows, 0)  # type: ignore[arg-type]
+    for sample, start in zip(imagined, starts[windows].tolist(), strict=True):
+        np.testing.assert_array_equal(sample.rows, np.arange(start, start + 7))
+        np.testing.assert_array_equal(sample.images, data.pixels[sample.rows])
+        np.testing.assert_array_equal(sample.predicted, data.cost[sample.rows])
+    decoded = decoded_sample(film, data, rows)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(decoded.images, data.pixels[decoded.rows])
+    assert decoded.rows[:5].tolist() == [0, 8, 17, 26, 35]
+    assert decoded.rows[5:].tolist() == [20, 20, 60, 60, 61], "the second half are costly frames"
+
+    write_samples(tmp_path / "images.parquet", data, decoded, imagined)
+    stored = pq.read_table(tmp_path / "images.parquet").to_pylist()
+    assert [row["window"] for row in stored] == [-1] * 10 + [window for window in range(5) for _ in range(7)]
+    assert [row["step"] for row in stored] == [*range(10), *(list(range(7)) * 5)]
+    for row, place in zip(stored, np.concatenate([decoded.rows, *(sample.rows for sample in imagined)]).tolist(), strict=True):
+        assert (row["episode"], row["decision"], row["cost"]) == (place // 40, place % 40, data.cost[place])
+        assert row["behaviour"] == data.behaviour[place]
+        assert row["true"] == row["model"] == data.pixels[place].tobytes()
+        assert row["predicted"] == data.cost[place]
 
 
 def test_the_unseen_operators_are_not_in_the_mixture() -> None:
@@ -264,7 +269,7 @@ def inputs(root: Path) -> dict[str, Path]:  # noqa: F811
     return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model"}
 
 
-def test_the_stage_leaves_its_numbers_and_pictures_and_the_same_again(root: Path, inputs: dict[str, Path]) -> None:  # noqa: F811
+def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, inputs: dict[str, Path]) -> None:  # noqa: F811
     config = DiagnosticsConfig(episodes=3, starts=40, samples=2, image_starts=6)
     summaries = []
     for name in ("first", "again"):
@@ -274,9 +279,7 @@ def test_the_stage_leaves_its_numbers_and_pictures_and_the_same_again(root: Path
     files = {name: {path.name: path.read_bytes() for path in (root / name).iterdir()} for name in ("first", "again")}
     assert files["first"] == files["again"]
     assert summaries[0] == pytest.approx(summaries[1], nan_ok=True)
-    assert set(files["first"]) == {
-        "diagnostics.json", "open_loop.md", "reliability.png", "horizon.png", "reconstruction.png", "open_loop.png", "open_loop.gif",
-    }  # fmt: skip
+    assert set(files["first"]) == {"diagnostics.json", "images.parquet"}
     found = json.loads(files["first"]["diagnostics.json"])
     assert set(found) == {"held_out", "unseen"}
     assert sum(found["held_out"]["episodes"].values()) == 1, "of six episodes the last one is held out"
@@ -286,14 +289,16 @@ def test_the_stage_leaves_its_numbers_and_pictures_and_the_same_again(root: Path
     wanted = {f"{key}@{k}" for key in ("auprc", "persistence", "predicted_over_base", "recall", "reward_r2", "base") for k in SHOWN}
     wanted |= {f"unseen_auprc@{k}" for k in SHOWN} | {"auprc_any", "unseen_auprc_any", "image_over_copy@15"}
     assert set(summaries[0]) == wanted
-    page = files["first"]["open_loop.md"].decode()
+    page = open_loop_markdown(found)
     assert page.count("\n## ") == 2
     assert "hazards" in page
     assert "nan" not in page
+    images = pq.read_table(root / "first" / "images.parquet")
+    assert images["window"].to_pylist().count(-1) == 10
 
 
 def test_rows_of_a_dataset_are_read_as_if_all_were(root: Path) -> None:  # noqa: F811
-    whole = read_replay(root / "whole")
+    whole = read_shards(root / "whole")
     mask = np.isin(whole.episode, [1, 4])
-    for name, value in read_replay(root / "whole", mask=mask)._asdict().items():
+    for name, value in read_shards(root / "whole", mask=mask)._asdict().items():
         assert np.array_equal(value, whole.rows(mask)._asdict()[name]), name

@@ -16,10 +16,11 @@ from stable_baselines3.common.vec_env import VecNormalize
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError, TaskError
 from wasp_cli.learning.configs import ExpertConfig
-from wasp_cli.learning.expert import EpisodeSums, best_checkpoint, evaluate_privileged, load_skill
+from wasp_cli.learning.expert import TrainingState, best_checkpoint
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.ppo_state import TrainingState
+from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv
+from wasp_cli.models.policy import load_privileged
 from wasp_cli.seeds import derive
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.expert import ExpertStage
@@ -115,7 +116,7 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, A
     assert summary == expected
     names = sorted(path.name for path in whole.iterdir())
     assert names == [
-        "curve.json", "curve.png", "evaluation.json", "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors"
+        "curve.json", "evaluation.json", "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors"
     ]  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     for name in names:
@@ -148,7 +149,7 @@ def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) 
     evaluation = json.loads((out / "evaluation.json").read_text())
     assert list(evaluation) == ["0.25", "1"]
     judge = make_task("race1", 2, observe=("privileged",), action_repeat=4)
-    sums = evaluate_privileged(judge, load_skill(out, 1.0), [derive("expert-evaluation", "race1", 0, i) for i in range(2)])
+    sums = evaluate_privileged(judge, load_privileged(out, 1.0), [derive("expert-evaluation", "race1", 0, i) for i in range(2)])
     assert evaluation["1"] == sums.statistics(1)
     assert summary["return"] == evaluation["1"]["return"]
     assert summary["return_at_0.25"] == evaluation["0.25"]["return"]

@@ -14,42 +14,31 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
-from tests.learning.recordings import replay
+from tests.learning.recordings import recording
 from tests.learning.test_critics import Plain, still
 from tests.learning.test_rollouts import short_task
 from tests.worlds import Corridor, LinearCritics
-from wasp_cli.learning import gate_signals, gate_signals_page
+from wasp_cli.learning import gate_signals
 from wasp_cli.learning.closed_loop import Loop
 from wasp_cli.learning.configs import CriticsConfig, GateSignalsConfig, ReturnsConfig
 from wasp_cli.learning.dataset import record
-from wasp_cli.learning.gate_signals import (
-    EXPERT,
-    FIRST,
-    GATE,
-    NOW,
-    SUM,
-    Watched,
-    Watcher,
-    bootstrap,
-    critic_alone,
-    discounted,
-    one_step,
-    watched,
-)
-from wasp_cli.learning.gate_signals_judge import SWEEP, judged, reliability_groups
-from wasp_cli.learning.latents import encode, save_latents
-from wasp_cli.learning.replay import read_replay, write_shard
-from wasp_cli.learning.trained import load_world_model
+from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, SignalRecorder, bootstrap, critic_alone, discounted, one_step
+from wasp_cli.learning.gate_signals_judge import SWEEP, SignalRows, judged, reliability_groups, signal_rows
+from wasp_cli.learning.latents import save_latents
+from wasp_cli.learning.shards import read_shards, write_shard
 from wasp_cli.methods.noise import DecisionNoise, gumbel
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
+from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.laggy import LaggyOperator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.plan.part import Part
-from wasp_cli.report.trained_table import Trained
-from wasp_cli.report.training_table import training_tables
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.pages import signals_markdown
+from wasp_cli.report.trained.table import training_tables
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import DEFAULT_STAGES, validate
 from wasp_cli.stages.base import Job, no_progress
@@ -79,11 +68,11 @@ def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
     config = GateSignalsConfig(horizon=4, rollouts=3, first_steps=2)
     returns = ReturnsConfig(gamma_c=0.8, lam=0.7)
     world = Ending(LOW, HIGH, jitter=0.05, dtype=torch.float64)
-    watcher = Watcher(world, {0.8: LinearCritics(), 0.9: SteepCritics()}, steady(-0.3, 2), config, returns)
-    watcher.reset(ALL_ROWS, [5, 6])
+    recorder = SignalRecorder(world, {0.8: LinearCritics(), 0.9: SteepCritics()}, steady(-0.3, 2), config, returns)
+    recorder.reset(ALL_ROWS, [5, 6])
     starts, a_h = (0.0, 0.3), (0.2, -0.9)
     command = torch.tensor(a_h, dtype=torch.float64).unsqueeze(1)
-    decision = watcher.decide(world.at(*starts), command, steady(0.4, 2))
+    decision = recorder.decide(world.at(*starts), command, steady(0.4, 2))
     assert torch.equal(decision.action, command)
     assert decision.record is None
     noise = DecisionNoise()
@@ -123,7 +112,7 @@ def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
         expected.setdefault(NOW, []).append(float(LOW < starts[row] < HIGH))
         for gamma, slope in ((0.8, 0.25), (0.9, 0.5)):
             expected.setdefault(critic_alone(gamma), []).append(slope * abs(starts[row]))
-    (seen,) = watcher.seen
+    (seen,) = recorder.seen
     assert set(seen) == set(expected)
     for name, values in expected.items():
         assert seen[name].tolist() == pytest.approx(values, abs=1e-6), name
@@ -137,20 +126,20 @@ def test_the_operator_is_imagined_from_its_real_memory() -> None:
     laggy = LaggyOperator(policy, 1, EpisodeNoise([1, 2]), 2)
     laggy.p = 1.0
     world = Corridor(0.35, 10.0)
-    watcher = Watcher(world, {0.95: LinearCritics()}, Operator(policy, 1, EpisodeNoise([1, 2]), 2), config, ReturnsConfig())
-    watcher.reset(ALL_ROWS, [0, 0])
+    recorder = SignalRecorder(world, {0.95: LinearCritics()}, Operator(policy, 1, EpisodeNoise([1, 2]), 2), config, ReturnsConfig())
+    recorder.reset(ALL_ROWS, [0, 0])
     start = world.at(0.0, 0.0)
     a_h = laggy.command(start.features)
     before = laggy.snapshot()
-    watcher.decide(start, a_h, laggy)
+    recorder.decide(start, a_h, laggy)
     assert all(torch.equal(value, laggy.snapshot()[name]) for name, value in before.items()), "watching moves no memory and no noise"
-    assert watcher.seen[0][GATE].tolist() == pytest.approx([0.95**3 + 0.95**4] * 2)
-    assert watcher.seen[0][EXPERT].tolist() == [0.0, 0.0]
+    assert recorder.seen[0][GATE].tolist() == pytest.approx([0.95**3 + 0.95**4] * 2)
+    assert recorder.seen[0][EXPERT].tolist() == [0.0, 0.0]
     later = world.at(0.3, 0.3)  # here the policy alone would turn back at once
     a_h = laggy.command(later.features)
-    watcher.decide(later, a_h, laggy)
-    assert watcher.seen[1][SUM].tolist() == [5.0, 5.0]
-    assert watcher.seen[1][EXPERT].tolist() == [1.0, 1.0], "the command that was just given is executed, whoever is imagined"
+    recorder.decide(later, a_h, laggy)
+    assert recorder.seen[1][SUM].tolist() == [5.0, 5.0]
+    assert recorder.seen[1][EXPERT].tolist() == [1.0, 1.0], "the command that was just given is executed, whoever is imagined"
 
 
 def loop(costs: list[list[int]], ends: list[bool]) -> Loop:
@@ -168,16 +157,16 @@ def loop(costs: list[list[int]], ends: list[bool]) -> Loop:
 def test_windows_begin_with_the_decision_and_end_with_the_episode() -> None:
     recorded = loop([[0, 1, 1, 0, 0, 0, 1], [0, 0, 1, 0], [1]], [False, True, False])
     seen = [{"x": torch.tensor([t, 10.0 + t, 20.0 + t])} for t in range(7)]
-    rows = watched(recorded, seen, 3, 0.5, first=4)
+    rows = signal_rows(recorded, seen, 3, 0.5, first=4)
     assert rows.episode.tolist() == [4] * 5 + [5] * 4  # one decision before a time limit says nothing of the next three
     assert rows.signals["x"].tolist() == [0, 1, 2, 3, 4, 10, 11, 12, 13]
     assert rows.ahead.tolist() == [2, 2, 1, 0, 1, 1, 1, 1, 0]
     assert rows.discounted.tolist() == [0.75, 1.5, 1.0, 0.0, 0.25, 0.25, 0.5, 1.0, 0.0]
     assert rows.before.tolist() == [False, False, True, True, False, False, False, False, True]
-    assert len(watched(loop([[0, 1]], [False]), seen[:2], 3, 0.5).ahead) == 0
+    assert len(signal_rows(loop([[0, 1]], [False]), seen[:2], 3, 0.5).ahead) == 0
 
 
-def rows_of(episodes: int = 6, length: int = 40) -> Watched:
+def rows_of(episodes: int = 6, length: int = 40) -> SignalRows:
     """A perfect signal, one that is the gate's, a worse one and a constant, on random costs."""
     random = np.random.default_rng(0)
     ahead = np.where(random.random(episodes * length) < 0.3, random.integers(1, 5, episodes * length), 0).astype(float)
@@ -185,7 +174,7 @@ def rows_of(episodes: int = 6, length: int = 40) -> Watched:
     worse = ahead + random.normal(0, 6.0, len(ahead))
     before = random.random(len(ahead)) < 0.2
     signals = {GATE: gate, NOW: np.full(len(ahead), 0.5), SUM: ahead, FIRST: worse}
-    return Watched(signals, before, ahead, 0.9 * ahead, np.repeat(np.arange(episodes), length))
+    return SignalRows(signals, before, ahead, 0.9 * ahead, np.repeat(np.arange(episodes), length))
 
 
 def test_signals_are_ranked_beside_the_gates_own() -> None:
@@ -227,7 +216,7 @@ def test_what_too_few_episodes_or_no_costs_leave_open_is_undefined() -> None:
     rows = rows_of(2)
     calm = judged(rows._replace(ahead=0 * rows.ahead, discounted=0 * rows.ahead), 0.3, SUM)
     assert np.isnan([calm["signals"][SUM]["behind_low"], calm["gate"]["predicted_over_real"], calm["gate"]["foreseen"]]).all()
-    empty = judged(Watched({GATE: np.zeros(0)}, *(np.zeros(0, bool) for _ in range(4))), 0.3, GATE)
+    empty = judged(SignalRows({GATE: np.zeros(0)}, *(np.zeros(0, bool) for _ in range(4))), 0.3, GATE)
     assert empty["decisions"] == 0
     assert np.isnan(empty["signals"][GATE]["auprc"])
 
@@ -244,25 +233,6 @@ def test_reliability_groups_are_equally_large_and_ordered() -> None:
     assert len(reliability_groups(predicted[:4], predicted[:4], predicted[:4] > 0)) == 4
 
 
-def test_the_page_has_the_best_signal_first_and_undefined_ones_last(tmp_path: Path) -> None:
-    table = judged(rows_of(), 0.3, NOW)
-    table["signals"][bootstrap(0.997)] = {**table["signals"][NOW], "auprc": float("nan")}
-    config = GateSignalsConfig(horizon=4)
-    page = gate_signals_page.signals_markdown({"all": table, "laggy 0.7": table}, ["limited-skill 0.3"], config, 0.95)
-    lines = [line.split("|")[1].strip() for line in page.splitlines() if line.startswith("| ")]
-    first = lines[1 : lines.index("signal", 1)]
-    assert [name for name in first if name != "---"] == [
-        "sum over 4", "**discounted sum over 4, 0.95 (the gate)**", "sum over the first 4", "c-hat now", "Eq. 8 with V_c, 0.997",
-    ]  # fmt: skip
-    assert "limited-skill 0.3" in page
-    assert "nan" not in page
-    for name in (EXPERT, critic_alone(0.9), one_step(0.9), discounted(0.9)):
-        assert gate_signals_page.title(name, config, 0.95)
-    for name in ("one", "again"):
-        gate_signals_page.reliability_picture({"all": table, "laggy 0.7": table}, 0.3, tmp_path / f"{name}.png")
-    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "again.png").read_bytes()
-
-
 def test_critics_at_other_discounts_are_trained_and_the_known_one_is_kept() -> None:
     known = LinearCritics()
     config = GateSignalsConfig(
@@ -270,7 +240,7 @@ def test_critics_at_other_discounts_are_trained_and_the_known_one_is_kept() -> N
     )
     told: list[float] = []
     critics, curves = gate_signals.cost_critics(
-        Plain(), Skills([1.0], 3, [8], 1), replay(), still(36), known, config, ReturnsConfig(), ("goal1", 0),  # type: ignore[arg-type]
+        Plain(), Skills([1.0], 3, [8], 1), recording(), still(36), known, config, ReturnsConfig(), ("goal1", 0),  # type: ignore[arg-type]
         lambda share, text: told.append(share),
     )  # fmt: skip
     assert list(critics) == [0.5, 0.8, 0.95]
@@ -296,7 +266,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     driven = record(short_task(2), [0, 5], lambda seen: np.zeros((2, 2), np.float32), ["expert", "noisy"], 0)
     write_shard(folders["dataset"] / "shard-0000.parquet", driven, ("hazards",))
     model = load_world_model(folders["world_model"])
-    save_latents(encode(model, read_replay(folders["dataset"]), no_progress), folders["world_model"])
+    folders["latents"] = folders["dataset"]
+    save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["latents"])
     return {kind: folders[kind] for kind in GateSignalsStage.needs}
 
 
@@ -329,7 +300,7 @@ def test_the_stage_judges_every_operator_that_can_be_built(
     files = {name: {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("first", "again")}
     assert files["first"] == files["again"]
     assert summaries[0] == pytest.approx(summaries[1], nan_ok=True)
-    assert set(files["first"]) == {"signals.json", "signals.md", "reliability.png"}
+    assert set(files["first"]) == {"signals.json"}
     found = json.loads(files["first"]["signals.json"], parse_constant=pytest.fail)
     assert list(found["sets"]) == ["all", "unimpaired", "limited-skill 0.25", "noisy 0.4"]
     assert found["left_out"] == ["limited-skill 0.5"]
@@ -344,7 +315,7 @@ def test_the_stage_judges_every_operator_that_can_be_built(
     assert list(found["curves"]) == ["0.99"]
     assert summaries[0]["auprc"] == pytest.approx(found["sets"]["all"]["signals"][GATE]["auprc"], abs=5e-4)
     assert summaries[0]["auprc_bootstrap"] == pytest.approx(found["sets"]["all"]["signals"][bootstrap(0.95)]["auprc"], abs=5e-4)
-    assert "limited-skill 0.5" in files["first"]["signals.md"].decode()
+    assert "limited-skill 0.5" in signals_markdown(found)
 
 
 def test_the_report_shows_the_gate_where_it_was_judged() -> None:

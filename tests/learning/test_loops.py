@@ -12,15 +12,17 @@ import torch
 
 from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import load_parts
-from wasp_cli.learning.closed_loop import human, run_episodes
+from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.evaluation import trajectories
-from wasp_cli.learning.heldout import heldout_rows, load_heldout, save_heldout
+from wasp_cli.learning.heldout import load_heldout, save_heldout
+from wasp_cli.learning.nominal import heldout_rows
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
 from wasp_cli.methods.base import Parts
 from wasp_cli.methods.human import HumanOnly
+from wasp_cli.operators.base import OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.tasks.base import Observation, Step
@@ -145,7 +147,7 @@ def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts: Parts) -> 
 def test_the_closed_loop_cuts_every_episode_at_its_end(parts: Parts, tmp_path: Path) -> None:
     seeds = [0, 1, 2, 3]
     task = Staggered(4)
-    operator = build_operator("noisy", 0.5, human(parts.skills, 0.08, 2), EpisodeNoise(seeds), 4)
+    operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(seeds), 4)
     loop = run_episodes(task, parts.world_model, operator, HumanOnly(), seeds, seeds, keep_latents=True)  # type: ignore[arg-type]
     found, times = trajectories(loop)
     assert [t.steps for t in found] == [2, 3, 4, 5] == [len(t) for t in times]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
-from tests.learning.recordings import replay
+from tests.learning.recordings import recording
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.configs import PoliciesConfig, ReturnsConfig
@@ -112,7 +112,7 @@ def test_skills_learn_each_its_own_checkpoint_where_they_are_asked_to() -> None:
 
 def test_labels_are_the_checkpoints_answers() -> None:
     torch.manual_seed(0)
-    experts, data = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)], replay()
+    experts, data = [PrivilegedPolicy(5, [4], 2), PrivilegedPolicy(5, [4], 2)], recording()
     still = Latents(torch.zeros(36, 2), torch.zeros(36, 1, dtype=torch.uint8), 2)
     found = label(Counter(), experts, data, still, 2, 0)  # type: ignore[arg-type]
     for k, expert in enumerate(experts):

@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from tests.learning.recordings import TINY, replay
-from wasp_cli.learning.draws import generator, gumbel
-from wasp_cli.learning.latents import encode
-from wasp_cli.learning.refit import refit_heads
-from wasp_cli.learning.replay import Replay
-from wasp_cli.learning.world_model import build
+from tests.learning.recordings import TINY, recording
+from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.sampling import generator, gumbel
+from wasp_cli.learning.shards import Recording
+from wasp_cli.learning.world_model import build, refit_heads
 
 
 def test_the_refit_moves_only_the_heads_that_imagination_reads() -> None:
     torch.manual_seed(0)
-    model, data = build(TINY, 2), replay()
+    model, data = build(TINY, 2), recording()
     model.requires_grad_(False)
     latents = encode(model, data, lambda share, text: None)
     assert latents.h.shape == (36, 16)
@@ -26,8 +25,8 @@ def test_the_refit_moves_only_the_heads_that_imagination_reads() -> None:
 
 
 def test_the_refit_learns_nothing_of_what_lies_behind_the_last_row() -> None:
-    data = replay()
-    longer = Replay(*(np.concatenate([field, field[:12]]) for field in data))
+    data = recording()
+    longer = Recording(*(np.concatenate([field, field[:12]]) for field in data))
     longer.episode[36:] = 3
     heads = []
     for rows in (data, longer):
@@ -40,7 +39,7 @@ def test_the_refit_learns_nothing_of_what_lies_behind_the_last_row() -> None:
 
 
 def test_the_refit_teaches_where_episodes_end() -> None:
-    data = replay((6,) * 40)
+    data = recording((6,) * 40)
     last = np.arange(240) % 6 == 5
     data.terminal[last] = 1.0
     data.action[:] = np.where(last, 1.0, -1.0)[:, None]  # what led there tells it

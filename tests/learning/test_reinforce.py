@@ -15,9 +15,8 @@ from tests.artifacts import tiny_artifacts
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.configs import ReinforceConfig, ReturnsConfig
-from wasp_cli.learning.filtered_env import FilteredTask
+from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.reinforce import reinforce
-from wasp_cli.learning.value_warmup import ValueWarmup
 from wasp_cli.methods.base import Parts
 from wasp_cli.stages.base import no_progress
 

@@ -14,12 +14,12 @@ from tests.cells import REPEAT, Evaluated, evaluated
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.closed_loop import human, run_episodes
+from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.learning.rerun import Recorded, Rerun
-from wasp_cli.learning.trained import load_world_model
 from wasp_cli.methods.human import HumanOnly
-from wasp_cli.operators.base import Operator
+from wasp_cli.models.world_model import load_world_model
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.seeds import layout_seed, method_seed
@@ -94,8 +94,8 @@ def test_a_changed_command_is_noticed_at_once(cell: Evaluated) -> None:
 
 def staggered(inputs: Mapping[str, Path], seeds: list[int]) -> tuple[Any, Any, Operator]:
     parts = load_parts(inputs, ReturnsConfig())
-    owner = human(parts.skills, 0.08, 2)
-    return Staggered(len(seeds)), parts.world_model, build_operator("noisy", 0.5, owner, EpisodeNoise(seeds), len(seeds))
+    context = OperatorContext(parts.skills.at, 2, 0.08)
+    return Staggered(len(seeds)), parts.world_model, build_operator("noisy", 0.5, context, EpisodeNoise(seeds), len(seeds))
 
 
 def test_episodes_of_different_lengths_end_where_they_ended(inputs: Mapping[str, Path]) -> None:

@@ -14,13 +14,13 @@ import pytest
 from tests.artifacts import tiny_artifacts
 from wasp_cli.learning import rollouts
 from wasp_cli.learning.assistants import build_assistant, load_parts
-from wasp_cli.learning.closed_loop import human, run_episodes
+from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ReturnsConfig, RolloutsConfig
 from wasp_cli.learning.dataset import record
-from wasp_cli.learning.replay import Replay, hand_over, read_replay, write_shard
 from wasp_cli.learning.rollouts import assisted_episodes, in_turn
+from wasp_cli.learning.shards import Recording, hand_over, read_shards, write_shard
 from wasp_cli.methods.base import Parts
-from wasp_cli.operators.base import Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.limited import LimitedSkillOperator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.operators.noisy import NoisyOperator
@@ -61,14 +61,16 @@ def short_task(batch: int, **_: Any) -> Any:
 
 def test_operators_take_turns_and_begin_with_the_unimpaired_one(parts: Parts) -> None:
     ladder = {"noisy": (0.2, 0.4), "limited-skill": (0.25,)}
-    mixed = in_turn(ladder, human(parts.skills, 0.08, 2), EpisodeNoise([0] * 5), 5, first=6)
+    mixed = in_turn(ladder, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * 5), 5, first=6)
     assert [type(each) for each in mixed.operators] == [Operator, LimitedSkillOperator, NoisyOperator, NoisyOperator]
     assert mixed.choice.tolist() == [2, 3, 0, 1, 2]
 
 
 def test_recorded_episodes_are_those_that_the_assistant_drove(parts: Parts) -> None:
     def fresh() -> tuple[Any, ...]:
-        operator = in_turn({"noisy": (0.4,), "laggy": (0.7,)}, human(parts.skills, 0.08, 2), EpisodeNoise([4, 5, 6]), 3, first=0)
+        operator = in_turn(
+            {"noisy": (0.4,), "laggy": (0.7,)}, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([4, 5, 6]), 3, first=0
+        )
         return short_task(3), parts.world_model, operator, build_assistant("wasp", EAGER, parts), [7, 8, 9], [1, 2, 3]
 
     loop = run_episodes(*fresh())
@@ -99,7 +101,7 @@ def job(artifacts: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_the_artifact_is_the_dataset_before_and_the_new_episodes(job: Job) -> None:
     summary = RolloutsStage().run(job)
-    before, after = read_replay(job.inputs["dataset"]), read_replay(job.out_dir)
+    before, after = read_shards(job.inputs["dataset"]), read_shards(job.out_dir)
     rows = len(before.first)
     for name, value in before._asdict().items():
         np.testing.assert_array_equal(getattr(after, name)[:rows], value, err_msg=name)
@@ -118,7 +120,7 @@ def test_an_interrupted_round_goes_on_after_its_last_whole_shard(job: Job, monke
     bytes_of = {path.name: path.read_bytes() for path in job.out_dir.iterdir()}
     calls: list[int] = []
 
-    def broken(*arguments: Any, **options: Any) -> Replay:
+    def broken(*arguments: Any, **options: Any) -> Recording:
         calls.append(1)
         if len(calls) == 2:
             raise KeyboardInterrupt
@@ -143,7 +145,7 @@ def test_another_round_meets_other_worlds(job: Job, tmp_path: Path) -> None:
     (tmp_path / "work3").mkdir()
     third = {"axes": {**job.axes, "round": 3}, "out_dir": tmp_path / "third", "work_dir": tmp_path / "work3"}
     RolloutsStage().run(Job(**{**job.__dict__, **third}))
-    assert not np.array_equal(read_replay(job.out_dir).privileged, read_replay(tmp_path / "third").privileged)
+    assert not np.array_equal(read_shards(job.out_dir).privileged, read_shards(tmp_path / "third").privileged)
 
 
 def test_a_file_system_without_links_gets_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

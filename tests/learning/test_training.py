@@ -9,38 +9,38 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, replay
+from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
 from wasp_cli.errors import ArtifactError, TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.learning.denoiser import demonstrations
-from wasp_cli.learning.draws import generator
+from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.lagrangian import MultiplierRule
-from wasp_cli.learning.latents import encode
-from wasp_cli.learning.replay import cost_sources, read_replay, write_shard
+from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.learning.world_model import build, train
 
 
 def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
-    whole = replay()
+    whole = recording()
     for number in (0, 1):
         write_shard(tmp_path / f"shard-{number:04d}.parquet", whole.rows(whole.episode < 2 if number == 0 else whole.episode == 2), SOURCES)
-    again = read_replay(tmp_path)
+    again = read_shards(tmp_path)
     for name, value in whole._asdict().items():
         assert np.array_equal(getattr(again, name), value), name
-    assert read_replay(tmp_path, ["reward"]).pixels.size == 0
+    assert read_shards(tmp_path, ["reward"]).pixels.size == 0
     assert cost_sources(tmp_path) == SOURCES
 
 
 def test_a_task_without_cost_sources_has_shards_too(tmp_path: Path) -> None:
-    whole = replay()
+    whole = recording()
     write_shard(tmp_path / "shard-0000.parquet", whole._replace(sources=whole.sources[:, :0]), ())
-    assert read_replay(tmp_path).sources.shape == (36, 0)
+    assert read_shards(tmp_path).sources.shape == (36, 0)
     assert cost_sources(tmp_path) == ()
 
 
 def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended() -> None:
-    data = replay((2,) * 37)
+    data = recording((2,) * 37)
     chosen = data.held_out(0.1)
     assert set(data.episode[chosen]) == {9, 19, 29}
     fewer = data.rows(data.episode < 25)
@@ -54,10 +54,10 @@ def test_every_tenth_episode_is_held_out_and_stays_so_when_others_are_appended()
 
 def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match="no shards"):
-        read_replay(tmp_path)
+        read_shards(tmp_path)
     (tmp_path / "shard-0000.parquet").write_bytes(b"PAR1 not really")
     with pytest.raises(ArtifactError, match="cannot read"):
-        read_replay(tmp_path)
+        read_shards(tmp_path)
 
 
 @pytest.mark.parametrize("mirror", [None, MIRROR], ids=["straight", "mirror"])
@@ -66,7 +66,7 @@ def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None)
         torch.manual_seed(0)
         return build(TINY, 2)
 
-    data, silent = replay(), lambda share, text: None
+    data, silent = recording(), lambda share, text: None
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
     whole = fresh()
@@ -104,14 +104,14 @@ def test_a_checkpoint_restores_moments_and_generator(tmp_path: Path) -> None:
 
 
 def test_a_non_finite_loss_is_skipped_then_stops_with_a_clear_message(tmp_path: Path) -> None:
-    data = replay()
+    data = recording()
     data.reward[:] = np.nan
     with pytest.raises(TrainingError, match=r"non-finite loss.*beta_r nan"):
         train(build(TINY, 2), data, ROWS, TINY, TINY.updates, 0, tmp_path, lambda share, text: None)
 
 
 def test_updates_that_are_left_out_at_the_very_end_count_too(tmp_path: Path) -> None:
-    data = replay()
+    data = recording()
     train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)
     data.reward[:] = np.nan
     _, skipped = train(build(TINY, 2), data, ROWS, TINY, 7, 5, tmp_path, lambda share, text: None)
@@ -130,7 +130,7 @@ def test_a_checkpoint_of_another_device_is_an_error_with_a_way_out(tmp_path: Pat
 
 
 def test_a_bad_update_is_left_out_and_counted(tmp_path: Path) -> None:
-    data = replay((60, 60))
+    data = recording((60, 60))
     data.reward[30] = np.inf
     torch.manual_seed(0)
     model = build(TINY, 2)
@@ -141,7 +141,7 @@ def test_a_bad_update_is_left_out_and_counted(tmp_path: Path) -> None:
 
 
 def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path: Path) -> None:
-    data = replay()
+    data = recording()
     train(build(TINY, 2), data, ROWS, TINY, 4, 5, tmp_path, lambda share, text: None)
     good = (tmp_path / "training.safetensors").read_bytes()
     data.reward[:] = np.nan
@@ -152,7 +152,7 @@ def test_a_training_that_fails_keeps_its_last_good_checkpoint(tmp_path: Path) ->
 
 def test_encoding_is_what_the_closed_loop_filters() -> None:
     torch.manual_seed(0)
-    model, data = build(TINY, 2), replay()
+    model, data = build(TINY, 2), recording()
     with torch.inference_mode():
         latents = encode(model, data, lambda share, text: None)
         latent = model.initial(1)
@@ -172,7 +172,7 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
 
 
 def test_demonstrations_are_the_careful_near_expert_episodes() -> None:
-    data = replay((12, 9, 15, 4, 6))  # near-expert: episodes 0, 2 and 4, of which the last is held out
+    data = recording((12, 9, 15, 4, 6))  # near-expert: episodes 0, 2 and 4, of which the last is held out
     data.cost_env[data.episode == 2] = 2  # 30 env steps
 
     def careful(limit: float) -> DenoiserConfig:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.learning.recordings import MIRROR, ROWS, TINY, replay
+from tests.learning.recordings import MIRROR, ROWS, TINY, recording
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import encode
+from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.base import Latent
@@ -17,14 +17,14 @@ from wasp_cli.models.world_model import Ahead
 
 
 def test_windows_that_must_stay_in_an_episode_do() -> None:
-    data = replay()
+    data = recording()
     for start in data.window_starts(7):
         assert len(set(data.episode[start : start + 7])) == 1
     assert len(data.window_starts(7)) == (12 - 6) + (9 - 6) + (15 - 6)
 
 
 def test_sampled_sequences_begin_without_a_past_and_hold_costs() -> None:
-    data = replay((200, 200))
+    data = recording((200, 200))
     data.cost[:] = 0
     data.cost[137] = 1
     window = Windows(data, np.arange(400), 10, 0.5).sample(8, generator(0))
@@ -35,7 +35,7 @@ def test_sampled_sequences_begin_without_a_past_and_hold_costs() -> None:
 
 
 def test_sequences_keep_out_of_rows_that_may_not_be_learned_from() -> None:
-    data = replay((200, 50, 200))
+    data = recording((200, 50, 200))
     allowed = np.flatnonzero(data.episode != 1)
     rows = torch.cat([Windows(data, allowed, 10, 0.5).sample(8, generator(seed)).rows.flatten() for seed in range(40)])
     assert set(data.episode[rows.numpy()]) == {0, 2}
@@ -46,7 +46,7 @@ def test_sequences_keep_out_of_rows_that_may_not_be_learned_from() -> None:
 
 
 def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
-    data = replay((30, 30))
+    data = recording((30, 30))
     context, windows = Context(60, 4, 3), Windows(data, np.arange(60), 5, 0.0)
     window = windows.sample(1, generator(0))
     begin = int(window.rows[0, 0])
@@ -62,7 +62,7 @@ def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
 
 
 def test_a_later_training_goes_on_from_what_the_earlier_one_inferred() -> None:
-    data = replay((30, 30))
+    data = recording((30, 30))
     torch.manual_seed(0)
     model = build(TINY, 2)
     latents = encode(model, data, lambda share, text: None)
@@ -76,7 +76,7 @@ def test_a_later_training_goes_on_from_what_the_earlier_one_inferred() -> None:
 
 
 def test_what_followed_is_looked_up_to_the_end_of_the_episode() -> None:
-    data, source = replay((7, 30)), generator(0)
+    data, source = recording((7, 30)), generator(0)
     windows = Windows(data, np.arange(37), 6, 0.0)
     window = windows.sample(40, source)
     ahead = windows.ahead(window, 200, 5, 50, 12, source)
@@ -97,7 +97,7 @@ def test_what_followed_is_looked_up_to_the_end_of_the_episode() -> None:
 
 
 def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them() -> None:
-    data, source = replay((40, 30)), generator(0)
+    data, source = recording((40, 30)), generator(0)
     windows = Windows(data, np.arange(70), 5, 0.0, mirror=MIRROR)
     window = windows.sample(60, source)
     assert 15 < int(window.mirrored.sum()) < 45
@@ -121,7 +121,7 @@ def test_half_of_the_sequences_are_seen_in_a_mirror_with_what_follows_them() -> 
 
 
 def test_a_row_and_its_mirror_image_are_remembered_apart() -> None:
-    data = replay((30, 30))
+    data = recording((30, 30))
     context, windows = Context(120, 4, 3), Windows(data, np.arange(60), 5, 0.0, mirror=MIRROR)
     window = windows.sample(1, generator(0))
     begin = int(window.rows[0, 0])
@@ -139,7 +139,7 @@ def test_a_row_and_its_mirror_image_are_remembered_apart() -> None:
 def test_imagined_steps_after_a_reset_do_not_count() -> None:
     torch.manual_seed(0)
     model, source = build(TINY, 2), generator(0)
-    windows = Windows(replay((7, 30)), np.arange(37), 6, 0.0)
+    windows = Windows(recording((7, 30)), np.arange(37), 6, 0.0)
     window = windows.sample(4, source)
     ahead = windows.ahead(window, 6, 5, 6, 12, source)
     ahead = ahead._replace(within=torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0]).expand(6, 5), shown=torch.tensor([3] * 5 + [2]))
@@ -164,7 +164,7 @@ def test_an_imagined_rollout_is_scored_as_its_steps_are() -> None:
     """The terms against the heads and the decoder, called step by step."""
     torch.manual_seed(0)
     model, source = build(TINY, 2), generator(3)
-    windows = Windows(replay(), ROWS, 6, 0.5)
+    windows = Windows(recording(), ROWS, 6, 0.5)
     window = windows.sample(3, source)
     ahead = windows.ahead(window, 4, 3, 2, 12, source)
     noise = torch.randn(3, 6, 3, 4, generator=source)
@@ -187,4 +187,4 @@ def test_an_imagined_rollout_is_scored_as_its_steps_are() -> None:
 
 def test_a_dataset_that_is_too_small_says_so() -> None:
     with pytest.raises(TrainingError, match="fewer than one sequence"):
-        Windows(replay((3,)), np.arange(3), 10, 0.0)
+        Windows(recording((3,)), np.arange(3), 10, 0.0)

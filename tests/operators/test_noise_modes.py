@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.burst import MEAN_BURST, burst_rates
 from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
@@ -18,13 +18,13 @@ ROWS, STEPS = 40, 500
 INTENDED = torch.full((ROWS, 2), 0.25)
 
 
-def human() -> Human:
-    return Human(skill=lambda fraction: lambda f: f[:, :2] * fraction, action_size=2, decision_seconds=0.08)
+def context() -> OperatorContext:
+    return OperatorContext(skill=lambda fraction: lambda f: f[:, :2] * fraction, action_size=2, decision_seconds=0.08)
 
 
 def issued(name: str, value: float) -> Tensor:
     """[STEPS, ROWS, 2] of operators that always intend 0.25."""
-    operator = build_operator(name, value, human(), EpisodeNoise(list(range(ROWS))), ROWS)
+    operator = build_operator(name, value, context(), EpisodeNoise(list(range(ROWS))), ROWS)
     return torch.stack([operator.command(INTENDED) for _ in range(STEPS)])
 
 
@@ -43,7 +43,7 @@ def test_the_components_of_gaussian_noise_are_independent_of_each_other_and_of_t
 
 
 def test_a_draw_of_zero_gives_a_finite_command() -> None:
-    operator = build_operator("noisy-gaussian", 0.5, human(), DrawnNoise(torch.zeros(1, 1, 2)), 1)
+    operator = build_operator("noisy-gaussian", 0.5, context(), DrawnNoise(torch.zeros(1, 1, 2)), 1)
     assert torch.equal(operator.command(torch.zeros(1, 2)), torch.full((1, 2), -1.0))
 
 
@@ -62,7 +62,7 @@ def test_bursts_have_the_stated_share_and_the_stated_length(share: float) -> Non
 
 def test_bursts_are_as_likely_at_the_start_of_an_episode() -> None:
     rows = 4000
-    operator = build_operator("noisy-burst", 0.3, human(), EpisodeNoise(list(range(rows))), rows)
+    operator = build_operator("noisy-burst", 0.3, context(), EpisodeNoise(list(range(rows))), rows)
     intended = torch.full((rows, 2), 0.25)
     for _ in range(3):
         share = (operator.command(intended) != intended).any(-1).float().mean().item()
@@ -94,5 +94,5 @@ def test_ida_s_own_rates_are_those_of_one_half() -> None:
 
 def test_an_operator_without_noise_is_the_expert() -> None:
     for name in ("noisy", "noisy-gaussian", "noisy-burst", "laggy", "reaction-time"):
-        operator: Operator = build_operator(name, 0.0, human(), EpisodeNoise([1, 2]), 2)
+        operator: Operator = build_operator(name, 0.0, context(), EpisodeNoise([1, 2]), 2)
         assert torch.equal(operator.command(INTENDED[:2]), INTENDED[:2]), name

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.delayed import delay_steps
 from wasp_cli.operators.mixed import MixedOperator
@@ -14,12 +14,12 @@ from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
 STEPS = 4000
 
 
-def human() -> Human:
-    return Human(skill=lambda fraction: lambda f: f[:, :2] * fraction, action_size=2, decision_seconds=0.08)
+def context() -> OperatorContext:
+    return OperatorContext(skill=lambda fraction: lambda f: f[:, :2] * fraction, action_size=2, decision_seconds=0.08)
 
 
 def operator(name: str, value: float, rows: int = 1) -> Operator:
-    return build_operator(name, value, human(), EpisodeNoise(list(range(rows))), rows)
+    return build_operator(name, value, context(), EpisodeNoise(list(range(rows))), rows)
 
 
 def rising(step: int, rows: int = 1) -> Tensor:
@@ -81,7 +81,7 @@ def test_rows_of_a_batch_draw_independently() -> None:
 def test_a_mixture_draws_an_operator_for_every_episode() -> None:
     rows = 200
     noise = EpisodeNoise(list(range(rows)))
-    mixed = MixedOperator([build_operator("limited-skill", value, human(), noise, rows) for value in (0.5, 0.1)], noise, seed=0)
+    mixed = MixedOperator([build_operator("limited-skill", value, context(), noise, rows) for value in (0.5, 0.1)], noise, seed=0)
     mixed.reset(torch.ones(rows, dtype=torch.bool))
     seen = mixed.command(torch.ones(rows, 2))[:, 0]
     assert (seen == 0.5).float().mean().item() == pytest.approx(0.5, abs=0.12)
@@ -94,7 +94,7 @@ def mixture(rows: int) -> MixedOperator:
     """The operator of row r is laggy, delayed, noisy or an early checkpoint, in turn."""
     noise = EpisodeNoise(list(range(rows)))
     severities = {"laggy": 0.5, "reaction-time": 0.24, "noisy": 0.4, "limited-skill": 0.25}
-    mixed = MixedOperator([build_operator(name, value, human(), noise, rows) for name, value in severities.items()], noise, seed=0)
+    mixed = MixedOperator([build_operator(name, value, context(), noise, rows) for name, value in severities.items()], noise, seed=0)
     mixed.choice = torch.arange(rows) % len(severities)
     return mixed
 
@@ -102,7 +102,7 @@ def mixture(rows: int) -> MixedOperator:
 def test_every_row_of_a_mixture_acts_as_its_operator_alone() -> None:
     mixed = mixture(4)
     alone = [
-        build_operator(name, value, human(), EpisodeNoise([row]), 1)
+        build_operator(name, value, context(), EpisodeNoise([row]), 1)
         for row, (name, value) in enumerate((("laggy", 0.5), ("reaction-time", 0.24), ("noisy", 0.4), ("limited-skill", 0.25)))
     ]
     for t in range(12):

@@ -38,9 +38,9 @@ def test_times_come_from_nodes_of_the_same_sort() -> None:
     laid_out = grid(seeds=[0], methods=["human", "expert"])
     seconds = {node.sort: 10.0 for node in laid_out.nodes}
     plan = make_plan(laid_out, {}, {}, seconds)
-    # expert, dataset, world model and policies follow one another; the four evaluations share two workers
-    assert plan.estimate(2) == (pytest.approx(4 * 10 + 4 * 10 / 2), 0)
-    assert plan.estimate(100) == (pytest.approx(5 * 10), 0)
+    # expert, dataset, world model, latents and policies follow one another; the four evaluations share two workers
+    assert plan.estimate(2) == (pytest.approx(5 * 10 + 4 * 10 / 2), 0)
+    assert plan.estimate(100) == (pytest.approx(6 * 10), 0)
     expert = laid_out.nodes[0].sort
     assert make_plan(laid_out, {}, {}, {expert: 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
 

@@ -76,7 +76,7 @@ def test_what_only_reads_something_new_says_what(layout: Layout) -> None:
     fill(layout, grid())
     found = reasons_of(plan_against(grid(world_model={"updates": 21}), layout))
     assert found["goal1 s0 world_model"] == "spec changed: world_model.updates 20 -> 21"
-    assert found["goal1 s0 policies"] == "upstream changed: world_model"
+    assert found["goal1 s0 policies"] == "upstream changed: world_model, latents"
 
 
 def test_changed_code_is_named_by_module(layout: Layout) -> None:

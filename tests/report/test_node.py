@@ -88,6 +88,16 @@ def test_the_text_says_the_same(results: Path) -> None:
     assert "  data.bin  32 bytes\n" in text
 
 
+def test_folders_with_its_pictures_are_named(results: Path) -> None:
+    facts = shown(results, "goal1 s0 world_model")
+    assert facts["pictures"] == []
+    for key in (facts["key"], "0" * 20):
+        (results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{key[:8]}").mkdir(parents=True)
+    folder = str(results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{facts['key'][:8]}")
+    assert shown(results, "goal1 s0 world_model")["pictures"] == [folder]
+    assert folder in run_here("show", facts["key"], "--results", results, columns=300).stdout
+
+
 @pytest.mark.parametrize("kind", ["evaluate", "world_model", "calibration", "expert"])
 def test_a_node_of_any_kind_is_found_by_its_key(kind: str, results: Path, tmp_path: Path) -> None:
     layout = Layout(results)

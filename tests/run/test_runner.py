@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.run.harness import Fakes, data_of, prepared, run
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.journal import read_journal
 from wasp_cli.run.order import Order, Outcome
 from wasp_cli.run.pool import InlinePool, LokyPool
@@ -86,7 +86,7 @@ def test_the_manifest_tells_what_where_and_how(fakes: Fakes, small_spec: Path, t
     manifest = json.loads(path.read_text(encoding="utf-8"))
     assert manifest["key"] == path.parent.name
     assert manifest["label"] == "goal1 s1 critics"
-    assert manifest["upstream"].keys() == {"dataset", "world_model", "policies", "heldout"}
+    assert manifest["upstream"].keys() == {"dataset", "world_model", "latents", "policies", "heldout"}
     assert manifest["settings"] == {"action_repeat": 4, "returns": {"gamma_r": 0.99, "gamma_c": 0.95, "lam": 0.95}}
     assert manifest["summary"]["nothing"] is None
     assert manifest["provenance"]["attempt"] == 1

@@ -70,8 +70,8 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes: Fake
     try:
         wait_until(lambda: len(fakes.executions()) >= 8 and [share(path) for path in running_files(layout)] == [0.5, 0.5])
         (state,) = json.loads(status(layout, "--json"))
-        assert (state["spec"], state["state"], state["total"], state["running"]) == ("small", "running", 34, 2)
-        assert state["finished"] + state["running"] + state["waiting"] == 34
+        assert (state["spec"], state["state"], state["total"], state["running"]) == ("small", "running", 36, 2)
+        assert state["finished"] + state["running"] + state["waiting"] == 36
         assert {node["share"] for node in state["active"]} == {0.5}
         text = status(layout)
         assert "2 running" in text

@@ -12,7 +12,7 @@ import pytest
 from tests.run.harness import Fakes, group_is_gone, start, wait_until
 from wasp_cli.console import err
 from wasp_cli.errors import CellsFailed, UnknownName, UsageError
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.run.session import Way
 from wasp_cli.run.sweep import SweepSession, on_task, run_sweep

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory, episode_metrics
-from wasp_cli.report.table import markdown
+from wasp_cli.report.render.text import markdown
 from wasp_cli.studies.oracle import Cell, Outcome
 from wasp_cli.studies.oracle_run import oracle_table
 

@@ -14,7 +14,7 @@ from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
 from wasp_cli.studies.simulator import NoCritics, SimulatorModel, on_features
@@ -57,8 +57,8 @@ def world(name: str, variant: str = "laggy", value: float = 0.7, batch: int = BA
     policy = PrivilegedPolicy(task.privileged_size, [16], task.action_size).requires_grad_(False)
     for weights in policy.net.parameters():
         weights.mul_(3.0)  # else it hardly moves
-    owner = Human(lambda fraction: on_features(policy), task.action_size, task.decision_seconds)
-    operator = build_operator(variant, value, owner, EpisodeNoise(SEEDS[:batch]), batch)
+    context = OperatorContext(lambda fraction: on_features(policy), task.action_size, task.decision_seconds)
+    operator = build_operator(variant, value, context, EpisodeNoise(SEEDS[:batch]), batch)
     return World(task, SimulatorModel(task, build), operator, EpisodeNoise(SEEDS[:batch]))
 
 

@@ -11,14 +11,13 @@ import pytest
 import torch
 
 from tests.worlds import NoCritics
-from wasp_cli.learning.closed_loop import human
-from wasp_cli.learning.draws import generator, gumbel
-from wasp_cli.learning.policies import load_skills
-from wasp_cli.learning.trained import load_world_model
+from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Operator
+from wasp_cli.models.policy import load_skills
+from wasp_cli.models.world_model import load_world_model
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.video.imagined import ROLLOUTS, RolloutStart, imagine, rollout_start
@@ -32,7 +31,7 @@ PLAN = np.array([[0.4, -0.7], [-0.3, 0.2]], np.float32)
 def decided(request: pytest.FixtureRequest, inputs: Mapping[str, Path]) -> tuple[Any, Operator, Latent, torch.Tensor]:
     """Model, operator, latents and commands in the middle of three episodes."""
     model = load_world_model(inputs["world_model"])
-    operator = build_operator(*request.param, human(load_skills(inputs["policies"]), 0.08, 2), EpisodeNoise([3, 4, 5]), ROWS)
+    operator = build_operator(*request.param, OperatorContext(load_skills(inputs["policies"]).at, 2, 0.08), EpisodeNoise([3, 4, 5]), ROWS)
     source = generator(7)
     for _ in range(4):
         latent = Latent(torch.randn(ROWS, model.sizes.deter, generator=source), torch.rand(ROWS, model.rssm.flat, generator=source))

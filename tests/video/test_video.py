@@ -16,7 +16,7 @@ from tests.video.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
-from wasp_cli.report.figure import PALETTE
+from wasp_cli.report.figures.style import PALETTE
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.video import encode as video_file

@@ -152,11 +152,12 @@ def report(
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="End with 1 when cells, or branches of them, are missing.")] = False,
     films: Annotated[bool, typer.Option("--films/--no-films", help="Films of one episode of each task under every method.")] = True,
+    trained: Annotated[bool, typer.Option("--trained/--no-trained", help="Pictures of each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print the tables of what has run, and write them, the figures and one HTML page, from the results folder alone."""
     from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
     from wasp_cli.report.document import missing_words
-    from wasp_cli.report.runs import last_runs
+    from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
     from wasp_cli.spec.paper import load_paper
 
@@ -172,7 +173,9 @@ def report(
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
-                shown = _show_report(layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, claimed, films=films)
+                shown = _show_report(
+                    layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, claimed, films=films, trained=trained
+                )
                 damaged += shown.damaged
                 gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
                 missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
@@ -260,7 +263,7 @@ def tasks(
     from dataclasses import asdict
 
     from wasp_cli.console import out
-    from wasp_cli.report.task_table import task_table
+    from wasp_cli.report.tables.tasks import task_table
     from wasp_cli.tasks.describe import describe
 
     found = describe()
@@ -353,6 +356,7 @@ def _show_report(
     paper: Paper,
     *,
     films: bool = False,
+    trained: bool = False,
 ) -> Report:
     from wasp_cli.console import err, out
     from wasp_cli.report.summarize import report_run
@@ -361,10 +365,12 @@ def _show_report(
     # Written first: a terminal that goes away costs no file.
     with err().status("report") as status:
         draw = _film_drawing() if films else None
-        _, page, *_ = report.write(layout.reports(spec.name), draw, lambda text: status.update(f"film of {text}"))
+        _, page, *_ = report.write(layout.reports(spec.name), draw, lambda text: status.update(f"drawing {text}"), evidence=trained)
     report.terminal(out())
     beside = "tables as Markdown, CSV and LaTeX, figures as PNG and SVG are beside it"
-    out().print(f"report: {page} ({beside}{'' if films else '; wasp report adds films of episodes'})", markup=False, soft_wrap=True)
+    left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
+    further = f"; wasp report adds {' and '.join(left_out)}" if left_out else ""
+    out().print(f"report: {page} ({beside}{further})", markup=False, soft_wrap=True)
     out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
     return report
 

@@ -39,7 +39,7 @@ def planner(
     Two planners on the same models: the paper's sizes with one rollout per candidate, and those of the spec.
     """
     from wasp_cli import console
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.spec.bench import bench_configs
 
@@ -92,7 +92,7 @@ def ceiling(
     The planner is the spec's; operator and imagination use the expert that a run of this spec has trained.
     """
     from wasp_cli import console
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.studies.oracle_run import measure_oracle, oracle_table
 

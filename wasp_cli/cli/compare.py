@@ -74,7 +74,7 @@ def _pairs(first: Path, second: Path, spec: str | None, spec_a: str | None, spec
     """
     from wasp_cli.compare.runs import Side
     from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-    from wasp_cli.report.runs import last_runs
+    from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
 
     if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):

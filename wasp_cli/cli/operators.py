@@ -51,11 +51,11 @@ def operators(
     """
     from wasp_cli.console import out
     from wasp_cli.plan.plan import cells_with_keys
-    from wasp_cli.report.ladder import require_accepted, verdict_lines
-    from wasp_cli.report.ladder_cells import read_ladders
-    from wasp_cli.report.ladder_table import as_json, ladder_table, write_ladder
+    from wasp_cli.report.render.files import make_own, write_pages
+    from wasp_cli.report.render.text import terminal
+    from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
     from wasp_cli.report.summarize import wanted_cells
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.tables.severity_check import as_json, check_table, judged
     from wasp_cli.run.session import restricted, run_spec
     from wasp_cli.spec.operators import operators_alone
 
@@ -63,15 +63,17 @@ def operators(
     session = run_spec(loaded, results, way_of(jobs, timeout, retries, backend, scheduler))
     # Also after failures: what is there is worth seeing.
     wanted, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
-    ladders, frame = read_ladders(loaded.spec, wanted)
-    table = ladder_table(ladders, frame)
-    files = write_ladder(session.layout.reports(loaded.spec.name), table, ladders)
+    checks, frame = read_checks(loaded.spec, wanted)
+    table = check_table(checks, frame)
+    folder = session.layout.reports(loaded.spec.name)
+    make_own(folder)
+    files = write_pages(folder, {}, [judged(table, checks)])
     if json:
-        print_json(as_json(loaded.spec.name, ladders, frame))
+        print_json(as_json(loaded.spec.name, checks, frame))
     else:
         out().print(terminal(table, out().width))
-        for line in ("", *verdict_lines(ladders), f"table: {', '.join(map(str, files))}"):
+        for line in ("", *verdict_lines(checks), f"table: {', '.join(map(str, files))}"):
             out().print(line, markup=False, soft_wrap=True)
     session.require_complete()
     require_cells(frame.missing, session.layout)
-    require_accepted(ladders)
+    require_accepted(checks)

@@ -15,7 +15,7 @@ import typer
 from wasp_cli.cli import completion as complete
 
 if TYPE_CHECKING:
-    from wasp_cli.report.frame import Missing
+    from wasp_cli.report.stats.frame import Missing
     from wasp_cli.run.session import Way
     from wasp_cli.store.layout import Layout
 

@@ -26,8 +26,7 @@ def show(
     from dataclasses import asdict
 
     from wasp_cli.console import out
-    from wasp_cli.report.node import node_facts
-    from wasp_cli.report.node_text import node_lines
+    from wasp_cli.report.node import node_facts, node_lines
     from wasp_cli.run.record import results_of
     from wasp_cli.store.find import find_node
 

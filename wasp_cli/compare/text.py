@@ -12,13 +12,15 @@ from rich.text import Text
 
 from wasp_cli.compare.paired import LEVEL, MEASURES
 from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
-from wasp_cli.report.bootstrap import Estimate
+from wasp_cli.report.claims.table import title_of
 from wasp_cli.report.explain.facts import plain_values
-from wasp_cli.report.main_table import PAPER_COLUMNS
-from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.table import UNDEFINED, Row, Table, Value, markdown, terminal
-from wasp_cli.report.titles import task_title
-from wasp_cli.report.verdict_table import title_of
+from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render.text import markdown, terminal
+from wasp_cli.report.stats.bootstrap import Estimate
+from wasp_cli.report.stats.summary import UNDEFINED, Value
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Row, Table
+from wasp_cli.report.tables.titles import task_title
 from wasp_cli.spec.paper import Who
 
 SHOWN = 12

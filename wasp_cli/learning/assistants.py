@@ -9,15 +9,15 @@ from typing import Any
 
 from wasp_cli.config import Config
 from wasp_cli.learning.configs import ReturnsConfig
-from wasp_cli.learning.policies import load_skills
-from wasp_cli.learning.trained import load_world_model
 from wasp_cli.methods.base import Assistant, AssistantClass, Parts
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.models.policy import load_skills
+from wasp_cli.models.world_model import load_world_model
 from wasp_cli.registry import load_target
 
 
 def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
-    """The frozen models of a training chain, and the calibrated thresholds where there are any."""
+    """Load the frozen models of a training chain, and the calibrated thresholds where there are any."""
     thresholds: dict[str, float] = {}
     if "calibration" in inputs:
         thresholds = json.loads((inputs["calibration"] / "calibration.json").read_text())
@@ -28,12 +28,12 @@ def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
 
 
 def method_config(method: str, resolved: Mapping[str, Any]) -> Config:
-    """The validated configuration of a method from its resolved JSON form."""
+    """Return the validated configuration of a method from its resolved JSON form."""
     config: Config = load_target(METHODS[method].config).model_validate(resolved)
     return config
 
 
 def build_assistant(method: str, resolved: Mapping[str, Any], parts: Parts) -> Assistant:
-    """An assistant by its registered name."""
+    """Build an assistant by its registered name."""
     cls: AssistantClass = METHODS.load(method)
     return cls(method_config(method, resolved), parts)

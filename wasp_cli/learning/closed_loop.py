@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.methods.base import Assistant, Decision
-from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
-from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Human, Operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.base import Observation, VectorTask
 
 Array = NDArray[Any]
@@ -57,19 +54,14 @@ class Filter:
         self._action = torch.zeros(batch, model.action_size)
 
     def see(self, observation: Observation, first: Tensor) -> Latent:
-        """The latent after a new observation; rows with `first` [B] start anew."""
+        """Return the latents [B, .] after a new observation; rows with `first` [B] start anew."""
         assert observation.pixels is not None
         self.latent = self.model.filter(self.latent, self._action, torch.from_numpy(observation.pixels), first)
         return self.latent
 
     def executed(self, action: Tensor) -> None:
-        """Tell the filter what was executed: [B, A]."""
+        """Tell the filter which actions [B, A] were executed."""
         self._action = action
-
-
-def human(skills: Skills, decision_seconds: float, action_size: int) -> Human:
-    """What the operators of a task are built from."""
-    return Human(skill=skills.at, action_size=action_size, decision_seconds=decision_seconds)
 
 
 @torch.inference_mode()
@@ -84,7 +76,7 @@ def run_episodes(
     keep_latents: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Loop:
-    """One episode per row, until all have ended.
+    """Run one episode per row, until all have ended.
 
     Args:
         task: B episodes with pixels.
@@ -135,9 +127,3 @@ def run_episodes(
     h = torch.stack([latent.h for latent in kept]) if keep_latents else None
     z = torch.stack([latent.z for latent in kept]) if keep_latents else None
     return Loop(**stacked, decisions=decisions, decision_ms=np.array(times, np.float32), h=h, z=z)
-
-
-def expert_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, seeds: Sequence[int], *, keep_latents: bool = False) -> Loop:
-    """Episodes of the unimpaired latent expert without assistance."""
-    operator = Operator.build(1.0, human(skills, task.decision_seconds, task.action_size), EpisodeNoise(seeds), task.batch)
-    return run_episodes(task, model, operator, HumanOnly(), seeds, seeds, keep_latents=keep_latents)

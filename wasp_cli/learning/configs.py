@@ -132,6 +132,10 @@ class WorldModelConfig(Config):
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
 
 
+class LatentsConfig(Config):
+    """What the world model infers at every recorded row; nothing to choose."""
+
+
 class DiagnosticsConfig(Config):
     """What the world model is worth on episodes that it was not trained on."""
 

@@ -1,4 +1,4 @@
-"""What a dataset holds: per behaviour and in all, as numbers and as a table for people."""
+"""What a dataset holds: per behaviour and in all, as numbers."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.learning.replay import Replay, cost_sources, read_replay
+from wasp_cli.learning.shards import Recording, cost_sources, read_shards
 
 COLUMNS = ("reward", "cost", "cost_env", "sources", "goals", "terminal", "first", "episode", "behaviour")
 """The columns that the table is made from."""
 ALL = "all"
-COSTLY_SHARE = (0.03, 0.15)
-"""Share of costly decision steps that a dataset should have: with less a model learns no cost, with more nothing of driving well."""
 
 Contents = Mapping[str, Mapping[str, Any]]
 
 
-def contents(replay: Replay, sources: Sequence[str]) -> dict[str, dict[str, Any]]:
+def contents(recording: Recording, sources: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Per behaviour and in all (`all`).
 
     Keys of a row: `episodes`, `steps` (decision steps), `share` of the episodes, and per episode `return_per_episode`,
@@ -26,12 +24,12 @@ def contents(replay: Replay, sources: Sequence[str]) -> dict[str, dict[str, Any]
     each cost source.
     """
     table = {}
-    for name in [ALL, *sorted(set(replay.behaviour.tolist()))]:
-        rows = replay if name == ALL else replay.rows(replay.behaviour == name)
+    for name in [ALL, *sorted(set(recording.behaviour.tolist()))]:
+        rows = recording if name == ALL else recording.rows(recording.behaviour == name)
         episodes = int(rows.first.sum())
         steps = len(rows.first) - episodes
         table[name] = {
-            "episodes": episodes, "steps": steps, "share": episodes / float(replay.first.sum()),
+            "episodes": episodes, "steps": steps, "share": episodes / float(recording.first.sum()),
             "return_per_episode": float(rows.reward.sum()) / episodes, "goals_per_episode": float(rows.goals.sum()) / episodes,
             "cost_per_episode": float(rows.cost_env.sum()) / episodes,
             "with_goal": len(set(rows.episode[rows.goals > 0].tolist())) / episodes, "terminal": float(rows.terminal.sum()) / episodes,
@@ -42,43 +40,10 @@ def contents(replay: Replay, sources: Sequence[str]) -> dict[str, dict[str, Any]
 
 
 def contents_of(folder: Path) -> dict[str, dict[str, Any]]:
-    """The contents of a dataset artifact, without reading its images."""
-    return contents(read_replay(folder, COLUMNS), cost_sources(folder))
+    """Summarise the contents of a dataset artifact, without reading its images."""
+    return contents(read_shards(folder, COLUMNS), cost_sources(folder))
 
 
 def unseen_sources(table: Contents) -> list[str]:
-    """The cost sources that never cost."""
+    """Name the cost sources that never cost."""
     return [kind for kind, share in table[ALL]["sources"].items() if share == 0.0]
-
-
-def warnings(table: Contents) -> list[str]:
-    """What is wrong with a dataset, in words; a task without cost sources has nothing to warn of."""
-    sources, share = table[ALL]["sources"], table[ALL]["costly_share"]
-    if not sources:
-        return []
-    found = [f"no step costs by {kind}" for kind in unseen_sources(table)]
-    low, high = COSTLY_SHARE
-    if not low <= share <= high:
-        found.append(f"{share:.1%} of the steps cost, not {low:.0%} to {high:.0%}")
-    return found
-
-
-def contents_markdown(table: Contents) -> str:
-    """The table for people: a row per behaviour, the whole first; shares in percent."""
-    sources = list(table[ALL]["sources"])
-    head = ["behaviour", "episodes", "steps", "return", "goals", "with a goal", "ended by rule", "cost", "costly steps", *sources]
-    lines = ["# What the dataset holds", ""]
-    lines += ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
-    for name, row in table.items():
-        shares = [row["with_goal"], row["terminal"]]
-        costs = [row["costly_share"], *(row["sources"][kind] for kind in sources)]
-        cells = [
-            name, f"{row['episodes']} ({row['share']:.0%})", row["steps"], f"{row['return_per_episode']:.2f}",
-            f"{row['goals_per_episode']:.2f}", *(f"{share:.0%}" for share in shares), f"{row['cost_per_episode']:.1f}",
-            *(f"{share:.2%}" for share in costs),
-        ]  # fmt: skip
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    lines += ["", "Return, goals and cost (env steps that cost) are means per episode; costly steps and the cost sources are shares of the"]
-    lines += ["decision steps, and one step may cost by several sources."]
-    lines += ["", *(f"Warning: {text}." for text in warnings(table))] if warnings(table) else []
-    return "\n".join(lines) + "\n"

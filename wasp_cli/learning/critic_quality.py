@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import torch
 from numpy.typing import NDArray
 
@@ -15,7 +18,6 @@ from wasp_cli.models.base import Critics
 
 CUT_OFF = 0.05
 """Largest share of a discounted return that may lie beyond the time limit."""
-BINS = 10
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ class Pairs(NamedTuple):
 
 
 def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> tuple[Floats, Floats]:
-    """The discounted sum from every decision to its episode's end, and gamma^n where the time limit came n decisions later.
+    """Return the discounted sum from every decision to its episode's end, and gamma^n where the time limit came n decisions later.
 
     Args:
         signal: [K] what each decision scored, episodes one after the other.
@@ -53,7 +55,7 @@ def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any],
 
 
 def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> Pairs:
-    """Predictions beside the real returns, without decisions whose return the time limit cuts.
+    """Pair predictions with real returns, without decisions whose return the time limit cuts.
 
     At most `CUT_OFF` of a return may be cut. Where episodes are too short for that, what half of the longest one cuts is allowed. What is
     cut is filled up with the mean of the signal, which favours no state.
@@ -67,7 +69,7 @@ def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: ND
 
 @torch.inference_mode()
 def heldout_pairs(critics: Critics, heldout: Heldout, returns: ReturnsConfig) -> dict[str, Pairs]:
-    """The pairs of V_r and V_c, by 'r' and 'c'."""
+    """Return the pairs of V_r and V_c, by 'r' and 'c'."""
     episode, terminal = heldout.episode.numpy(), heldout.terminal.numpy()
     values = {"r": critics.value_r(heldout.latent), "c": critics.value_c(heldout.latent)}
     signals = {"r": (heldout.reward, returns.gamma_r), "c": (heldout.cost, returns.gamma_c)}
@@ -78,7 +80,7 @@ def heldout_pairs(critics: Critics, heldout: Heldout, returns: ReturnsConfig) ->
 
 
 def quality(found: Pairs) -> dict[str, float | None]:
-    """Rank correlation and mean predicted / mean real; None where too few decisions or no variation leave them undefined."""
+    """Return rank correlation and mean predicted / mean real; None where too few decisions or no variation leave them undefined."""
     enough = len(found.real) >= 10 and np.ptp(found.real) > 0 and np.ptp(found.predicted) > 0
     mean = float(found.real.mean()) if len(found.real) else 0.0
     return {
@@ -89,7 +91,7 @@ def quality(found: Pairs) -> dict[str, float | None]:
 
 
 def spearman(a: Floats, b: Floats) -> float:
-    """Rank correlation, ties at their average rank: discounted costs have many exact ties at zero."""
+    """Return the rank correlation, ties at their average rank: discounted costs have many exact ties at zero."""
     return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
 
 
@@ -100,28 +102,11 @@ def _ranks(values: Floats) -> Floats:
     return average
 
 
-def reliability_picture(found: dict[str, Pairs], path: Path) -> None:
-    """Every decision as a point, and the means of ten equally large groups by prediction; on the diagonal critics are right on average.
-
-    Args:
-        found: by the name of the critic.
-        path: of the PNG.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.0 * len(found), 3.8), layout="constrained", dpi=110)
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, len(found), squeeze=False)[0]
-    for panel, (name, (predicted, real, _)) in zip(panels, found.items(), strict=True):
-        if not len(real):
-            continue
-        shown = np.linspace(0, len(real) - 1, min(1500, len(real))).astype(int)
-        panel.plot(predicted[shown], real[shown], ".", color="#56B4E9", markersize=2, alpha=0.4)
-        groups = [group for group in np.array_split(np.argsort(predicted, kind="stable"), BINS) if len(group)]
-        panel.plot([predicted[g].mean() for g in groups], [real[g].mean() for g in groups], "o-", color="#D55E00", markersize=4)
-        ends = [min(predicted.min(), real.min()), max(predicted.max(), real.max())]
-        panel.plot(ends, ends, color="#000000", linewidth=0.7)
-        panel.set_xlabel(f"{name}, predicted")
-        panel.set_ylabel("discounted sum that followed")
-    figure.savefig(path, metadata={"Software": None})
+def write_pairs(path: Path, found: Mapping[str, Pairs]) -> None:
+    """Write the pairs of every critic to a Parquet file: `critic` (its name), `predicted` and `real` (float64), a row per decision."""
+    columns = {
+        "critic": pa.array([name for name, one in found.items() for _ in one.real], pa.string()),
+        "predicted": pa.array(np.concatenate([one.predicted for one in found.values()]), pa.float64()),
+        "real": pa.array(np.concatenate([one.real for one in found.values()]), pa.float64()),
+    }
+    pq.write_table(pa.table(columns), path, compression="zstd", compression_level=3, use_dictionary=["critic"])

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
-from wasp_cli.learning.draws import generator, gumbel
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.sampling import generator, gumbel
+from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.wasp.returns import td_lambda_all
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
@@ -24,19 +24,19 @@ from wasp_cli.models.world_model import SafetyWorldModel
 class Starts:
     """Recorded rows from which imagination begins: never after an episode's own end, a share of them shortly before a cost."""
 
-    def __init__(self, replay: Replay, share: float, horizon: int) -> None:
-        goes_on = replay.terminal == 0
+    def __init__(self, recording: Recording, share: float, horizon: int) -> None:
+        goes_on = recording.terminal == 0
         # Entry t counts the costly rows before t; a cost in rows t+1 .. t+horizon of the same episode makes row t a risky one.
-        before = np.concatenate([[0], np.cumsum(replay.cost > 0)])
+        before = np.concatenate([[0], np.cumsum(recording.cost > 0)])
         rows = np.arange(len(goes_on))
-        ends = np.searchsorted(replay.episode, replay.episode, side="right")
+        ends = np.searchsorted(recording.episode, recording.episode, side="right")
         risky = before[np.minimum(rows + 1 + horizon, ends)] > before[rows + 1]
         self.every = torch.from_numpy(np.flatnonzero(goes_on))
         self.risky = torch.from_numpy(np.flatnonzero(goes_on & risky))
         self._share = share
 
     def sample(self, count: int, source: torch.Generator) -> Tensor:
-        """Indices [count] of rows."""
+        """Draw indices [count] of rows."""
         index = self.every[torch.randint(len(self.every), (count,), generator=source)]
         wanted = round(self._share * count)
         if wanted and len(self.risky):
@@ -58,14 +58,14 @@ class Rollout(NamedTuple):
     """probability that the episode goes on"""
 
     def weight(self) -> Tensor:
-        """[H, B] probability that the episode had not ended before the step began."""
+        """Return the probability [H, B] that the episode had not ended before the step began."""
         return torch.cat([torch.ones_like(self.keep[:1]), self.keep[:-1]]).cumprod(0)
 
 
 def train_critics(
     model: SafetyWorldModel,
     skills: Skills,
-    replay: Replay,
+    recording: Recording,
     latents: Latents,
     config: CriticsConfig,
     returns: ReturnsConfig,
@@ -77,7 +77,7 @@ def train_critics(
     Args:
         model: the frozen world model.
         skills: the latent expert among them.
-        replay: terminal, cost and episode of the recorded rows.
+        recording: terminal, cost and episode of the recorded rows.
         latents: of the same rows.
         config: sizes and budget.
         returns: discounts and lambda.
@@ -91,7 +91,7 @@ def train_critics(
     slow = copy.deepcopy(critics).requires_grad_(False)
     optimizer = torch.optim.Adam(critics.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    starts = Starts(replay, config.cost_starts, config.horizon)
+    starts = Starts(recording, config.cost_starts, config.horizon)
     curve: list[dict[str, float]] = []
     recent: list[Tensor] = []
     for update in range(config.updates):
@@ -124,7 +124,7 @@ def train_critics(
 
 
 def imagine(model: SafetyWorldModel, skills: Skills, start: Latent, horizon: int, source: torch.Generator) -> Rollout:
-    """H steps under the expert from B latents; the heads read all arrived states at once."""
+    """Imagine H steps under the expert from B latents; the heads read all arrived states at once."""
     noise = gumbel((horizon, len(start.h), model.noise_size), source)
     features, hs, zs = [], [], []
     latent = start

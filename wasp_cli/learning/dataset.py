@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.replay import HELD_OUT, Replay, held_out_period
+from wasp_cli.learning.shards import HELD_OUT, Recording, held_out_period
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.tasks.base import VectorTask
 
@@ -43,9 +43,9 @@ STICKY = 0.9
 
 
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
-    """A behaviour for each episode, in the shares of the mixture; `skills` is the number of checkpoints.
+    """Draw a behaviour for each episode, in the shares of the mixture; `skills` is the number of checkpoints.
 
-    The order is random, except that the episodes which `Replay.held_out` keeps from training have the shares of all: left to chance, a
+    The order is random, except that the episodes which `Recording.held_out` keeps from training have the shares of all: left to chance, a
     behaviour may be missing among them, or one that always costs may outweigh the others.
     """
     variants: dict[str, list[Behaviour]] = {
@@ -85,7 +85,7 @@ class Commander:
         """Intended commands [B, A] of the episode so far."""
 
     def command(self, privileged: NDArray[np.float32]) -> NDArray[np.float32]:
-        """[B, P] to [B, A] in [-1, 1]."""
+        """Return commands [B, A] in [-1, 1] for privileged observations [B, P]."""
         rows, random = self._rows, self._random
         with torch.inference_mode():
             seen = torch.from_numpy(privileged)
@@ -115,8 +115,8 @@ class Commander:
 
 def record(
     task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int
-) -> Replay:
-    """One episode per row, as a shard.
+) -> Recording:
+    """Record one episode per row, as a shard.
 
     Args:
         task: B episodes with pixels and privileged observations.
@@ -163,7 +163,7 @@ def record(
     lengths = kept.sum(1)
     # Field by field, each taken out of the steps on the way, so that the images of a shard are in memory at most twice.
     flat = {name: np.stack([s.pop(name) for s in steps], 1)[kept] for name in list(steps[0])}
-    return Replay(
+    return Recording(
         episode=np.repeat(np.arange(number, number + batch, dtype=np.int32), lengths),
         behaviour=np.repeat(np.array(list(names), dtype=object), lengths),
         **flat,

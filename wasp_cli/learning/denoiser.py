@@ -1,4 +1,8 @@
-"""Training of Diffusion's denoiser on the expert's actions at recorded latents."""
+"""Diffusion's denoiser: training on the expert's actions at recorded latents, and how near it brings commands to them.
+
+After Yoneda et al. 2023: the forward diffusion ratio trades *conformity* (what is executed is near what the expert would do) against
+*fidelity* (it is near the command). K decisions on held-out episodes, A actions.
+"""
 
 from __future__ import annotations
 
@@ -8,37 +12,42 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.configs import DenoiserConfig
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import HELD_OUT, Replay
+from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import HELD_OUT, Recording
+from wasp_cli.methods.diffusion import assist
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 
+RATIOS = (0.2, 0.3, 0.4, 0.6)
+"""Forward diffusion ratios; at 0 a command stays as it is."""
 
-def demonstrations(replay: Replay, config: DenoiserConfig) -> NDArray[np.int64]:
-    """Rows whose expert action is learned, without those that are held out: all, or the near-expert episodes within the cost limit.
+
+def demonstrations(recording: Recording, config: DenoiserConfig) -> NDArray[np.int64]:
+    """Choose the rows [K] whose expert action is learned, never held-out ones: all, or the near-expert episodes within the cost limit.
 
     When no near-expert episode is within it, the one of least cost has to do.
 
     Raises:
         TrainingError: there is no near-expert episode.
     """
-    learned = ~replay.held_out(HELD_OUT)
+    learned = ~recording.held_out(HELD_OUT)
     if config.states == "all":
         return np.flatnonzero(learned)
-    near = (replay.behaviour == "expert") & learned
-    rows = [np.flatnonzero(near & (replay.episode == e)) for e in np.unique(replay.episode[near])]
+    near = (recording.behaviour == "expert") & learned
+    rows = [np.flatnonzero(near & (recording.episode == e)) for e in np.unique(recording.episode[near])]
     if not rows:
         raise TrainingError("the dataset has no near-expert episode", "raise dataset.mixture.expert or dataset.steps")
-    rows.sort(key=lambda r: float(replay.cost_env[r].sum()))
-    careful = [r for r in rows if replay.cost_env[r].sum() <= config.cost_limit]
+    rows.sort(key=lambda r: float(recording.cost_env[r].sum()))
+    careful = [r for r in rows if recording.cost_env[r].sum() <= config.cost_limit]
     return np.sort(np.concatenate(careful or rows[:1]))
 
 
 def train_denoiser(
-    replay: Replay,
+    recording: Recording,
     labels: torch.Tensor,
     latents: Latents,
     config: DenoiserConfig,
@@ -48,7 +57,7 @@ def train_denoiser(
     """Predict the noise in diffused expert actions; the averaged weights are what is returned.
 
     Args:
-        replay: recorded rows.
+        recording: recorded rows.
         labels: the expert's own action at every row [N, A].
         latents: of every row.
         config: sizes and budgets.
@@ -61,7 +70,7 @@ def train_denoiser(
     average = copy.deepcopy(denoiser).requires_grad_(False)
     optimizer = torch.optim.Adam(denoiser.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    rows = torch.from_numpy(demonstrations(replay, config))
+    rows = torch.from_numpy(demonstrations(recording, config))
     smoothed = 1.0
     for update in range(config.updates):
         index = rows[torch.randint(len(rows), (config.batch,), generator=source)]
@@ -84,3 +93,40 @@ def train_denoiser(
             report(update / config.updates, f"update {update}/{config.updates}, loss {smoothed:.3f}")
     average.eval()
     return average, schedule, {"noise_loss": smoothed, "demonstrations": float(len(rows))}
+
+
+@torch.inference_mode()
+def noise_loss(denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, expert: Tensor, source: torch.Generator) -> float:
+    """Return the mean squared error of the predicted noise over all levels at expert actions [K, A]; predicting none at all scores 1."""
+    level = torch.randint(schedule.steps, (len(expert),), generator=source)
+    noise = torch.randn(tuple(expert.shape), generator=source)
+    return float((denoiser(features, schedule.diffuse(expert, level, noise), level) - noise).square().mean())
+
+
+@torch.inference_mode()
+def denoiser_quality(
+    denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, expert: Tensor, recorded: Tensor, source: torch.Generator
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Return mean distances by kind of command and ratio: `conformity` to the expert's action, `fidelity` to the command (0 is nearest).
+
+    Args:
+        denoiser: trained.
+        schedule: its levels.
+        features: [K, F]
+        expert: [K, A] the expert's own action there.
+        recorded: [K, A] what an operator executed there.
+        source: of the draws.
+    """
+    uniform = 2 * torch.rand(tuple(expert.shape), generator=source) - 1
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for kind, command in (("expert", expert), ("recorded", recorded), ("uniform", uniform)):
+        found[kind] = {"0": _distances(command, command, expert)}
+        for ratio in RATIOS:
+            k = schedule.forward_level(ratio)
+            draws = torch.randn((k + 1, *expert.shape), generator=source)
+            found[kind][f"{ratio:g}"] = _distances(assist(denoiser, schedule, features, command, k, draws), command, expert)
+    return found
+
+
+def _distances(executed: Tensor, command: Tensor, expert: Tensor) -> dict[str, float]:
+    return {"conformity": float((executed - expert).norm(dim=-1).mean()), "fidelity": float((executed - command).norm(dim=-1).mean())}

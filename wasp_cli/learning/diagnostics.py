@@ -1,7 +1,8 @@
 """What imagined costs, rewards and images are worth on recorded episodes, per imagined step k = 1..H and over the whole window.
 
 Everything starts at the filtered latent of a recorded row and follows the prior under the true actions; what is read at step k is compared
-with what arrived k rows later. K = starts, H = horizon, S = cost sources.
+with what arrived k rows later. The episodes are held-out ones of the dataset, and fresh ones under operators that are not in its mixture.
+K = starts, H = horizon, S = cost sources.
 """
 
 from __future__ import annotations
@@ -13,17 +14,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import Latents, roll_prior
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.dataset import Behaviour, Commander, record
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator, roll_prior
+from wasp_cli.learning.shards import Recording
 from wasp_cli.metrics.ranking import average_precision, average_precision_interval, recall_at
 from wasp_cli.metrics.reliability import calibration_error, reliability
+from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.seeds import derive
+from wasp_cli.tasks.base import VectorTask
 
 FALSE_ALARMS = 0.1
 """Share of the moments without a cost at which a recall is read."""
 CHUNK = 256
 """Starts that are imagined, or images that are decoded, together."""
+
+HALF_TRAINED = 2
+"""Index of the first checkpoint that is not among the two `early` ones of the mixture."""
 
 Floats = NDArray[Any]
 Row = dict[str, Any]
@@ -33,7 +41,7 @@ class Forecast(NamedTuple):
     """Imagined costs, rewards and ends, means over samples of the prior."""
 
     starts: NDArray[np.int64]
-    """[K] rows of the replay"""
+    """[K] rows of the recording"""
     cost: Floats
     """[K, H] probability of a cost at the arrived state"""
     reward: Floats
@@ -55,31 +63,31 @@ class Alarm(NamedTuple):
     """gamma_c"""
 
     def up(self, cost: Floats) -> NDArray[np.bool_]:
-        """[K, H] costs to [K]."""
+        """Return where the alarm [K] is raised by costs [K, H]."""
         raised: NDArray[np.bool_] = (cost * self.gamma ** np.arange(cost.shape[1])).sum(1) > self.threshold
         return raised
 
 
-def spread_starts(replay: Replay, horizon: int, count: int, *, ended: bool = False) -> NDArray[np.int64]:
-    """At most `count` rows, evenly spread over those from which `horizon` rows follow within their episode.
+def spread_starts(recording: Recording, horizon: int, count: int, *, ended: bool = False) -> NDArray[np.int64]:
+    """Choose at most `count` rows, evenly spread over those from which `horizon` rows follow within their episode.
 
     With `ended`, also over those whose episode ends sooner by its own rule: where a goal ends it, the others never see the goal. Episodes
     that a time limit cuts off say nothing of what would have followed.
     """
-    starts = replay.window_starts(horizon + 1)
+    starts = recording.window_starts(horizon + 1)
     if ended:
-        for end in np.flatnonzero(replay.terminal > 0).tolist():
+        for end in np.flatnonzero(recording.terminal > 0).tolist():
             near = np.arange(max(0, end - horizon), end)
-            starts = np.union1d(starts, near[replay.episode[near] == replay.episode[end]])
+            starts = np.union1d(starts, near[recording.episode[near] == recording.episode[end]])
     if len(starts) <= count:
         return starts
     chosen: NDArray[np.int64] = starts[np.linspace(0, len(starts) - 1, count).round().astype(int)]
     return chosen
 
 
-def what_followed(replay: Replay, starts: NDArray[np.int64], horizon: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The rows [K, H] after each start, after the end of its episode the last one again, and whether the episode was still going."""
-    last = np.searchsorted(replay.episode, replay.episode[starts], side="right")[:, None] - 1  # [K, 1]
+def what_followed(recording: Recording, starts: NDArray[np.int64], horizon: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the rows [K, H] after each start, after the end of its episode the last one again, and whether the episode was still going."""
+    last = np.searchsorted(recording.episode, recording.episode[starts], side="right")[:, None] - 1  # [K, 1]
     ahead: NDArray[np.int64] = starts[:, None] + 1 + np.arange(horizon)
     within: NDArray[np.bool_] = ahead <= last
     return np.minimum(ahead, last), within
@@ -87,16 +95,16 @@ def what_followed(replay: Replay, starts: NDArray[np.int64], horizon: int) -> tu
 
 @torch.inference_mode()
 def forecast(
-    model: SafetyWorldModel, replay: Replay, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
+    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
 ) -> Forecast:
     """Imagine from `starts` [K] under the true actions."""
     source = generator(seed)
     cost, reward, ends = (torch.zeros(len(starts), horizon) for _ in range(3))
-    follow, within = what_followed(replay, starts, horizon)
+    follow, within = what_followed(recording, starts, horizon)
     for begin in range(0, len(starts), CHUNK):
         here = slice(begin, begin + CHUNK)
         index = torch.from_numpy(starts[here])
-        actions = torch.from_numpy(replay.action[follow[here]])
+        actions = torch.from_numpy(recording.action[follow[here]])
         for _ in range(samples):
             arrived = roll_prior(model, latents.at(index), actions, source)
             cost[here] += model.cost(arrived) / samples
@@ -105,8 +113,8 @@ def forecast(
     return Forecast(starts, cost.numpy(), reward.numpy(), ends.numpy(), follow, within)
 
 
-def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
-    """A row per imagined step.
+def judged_steps(recording: Recording, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
+    """Judge every imagined step: a row of numbers for each.
 
     `base` is the share of costly steps and `auprc` that of c-hat, `auprc_low` and `auprc_high` a 95 % interval of it over resampled
     episodes; `persistence` is that of "cost stays what it is at the start". `recall` is read at FALSE_ALARMS. `foreseen` is the share of
@@ -114,7 +122,7 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
     `reliability` has a row per bin. `ends_` is about episodes that end by the task's own rule.
 
     Args:
-        replay: the recorded episodes.
+        recording: the recorded episodes.
         seen: what was imagined on them.
         alarm: raised before a cost, it makes the cost foreseen.
         sources: names of the cost sources.
@@ -123,14 +131,14 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
     rows = []
     for k, (going, *columns) in enumerate(zip(seen.within.T, seen.follow.T, seen.cost.T, seen.reward.T, seen.ends.T, strict=True), 1):
         follow, cost, reward, ends = (column[going] for column in columns)
-        now, up = replay.cost[seen.starts[going]], raised[going]
+        now, up = recording.cost[seen.starts[going]], raised[going]
         calm = now == 0
-        event, true_reward = replay.cost[follow] > 0, replay.reward[follow]
+        event, true_reward = recording.cost[follow] > 0, recording.reward[follow]
         base, bins = _mean(event), reliability(event, cost)
-        over = replay.terminal[follow] > 0
-        low, high = average_precision_interval(event, cost, replay.episode[seen.starts[going]])
+        over = recording.terminal[follow] > 0
+        low, high = average_precision_interval(event, cost, recording.episode[seen.starts[going]])
         error, variance = float(((reward - true_reward) ** 2).mean()), float(true_reward.var())
-        by = {kind: replay.sources[follow, i] > 0 for i, kind in enumerate(sources)}
+        by = {kind: recording.sources[follow, i] > 0 for i, kind in enumerate(sources)}
         rows.append(
             {
                 "k": k, "base": base, "auprc": average_precision(event, cost), "auprc_low": low, "auprc_high": high,
@@ -150,13 +158,13 @@ def judged_steps(replay: Replay, seen: Forecast, alarm: Alarm, sources: Sequence
     return rows
 
 
-def judged_window(replay: Replay, seen: Forecast, alarm: Alarm) -> Row:
-    """Over the window, or what the episode left of it: the sum of costs, and whether there is any.
+def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
+    """Judge the whole window, or what the episode left of it: the sum of costs, and whether there is any.
 
     The score of "any" is 1 - prod(1 - c-hat) over the steps.
     """
-    costs, predicted = replay.cost[seen.follow] * seen.within, seen.cost.astype(np.float64) * seen.within  # [K, H]
-    event, calm = costs.sum(1) > 0, replay.cost[seen.starts] == 0
+    costs, predicted = recording.cost[seen.follow] * seen.within, seen.cost.astype(np.float64) * seen.within  # [K, H]
+    event, calm = costs.sum(1) > 0, recording.cost[seen.starts] == 0
     score, up = 1.0 - np.prod(1.0 - predicted, 1), alarm.up(predicted)
     table: Row = {"cost_correlation": _correlation(predicted.sum(1), costs.sum(1)), **alarm._asdict()}
     for prefix, rows in (("", np.ones(len(event), bool)), ("onset_", calm)):
@@ -165,18 +173,18 @@ def judged_window(replay: Replay, seen: Forecast, alarm: Alarm) -> Row:
             f"{prefix}recall": recall_at(event[rows], score[rows], FALSE_ALARMS),
             f"{prefix}foreseen": _mean(up[rows & event]), f"{prefix}false_alarms": _mean(up[rows & ~event]),
         }  # fmt: skip
-    return table | {"persistence": average_precision(event, replay.cost[seen.starts])}
+    return table | {"persistence": average_precision(event, recording.cost[seen.starts])}
 
 
 @torch.inference_mode()
-def judged_filter(model: SafetyWorldModel, replay: Replay, latents: Latents, images: int) -> Row:
-    """The filtered state itself (k = 0): its cost, and how well it shows its own image."""
-    index = torch.from_numpy(np.flatnonzero(replay.first == 0))  # nothing can cost before the first decision
+def judged_filter(model: SafetyWorldModel, recording: Recording, latents: Latents, images: int) -> Row:
+    """Judge the filtered state itself (k = 0): its cost, and how well it shows its own image."""
+    index = torch.from_numpy(np.flatnonzero(recording.first == 0))  # nothing can cost before the first decision
     cost = torch.cat([model.cost(latents.at(part)) for part in index.split(CHUNK)]).numpy()
-    event = replay.cost[index.numpy()] > 0
+    event = recording.cost[index.numpy()] > 0
     base = _mean(event)
-    chosen = np.linspace(0, len(replay.first) - 1, min(images, len(replay.first))).round().astype(int)
-    true = replay.pixels[chosen].astype(np.float32) / 255.0
+    chosen = np.linspace(0, len(recording.first) - 1, min(images, len(recording.first))).round().astype(int)
+    true = recording.pixels[chosen].astype(np.float32) / 255.0
     decoded = torch.cat([model.decode(latents.at(part)) for part in torch.from_numpy(chosen).split(CHUNK)]).numpy()
     return {
         "base": base, "auprc": average_precision(event, cost), "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
@@ -187,10 +195,10 @@ def judged_filter(model: SafetyWorldModel, replay: Replay, latents: Latents, ima
 
 @torch.inference_mode()
 def imagined_images(
-    model: SafetyWorldModel, replay: Replay, latents: Latents, starts: NDArray[np.int64], horizon: int, source: torch.Generator
+    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, source: torch.Generator
 ) -> Floats:
-    """Images of one imagined future per start: float32 [K, H, 6, 64, 64] in [0, 1]."""
-    actions = torch.from_numpy(replay.action[starts[:, None] + 1 + np.arange(horizon)])
+    """Imagine images of one future per start: float32 [K, H, 6, 64, 64] in [0, 1]."""
+    actions = torch.from_numpy(recording.action[starts[:, None] + 1 + np.arange(horizon)])
     arrived = roll_prior(model, latents.at(torch.from_numpy(starts)), actions, source)
     flat = type(arrived)(arrived.h.flatten(0, 1), arrived.z.flatten(0, 1))
     parts = [model.decode(flat.rows(part)) for part in torch.arange(len(flat.h)).split(CHUNK)]
@@ -199,17 +207,17 @@ def imagined_images(
 
 
 def judged_images(
-    model: SafetyWorldModel, replay: Replay, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
+    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
 ) -> list[Row]:
-    """Per imagined step: squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image.
+    """Judge images per imagined step: squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image.
 
     `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of the change that is explained.
     """
     source, error, copy = generator(seed), np.zeros(horizon), np.zeros(horizon)
     for part in np.array_split(starts, max(1, len(starts) // 8)):
-        imagined = sum(imagined_images(model, replay, latents, part, horizon, source) for _ in range(samples)) / samples
-        true = replay.pixels[part[:, None] + 1 + np.arange(horizon)].astype(np.float32) / 255.0
-        last = replay.pixels[part].astype(np.float32)[:, None] / 255.0
+        imagined = sum(imagined_images(model, recording, latents, part, horizon, source) for _ in range(samples)) / samples
+        true = recording.pixels[part[:, None] + 1 + np.arange(horizon)].astype(np.float32) / 255.0
+        last = recording.pixels[part].astype(np.float32)[:, None] / 255.0
         error += ((imagined - true) ** 2).mean((2, 3, 4)).sum(0)
         copy += ((last - true) ** 2).mean((2, 3, 4)).sum(0)
     count = max(1, len(starts))
@@ -228,3 +236,31 @@ def _correlation(a: Floats, b: Floats) -> float:
     if len(a) < 2 or a.std() == 0 or b.std() == 0:
         return float("nan")
     return float(np.corrcoef(a, b)[0, 1])
+
+
+def unseen_behaviours(skills: int) -> list[Behaviour]:
+    """List the kinds of operators; a half-trained one only where there is a checkpoint between the early ones and the last."""
+    kinds = [
+        Behaviour("sticky noise", sticky=1.0),
+        Behaviour("delay with noise", delay=4, gaussian=0.25),
+        Behaviour("drift", drift=0.5),
+        Behaviour("half trained", skill=HALF_TRAINED),
+        Behaviour("drift", drift=-0.5),
+    ]
+    return [kind for kind in kinds if kind.skill < 0 or kind.skill < skills - 1]
+
+
+def unseen_episodes(task: VectorTask, skills: Sequence[PrivilegedPolicy], task_name: str, seed: int) -> Recording:
+    """Record one episode per row of the task, with seeds that no other stage uses.
+
+    Args:
+        task: with pixels and privileged observations.
+        skills: the checkpoints, the expert last.
+        task_name: names the streams of seeds.
+        seed: of the chain.
+    """
+    kinds = unseen_behaviours(len(skills))
+    rows = [kinds[i % len(kinds)] for i in range(task.batch)]
+    commander = Commander(skills, rows, task.action_size, np.random.default_rng(derive("diagnostics-commands", task_name, seed)))
+    seeds = [derive("diagnostics-episode", task_name, seed, i) for i in range(task.batch)]
+    return record(task, seeds, commander.command, [kind.name for kind in rows], 0)

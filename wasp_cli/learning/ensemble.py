@@ -10,9 +10,9 @@ import torch
 
 from wasp_cli.learning.configs import EnsembleConfig
 from wasp_cli.learning.critic_quality import Pairs, pairs
-from wasp_cli.learning.draws import generator
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import HELD_OUT, Replay
+from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.policy import Skills
@@ -20,14 +20,14 @@ from wasp_cli.models.policy import Skills
 
 def train_ensemble(
     skills: Skills,
-    replay: Replay,
+    recording: Recording,
     latents: Latents,
     config: EnsembleConfig,
     gamma: float,
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[QEnsemble, list[float]]:
-    """Q of acting once and following the expert afterwards: target r + gamma Q'(s', pi_E(s')).
+    """Learn Q of acting once and following the expert afterwards: target r + gamma Q'(s', pi_E(s')).
 
     Every member has a target network of its own and sees the same transitions; a third of each batch comes from uniformly
     random commands being executed ('noisy', 'bursts', 'random'), so that human-like actions are covered.
@@ -36,15 +36,15 @@ def train_ensemble(
         The ensemble, and its TD loss at every hundredth update.
     """
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
-    ensemble = QEnsemble(config.members, features, replay.action.shape[1], config.hidden)
+    ensemble = QEnsemble(config.members, features, recording.action.shape[1], config.hidden)
     target = copy.deepcopy(ensemble).requires_grad_(False)
     optimizer = torch.optim.Adam(ensemble.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    windows = replay.window_starts(2)
-    starts = torch.from_numpy(windows[~replay.held_out(HELD_OUT)[windows]])
-    odd = torch.from_numpy(np.flatnonzero(np.isin(replay.behaviour[starts.numpy()], ["noisy", "bursts", "random"])))
-    action, reward = torch.from_numpy(replay.action), torch.from_numpy(replay.reward)
-    terminal = torch.from_numpy(replay.terminal)
+    windows = recording.window_starts(2)
+    starts = torch.from_numpy(windows[~recording.held_out(HELD_OUT)[windows]])
+    odd = torch.from_numpy(np.flatnonzero(np.isin(recording.behaviour[starts.numpy()], ["noisy", "bursts", "random"])))
+    action, reward = torch.from_numpy(recording.action), torch.from_numpy(recording.reward)
+    terminal = torch.from_numpy(recording.terminal)
     curve: list[float] = []
     for update in range(config.updates):
         pick = torch.randint(len(starts), (config.batch,), generator=source)
@@ -72,6 +72,6 @@ def train_ensemble(
 
 @torch.inference_mode()
 def heldout_pairs(ensemble: QEnsemble, heldout: Heldout, gamma: float) -> Pairs:
-    """Q(h, z, a^E), mean over the members, beside the discounted reward that really followed on episodes of the unimpaired expert."""
+    """Pair Q(h, z, a^E), mean over the members, with the discounted reward that really followed on episodes of the unimpaired expert."""
     q = ensemble(heldout.latent.features, heldout.a_h).mean(0).double().numpy()
     return pairs(q, heldout.reward.double().numpy(), heldout.episode.numpy(), heldout.terminal.numpy(), gamma)

@@ -1,59 +1,34 @@
-"""Expert training: stable-baselines3 PPO on privileged observations with an adaptive Lagrange multiplier."""
+"""Expert training: stable-baselines3 PPO on privileged observations with an adaptive Lagrange multiplier.
+
+Its state between two rollouts is stored as safetensors with the counters as JSON, from which an interrupted training goes on.
+"""
 
 from __future__ import annotations
 
 import functools
+import json
+import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import load_file, save_file
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
+from wasp_cli.errors import ArtifactError, TaskError
 from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.ppo_state import TrainingState
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv, actor_layers
-from wasp_cli.models.policy import PrivilegedPolicy
-from wasp_cli.models.weights import load_module, save_weights
+from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privileged
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask
-
-
-class EpisodeSums(NamedTuple):
-    """Sums of whole episodes, one entry each."""
-
-    returns: np.ndarray[Any, Any]
-    costs: np.ndarray[Any, Any]
-    """Env steps that cost."""
-    costly: np.ndarray[Any, Any]
-    """Decision steps that cost."""
-    goals: np.ndarray[Any, Any]
-    env_steps: np.ndarray[Any, Any]
-
-    def statistics(self, success_goals: int) -> dict[str, float | None]:
-        """Means and standard deviations over the episodes (undefined for one), and the share with at least `success_goals` goals."""
-        found: dict[str, float | None] = {}
-        for name, values in (("return", self.returns), ("cost", self.costs), ("goals", self.goals)):
-            found |= {name: float(values.mean()), f"{name}_sd": float(values.std(ddof=1)) if len(values) > 1 else None}
-        return found | {
-            "cost_per_1000": float(1000.0 * self.costs.sum() / self.env_steps.sum()),
-            "success": float((self.goals >= success_goals).mean()),
-            "episodes": len(self.goals),
-        }
-
-    def penalised(self, multiplier: float) -> np.ndarray[Any, Any]:
-        """Return minus `multiplier` per costly decision step, one entry per episode: what training maximises without discount."""
-        return self.returns - multiplier * self.costly
-
-
-def checkpoint_name(fraction: float) -> str:
-    """File name of the skill at a fraction of the interactions."""
-    return f"skill-{fraction:g}.safetensors"
 
 
 def train_expert(
@@ -86,7 +61,8 @@ def train_expert(
     )  # fmt: skip
 
     def store(fraction: float) -> None:
-        save_skill(export_actor(model, normalised), work / checkpoint_name(fraction), task, config)
+        path = work / checkpoint_name(fraction)
+        save_privileged(export_actor(model, normalised), path, task.privileged_size, config.hidden, task.action_size)
 
     state = TrainingState(work / "training.safetensors", model, env, normalised, seeds)
     rule = MultiplierRule(
@@ -106,7 +82,7 @@ def train_expert(
 
 
 def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
-    """The actor of a PPO model and its observation statistics as a plain module."""
+    """Export the actor of a PPO model and its observation statistics as a plain module."""
     layers = actor_layers(model.policy)
     hidden = [layer.out_features for layer in layers[:-1]]
     policy = PrivilegedPolicy(layers[0].in_features, hidden, layers[-1].out_features)
@@ -122,34 +98,8 @@ def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
     return policy
 
 
-def save_skill(policy: PrivilegedPolicy, path: Path, task: VectorTask, config: ExpertConfig) -> None:
-    """Weights and constructor arguments."""
-    save_weights(policy, path, inputs=task.privileged_size, hidden=list(config.hidden), action=task.action_size)
-
-
-def load_skill(folder: Path, fraction: float) -> PrivilegedPolicy:
-    """The privileged policy of a checkpoint."""
-    return load_module(PrivilegedPolicy, folder / checkpoint_name(fraction))
-
-
-def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:
-    """One episode per row under the deterministic policy."""
-    seen = task.reset(seeds)
-    sums = EpisodeSums(*(np.zeros(task.batch) for _ in EpisodeSums._fields))
-    with torch.inference_mode():
-        for _ in range(task.max_decisions):
-            assert seen.privileged is not None
-            step = task.step(policy(torch.from_numpy(seen.privileged)).numpy())
-            seen = step.observation
-            for total, now in zip(sums, (step.reward, step.cost_env, step.cost, step.goals, step.env_steps), strict=True):
-                total += now
-            if step.ended.all():
-                break
-    return sums
-
-
 def best_checkpoint(penalised: dict[float, np.ndarray[Any, Any]]) -> float:
-    """The last checkpoint, unless an earlier one does better beyond chance: by two standard errors of the difference on the same seeds.
+    """Choose the last checkpoint, unless an earlier one is better by two standard errors of the difference on the same seeds.
 
     Args:
         penalised: by fraction, the penalised return [episodes] on the same validation seeds.
@@ -162,3 +112,85 @@ def best_checkpoint(penalised: dict[float, np.ndarray[Any, Any]]) -> float:
         if difference.mean() > 2.0 * error:
             better[fraction] = difference.mean()
     return max(better, key=lambda fraction: better[fraction]) if better else max(penalised)
+
+
+class TrainingState:
+    """Owners of all that a PPO training changes. A training that goes on from here ends with the bytes of an uninterrupted one.
+
+    Args:
+        path: the file.
+        ppo: policy, optimizer, last observation and number of interactions.
+        env: episodes in the middle, and the multiplier.
+        normalised: its observation statistics.
+        seeds: of the episodes to come.
+    """
+
+    def __init__(self, path: Path, ppo: PPO, env: TaskVecEnv, normalised: VecNormalize, seeds: SeedStream) -> None:
+        self._path, self._ppo, self._env, self._seeds = path, ppo, env, seeds
+        self._statistics: Any = normalised.obs_rms
+
+    def save(self, curve: list[dict[str, float]]) -> None:
+        """Replace the file atomically. A task without snapshots leaves none: its training begins anew after an interruption."""
+        try:
+            arrays = {f"env/{name}": array for name, array in self._env.snapshot().items()}
+        except TaskError:
+            return
+        ppo: Any = self._ppo
+        arrays |= {f"policy/{name}": tensor.numpy() for name, tensor in ppo.policy.state_dict().items()}
+        for i, state in ppo.policy.optimizer.state_dict()["state"].items():
+            arrays |= {f"optimizer/{i}/{name}": np.asarray(value) for name, value in state.items()}
+        # stable-baselines3 shuffles with NumPy's global generator.
+        shuffles: Any = np.random.get_state(legacy=False)  # noqa: NPY002
+        arrays |= {
+            "last_observation": ppo._last_obs, "last_starts": ppo._last_episode_starts, "torch_generator": torch.get_rng_state().numpy(),
+            "numpy_generator": shuffles["state"]["key"], "mean": self._statistics.mean, "variance": self._statistics.var,
+        }  # fmt: skip
+        counters = {
+            "interactions": ppo.num_timesteps, "seeds": self._seeds.drawn, "multiplier": self._env.multiplier, "curve": curve,
+            "count": float(self._statistics.count), "numpy_generator": [shuffles["state"]["pos"], shuffles["has_gauss"], shuffles["gauss"]],
+        }  # fmt: skip
+        partial = self._path.with_suffix(".partial")
+        save_file(
+            {name: np.array(array, order="C") for name, array in arrays.items()}, partial, metadata={"counters": json.dumps(counters)}
+        )
+        os.replace(partial, self._path)
+
+    def restore(self) -> list[dict[str, float]]:
+        """Put everything back to where the file was saved, and return the learning curve up to there; empty when there is no file.
+
+        Raises:
+            ArtifactError: the file is damaged.
+        """
+        if not self._path.exists():
+            return []
+        try:
+            arrays = load_file(self._path)
+            with safe_open(self._path, "np") as file:
+                counters: dict[str, Any] = json.loads(file.metadata()["counters"])
+        except (OSError, SafetensorError) as error:
+            raise ArtifactError(f"cannot read {self._path}: {error}", "remove it and run again: the training begins anew") from error
+        ppo: Any = self._ppo
+        self._env.restore(_below("env", arrays))
+        ppo.policy.load_state_dict({name: torch.from_numpy(array) for name, array in _below("policy", arrays).items()})
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        for name, array in _below("optimizer", arrays).items():
+            index, _, which = name.partition("/")
+            moments.setdefault(int(index), {})[which] = torch.from_numpy(array)
+        optimizer = ppo.policy.optimizer
+        optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})
+        ppo._last_obs, ppo._last_episode_starts, ppo.num_timesteps = (
+            arrays["last_observation"],
+            arrays["last_starts"],
+            counters["interactions"],
+        )
+        self._statistics.mean, self._statistics.var, self._statistics.count = arrays["mean"], arrays["variance"], counters["count"]
+        self._env.multiplier, self._seeds.drawn = counters["multiplier"], counters["seeds"]
+        torch.set_rng_state(torch.from_numpy(arrays["torch_generator"]))
+        np.random.set_state(("MT19937", arrays["numpy_generator"], *counters["numpy_generator"]))  # noqa: NPY002
+        curve: list[dict[str, float]] = counters["curve"]
+        return curve
+
+
+def _below(folder: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays called `folder/...`, without it."""
+    return {name.removeprefix(f"{folder}/"): array for name, array in arrays.items() if name.startswith(f"{folder}/")}

@@ -8,24 +8,22 @@ model, W window of the target, K judged decisions.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.learning.closed_loop import Loop
 from wasp_cli.learning.configs import GateSignalsConfig, ReturnsConfig
 from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.base import Decision
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, uniform
 from wasp_cli.methods.wasp.imagine import Draws, Dynamics, Imagination, Situation
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
-from wasp_cli.metrics.windows import sums_ahead
 from wasp_cli.models.base import Critics, Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
@@ -41,30 +39,30 @@ CostCritics = Mapping[float, Critics]
 
 
 def critic_alone(gamma: float) -> str:
-    """Name of the signal V_c(h_t, z_t)."""
+    """Name the signal V_c(h_t, z_t)."""
     return f"critic@{gamma:g}"
 
 
 def one_step(gamma: float) -> str:
-    """Name of Eq. 8 after a single imagined step."""
+    """Name Eq. 8 after a single imagined step."""
     return f"step@{gamma:g}"
 
 
 def discounted(gamma: float) -> str:
-    """Name of the discounted sum over H steps, as the gate has it, at another discount than the gate's."""
+    """Name the discounted sum over H steps, as the gate has it, at another discount than the gate's."""
     return f"discounted@{gamma:g}"
 
 
 def bootstrap(gamma: float) -> str:
-    """Name of Eq. 8 over H steps with V_c."""
+    """Name Eq. 8 over H steps with V_c."""
     return f"bootstrap@{gamma:g}"
 
 
 # -- while the operator drives ----------------------------------------------------------------------------------
 
 
-class Onlooker:
-    """Critics that are worth nothing and keep the arrived latents which an imagination shows them."""
+class LatentRecorder:
+    """Critics of value zero that record the arrived latents of an imagination."""
 
     def __init__(self) -> None:
         self.arrived = Latent(torch.zeros(0), torch.zeros(0))
@@ -78,11 +76,11 @@ class Onlooker:
         return self.value_r(latent)
 
 
-class Watcher:
-    """An assistant that executes every command as it is, and keeps what a gate could have looked at."""
+class SignalRecorder:
+    """An assistant that executes every command as it is, and records what a gate could have looked at."""
 
     def __init__(self, model: Dynamics, critics: CostCritics, expert: Operator, config: GateSignalsConfig, returns: ReturnsConfig) -> None:
-        """A watcher of B episodes.
+        """Record B episodes.
 
         Args:
             model: the frozen world model.
@@ -92,10 +90,10 @@ class Watcher:
             returns: lambda, and the gate's own gamma_c.
         """
         self.model, self.critics, self.expert, self.config, self.returns = model, critics, expert, config, returns
-        self.onlooker = Onlooker()
+        self.latents = LatentRecorder()
         # Nothing is corrected, so the number of residual steps says nothing.
         gate = WASPConfig(horizon=config.horizon, residual_steps=1, gate_rollouts=config.rollouts)
-        self.gate = Imagination(model, self.onlooker, gate, returns.gamma_r, returns.gamma_c, returns.lam)
+        self.gate = Imagination(model, self.latents, gate, returns.gamma_r, returns.gamma_c, returns.lam)
         self.noise = DecisionNoise()
         self.seen: list[dict[str, Tensor]] = []
         """Per decision: signals [B] by name."""
@@ -109,14 +107,14 @@ class Watcher:
         size = (self.config.horizon, self.config.rollouts)
         draws = Draws(gumbel(generators, *size, self.model.noise_size), uniform(generators, *size, operator.draws))
         start = Situation(latent, a_h, operator, torch.arange(len(a_h)))
-        # The expert first: of the operator's own rollouts the onlooker keeps the arrived latents.
+        # The expert first: of the operator's own rollouts the arrived latents are kept.
         expert = self.gate.nominal(start._replace(operator=self.expert), draws).cost
         own = self.gate.nominal(start, draws).cost
-        self.seen.append({GATE: own, EXPERT: expert, **self.signals(latent, self.onlooker.arrived)})
+        self.seen.append({GATE: own, EXPERT: expert, **self.signals(latent, self.latents.arrived)})
         return Decision(a_h)
 
     def signals(self, now: Latent, arrived: Latent) -> dict[str, Tensor]:
-        """The signals [B] beside the gate's own, which is sum_k gamma_c^k c-hat_{t+k}.
+        """Compute the signals [B] beside the gate's own, which is sum_k gamma_c^k c-hat_{t+k}.
 
         In all of them c-hat_{t+k} is read at the arrived state k + 1, and counts with the probability that the episode still goes on.
 
@@ -152,69 +150,13 @@ class Watcher:
         return found
 
 
-# -- what followed ----------------------------------------------------------------------------------------------
-
-
-class Watched(NamedTuple):
-    """K decisions whose next W are known, with what was signalled at them."""
-
-    signals: dict[str, Floats]
-    """[K] by name"""
-    before: NDArray[np.bool_]
-    """[K] the decision before cost: there is nothing to foresee any more"""
-    ahead: Floats
-    """[K] costly decisions among the W that begin with this one"""
-    discounted: Floats
-    """[K] sum_k gamma_c^k c_{t+k} over them"""
-    episode: NDArray[np.int64]
-    """[K]"""
-
-
-def watched(loop: Loop, seen: Sequence[Mapping[str, Tensor]], window: int, gamma: float, first: int = 0) -> Watched:
-    """The decisions of B episodes beside the costs that followed.
-
-    Those after which a time limit cuts the window off are left out. Where an episode ended by the task's own rule nothing follows, and its
-    last decisions count.
-
-    Args:
-        loop: the recorded episodes.
-        seen: [T] signals [B] by name.
-        window: W.
-        gamma: of the discounted sum.
-        first: number of the first episode.
-    """
-    columns = {name: torch.stack([row[name] for row in seen]).double().numpy() for name in seen[0]}  # [T, B]
-    parts = [_episode(loop, columns, row, window, gamma, first + row) for row in range(loop.alive.shape[1])]
-    return joined(parts)
-
-
-def joined(parts: Sequence[Watched]) -> Watched:
-    """The decisions of all parts, one part after the other."""
-    signals = {name: np.concatenate([part.signals[name] for part in parts]) for name in parts[0].signals}
-    return Watched(signals, *(np.concatenate(fields) for fields in zip(*(part[1:] for part in parts), strict=True)))
-
-
-def _episode(loop: Loop, columns: Mapping[str, Floats], row: int, window: int, gamma: float, number: int) -> Watched:
-    length = int(loop.alive[:, row].sum())
-    cost = loop.cost[:length, row].astype(np.float64)
-    after = np.zeros(window - 1 if loop.terminated[:length, row].any() else 0)
-    padded = np.concatenate([cost, after])
-    ahead = sums_ahead(padded, np.zeros(len(padded)), window)[:length]
-    known = np.flatnonzero(~np.isnan(ahead))
-    # `convolve` runs its kernel backwards; entry t is the sum over the window that begins at t.
-    discounted = np.convolve(padded, gamma ** np.arange(window)[::-1], "valid") if len(known) else np.zeros(0)
-    before = np.concatenate([[False], cost[:-1] > 0])[known]
-    signals = {name: column[known, row] for name, column in columns.items()}
-    return Watched(signals, before, ahead[known], discounted[known], np.full(len(known), number))
-
-
 # -- critics ----------------------------------------------------------------------------------------------------
 
 
 def cost_critics(
     model: SafetyWorldModel,
     skills: Skills,
-    replay: Replay,
+    recording: Recording,
     latents: Latents,
     known: Critics,
     config: GateSignalsConfig,
@@ -222,12 +164,12 @@ def cost_critics(
     stream: tuple[str, int],
     report: Callable[[float, str], None],
 ) -> tuple[dict[float, Critics], dict[str, Any]]:
-    """V_c at every discount of the configuration, and the curves of those trained here.
+    """Train V_c at every further discount of the configuration; return all of them, and the curves of those trained here.
 
     Args:
         model: the frozen world model.
         skills: the latent expert among them.
-        replay: terminal, cost and episode of the recorded rows.
+        recording: terminal, cost and episode of the recorded rows.
         latents: of the same rows.
         known: the trained critics, whose V_c has `returns.gamma_c`.
         config: the discounts, and the budget of a critic.
@@ -245,5 +187,5 @@ def cost_critics(
 
         torch.manual_seed(derive("gate-signals-critic-weights", *stream, gamma))
         seed, other = derive("gate-signals-critic", *stream, gamma), returns.model_copy(update={"gamma_c": gamma})
-        found[gamma], curves[f"{gamma:g}"] = train_critics(model, skills, replay, latents, config.critics, other, seed, during)
+        found[gamma], curves[f"{gamma:g}"] = train_critics(model, skills, recording, latents, config.critics, other, seed, during)
     return dict(sorted(found.items())), curves

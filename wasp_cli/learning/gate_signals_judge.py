@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from wasp_cli.learning.gate_signals import GATE, Watched
+from wasp_cli.learning.closed_loop import Loop
+from wasp_cli.learning.gate_signals import GATE
 from wasp_cli.metrics.ranking import average_precision, average_precision_resampled, percentiles, recall_at
+from wasp_cli.metrics.windows import sums_ahead
 
+POOLED = "all"
+"""The set of all operators together."""
 FALSE_ALARMS = 0.1
 """Share of the decisions without a cost ahead at which a recall is read."""
 RESAMPLES = 400
@@ -24,8 +31,61 @@ Bools = NDArray[np.bool_]
 Row = dict[str, Any]
 
 
-def judged(rows: Watched, threshold: float, rival: str) -> Row:
-    """A table of every signal, the gate at its threshold and at others, and its reliability.
+class SignalRows(NamedTuple):
+    """K decisions whose next W are known, with what was signalled at them."""
+
+    signals: dict[str, Floats]
+    """[K] by name"""
+    before: NDArray[np.bool_]
+    """[K] the decision before cost: there is nothing to foresee any more"""
+    ahead: Floats
+    """[K] costly decisions among the W that begin with this one"""
+    discounted: Floats
+    """[K] sum_k gamma_c^k c_{t+k} over them"""
+    episode: NDArray[np.int64]
+    """[K]"""
+
+
+def signal_rows(loop: Loop, seen: Sequence[Mapping[str, Tensor]], window: int, gamma: float, first: int = 0) -> SignalRows:
+    """Pair the decisions of B episodes with the costs that followed.
+
+    Those after which a time limit cuts the window off are left out. Where an episode ended by the task's own rule nothing follows, and its
+    last decisions count.
+
+    Args:
+        loop: the recorded episodes.
+        seen: [T] signals [B] by name.
+        window: W.
+        gamma: of the discounted sum.
+        first: number of the first episode.
+    """
+    columns = {name: torch.stack([row[name] for row in seen]).double().numpy() for name in seen[0]}  # [T, B]
+    parts = [_episode(loop, columns, row, window, gamma, first + row) for row in range(loop.alive.shape[1])]
+    return joined(parts)
+
+
+def joined(parts: Sequence[SignalRows]) -> SignalRows:
+    """Join the decisions of all parts, one part after the other."""
+    signals = {name: np.concatenate([part.signals[name] for part in parts]) for name in parts[0].signals}
+    return SignalRows(signals, *(np.concatenate(fields) for fields in zip(*(part[1:] for part in parts), strict=True)))
+
+
+def _episode(loop: Loop, columns: Mapping[str, Floats], row: int, window: int, gamma: float, number: int) -> SignalRows:
+    length = int(loop.alive[:, row].sum())
+    cost = loop.cost[:length, row].astype(np.float64)
+    after = np.zeros(window - 1 if loop.terminated[:length, row].any() else 0)
+    padded = np.concatenate([cost, after])
+    ahead = sums_ahead(padded, np.zeros(len(padded)), window)[:length]
+    known = np.flatnonzero(~np.isnan(ahead))
+    # `convolve` runs its kernel backwards; entry t is the sum over the window that begins at t.
+    discounted = np.convolve(padded, gamma ** np.arange(window)[::-1], "valid") if len(known) else np.zeros(0)
+    before = np.concatenate([[False], cost[:-1] > 0])[known]
+    signals = {name: column[known, row] for name, column in columns.items()}
+    return SignalRows(signals, before, ahead[known], discounted[known], np.full(len(known), number))
+
+
+def judged(rows: SignalRows, threshold: float, rival: str) -> Row:
+    """Judge every signal, the gate at its threshold and at others, and its reliability.
 
     `base` is the share of the decisions with a cost among the next W, `auprc` that of a signal for it with a 95 % interval over resampled
     episodes, `recall` is read at FALSE_ALARMS. `behind` is by how much the AUPRC is below the gate's own, on the same resampled episodes.
@@ -49,8 +109,8 @@ def judged(rows: Watched, threshold: float, rival: str) -> Row:
     return table | {"reliability": reliability_groups(own, rows.discounted, event)}
 
 
-def alarms(rows: Watched, name: str, threshold: float) -> Row:
-    """A gate that fires where a signal is above a threshold.
+def alarms(rows: SignalRows, name: str, threshold: float) -> Row:
+    """Judge a gate that fires where a signal is above a threshold.
 
     `fires` is the share of all decisions, `precision` how many of these a cost followed, `foreseen` the share of the decisions before a
     cost at which it fires, `false_alarms` the share of the others.
@@ -64,12 +124,12 @@ def alarms(rows: Watched, name: str, threshold: float) -> Row:
 
 
 def reliability_groups(predicted: Floats, real: Floats, event: Bools) -> list[Row]:
-    """Ten groups of equally many decisions by prediction: mean prediction, mean of what followed, share of decisions with any cost."""
+    """Form ten groups of equally many decisions by prediction: mean prediction, mean of what followed, share of decisions with any cost."""
     groups = [group for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS) if len(group)]
     return [{"predicted": _mean(predicted[g]), "real": _mean(real[g]), "any": _mean(event[g]), "size": len(g)} for g in groups]
 
 
-def _ranked(rows: Watched, score: Floats, own: Floats) -> Row:
+def _ranked(rows: SignalRows, score: Floats, own: Floats) -> Row:
     """A signal's columns; `own` is the AUPRC of the gate's own signal on the resampled episodes."""
     event, calm = rows.ahead > 0, ~rows.before
     auprc = average_precision(event, score)

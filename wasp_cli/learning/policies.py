@@ -6,7 +6,6 @@ Reinforcement is in `learning.reinforce`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +17,12 @@ from torch.nn import functional as F
 from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour, Commander
-from wasp_cli.learning.draws import generator
-from wasp_cli.learning.latents import Latents, roll_prior
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator, roll_prior
+from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy, Skills
-from wasp_cli.models.weights import load_module, save_weights
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
 from wasp_cli.operators.noise import EpisodeNoise
@@ -44,39 +42,39 @@ class Labelled(NamedTuple):
     """[K, N, A] actions of the K checkpoints"""
 
     def rows(self, mask: Tensor) -> Labelled:
-        """The states of a mask [N]."""
+        """Select the states of a mask [N]."""
         return Labelled(self.filtered.rows(mask), self.imagined.rows(mask), self.labels[:, mask])
 
     def at(self, index: Tensor, share: float, source: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Features [B, F] and labels [K, B, A] of some rows; a share of the features is imagined."""
+        """Return features [B, F] and labels [K, B, A] of some rows; a share of the features is imagined."""
         seen, dreamt = self.filtered.at(index).features, self.imagined.at(index).features
         mask = torch.rand(len(index), 1, generator=source) < share
         return torch.where(mask, dreamt, seen), self.labels[:, index]
 
 
 def label(
-    model: SafetyWorldModel, experts: Sequence[PrivilegedPolicy], replay: Replay, latents: Latents, depth: int, seed: int
+    model: SafetyWorldModel, experts: Sequence[PrivilegedPolicy], recording: Recording, latents: Latents, depth: int, seed: int
 ) -> Labelled:
     """Ask every checkpoint about every row.
 
     Args:
         model: the frozen world model.
         experts: the K checkpoints.
-        replay: privileged, action and first of N rows.
+        recording: privileged, action and first of N rows.
         latents: of the same rows.
         depth: imagined rows lie 1 to this many prior steps after a recorded latent.
         seed: of the depths and the prior's samples.
     """
-    privileged = torch.from_numpy(replay.privileged)
+    privileged = torch.from_numpy(recording.privileged)
     with torch.no_grad():
         labels = torch.stack([expert(privileged) for expert in experts])
-    imagined = imagine_arrivals(model, latents, torch.from_numpy(replay.action), torch.from_numpy(replay.first), depth, seed)
+    imagined = imagine_arrivals(model, latents, torch.from_numpy(recording.action), torch.from_numpy(recording.first), depth, seed)
     return Labelled(latents, imagined, labels)
 
 
 @torch.no_grad()
 def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, first: Tensor, depth: int, seed: int) -> Latents:
-    """For every row, a prior sample of its latent: imagined 1..depth steps, never across an episode's start, under the recorded actions.
+    """Draw a prior sample of every row's latent: imagined 1..depth steps under the recorded actions, never across an episode's start.
 
     Args:
         model: the frozen world model.
@@ -101,7 +99,7 @@ def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, 
 
 
 def new_skills(experts: Sequence[PrivilegedPolicy], fractions: Sequence[float], features: int, config: PoliciesConfig) -> Skills:
-    """Untrained latent policies for the checkpoints of an expert."""
+    """Build untrained latent policies for the checkpoints of an expert."""
     skills = Skills(fractions, features, config.hidden, len(experts[-1].log_std))
     skills.exploration.copy_(experts[-1].log_std.exp())
     return skills
@@ -161,7 +159,7 @@ def _joined(parts: Sequence[Labelled]) -> Labelled | None:
 
 @torch.no_grad()
 def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
-    """Share of the labels' variance that each checkpoint's policy explains, on filtered and on imagined latents."""
+    """Return the share of the labels' variance that each checkpoint's policy explains, on filtered and on imagined latents."""
     found: dict[str, dict[str, float]] = {}
     for name, latents in (("filtered", states.filtered), ("imagined", states.imagined)):
         features = latents.at(torch.arange(states.labels.shape[1])).features
@@ -174,7 +172,7 @@ def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
 
 @torch.no_grad()
 def agreement(skills: Skills, states: Labelled) -> dict[str, float]:
-    """How alike each policy acts on filtered latents and on imagined ones of the same states: the share of its own variance.
+    """Return how alike each policy acts on filtered latents and on imagined ones of the same states: the share of its own variance.
 
     Operators act on both. A reinforced policy has met the filtered ones only, and has left the labels that `explained` compares with.
     """
@@ -188,7 +186,7 @@ def agreement(skills: Skills, states: Labelled) -> dict[str, float]:
 
 
 def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
-    """Who drives each episode of a labelling round.
+    """Choose who drives each episode of a labelling round.
 
     The latent expert drives `1 - share` of them; the others are driven in turn by the expert with the mistakes of impaired operators and by
     the earlier skills, whose states operators reach too.
@@ -202,7 +200,7 @@ def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
 @torch.inference_mode()
 def visit(
     task: VectorTask, model: SafetyWorldModel, skills: Skills, rows: Sequence[Behaviour], seeds: Sequence[int], seed: int, report: Report
-) -> tuple[Replay, Latents]:
+) -> tuple[Recording, Latents]:
     """Drive one episode per row through the filter and keep every state at which a decision was made.
 
     Args:
@@ -242,28 +240,17 @@ def visit(
     h = torch.stack([step[2].h for step in steps], 1)[kept].clone()
     z = torch.stack([step[2].z for step in steps], 1)[kept]
     empty: NDArray[np.float32] = np.zeros(0, np.float32)
-    columns = dict.fromkeys(Replay._fields, empty) | {
+    columns = dict.fromkeys(Recording._fields, empty) | {
         "privileged": np.stack([step[0] for step in steps], 1)[alive],
         "action": np.stack([step[1] for step in steps], 1)[alive],
         "first": np.broadcast_to(np.arange(alive.shape[1]) == 0, alive.shape)[alive].astype(np.float32),
         "episode": np.repeat(np.arange(len(alive), dtype=np.int32), alive.sum(1)),
     }
     classes = model.sizes.classes
-    return Replay(**columns), Latents(h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes)
+    return Recording(**columns), Latents(h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes)
 
 
 def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, fraction: float, seeds: Sequence[int]) -> Loop:
-    """Episodes of one latent skill without mistakes and without assistance."""
+    """Run an episode per seed of one latent skill without mistakes and without assistance."""
     operator = Operator(skills.at(fraction), task.action_size, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds)
-
-
-def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:
-    """Write `skills.safetensors` and its arguments."""
-    path = folder / "skills.safetensors"
-    save_weights(skills, path, fractions=list(skills.fractions), features=features, hidden=list(hidden), action=action)
-
-
-def load_skills(folder: Path) -> Skills:
-    """The frozen policies of a policies artifact."""
-    return load_module(Skills, folder / "skills.safetensors")

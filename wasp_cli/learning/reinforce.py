@@ -16,9 +16,8 @@ from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from wasp_cli.learning.configs import ReinforceConfig
-from wasp_cli.learning.filtered_env import FilteredTask
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.value_warmup import ValueWarmup
+from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.vec_env import SeedStream
 from wasp_cli.models.policy import LatentPolicy
 from wasp_cli.models.world_model import SafetyWorldModel

@@ -20,15 +20,14 @@ from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.closed_loop import human
 from wasp_cli.learning.configs import ResidualConfig
-from wasp_cli.learning.filtered_env import FilteredTask
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule, ReturnRule, Rule
-from wasp_cli.learning.value_warmup import ValueWarmup
+from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.operators.base import OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.noise import EpisodeNoise
@@ -46,11 +45,11 @@ class AssistedTask(FilteredTask):
         self._alpha, self._rsa = config.alpha, config.mode == "rsa"
         self._command = torch.zeros(task.batch, task.action_size)
         self._noise = EpisodeNoise([0] * task.batch)
-        owner = human(skills, task.decision_seconds, task.action_size)
+        context = OperatorContext(skills.at, task.action_size, task.decision_seconds)
         operators = []
         for variant, values in sorted(config.operators.items()):
             for value in values:
-                operators.append(build_operator(variant, value, owner, self._noise, task.batch))
+                operators.append(build_operator(variant, value, context, self._noise, task.batch))
         self._operator = MixedOperator(operators, self._noise, derive("residual-operators", name, seed))
         self._noise_seed = SeedStream("residual-noise", name, seed)
         super().__init__(task, model, SeedStream("residual-episode", name, seed), extra=task.action_size, bound=2.0)
@@ -95,7 +94,7 @@ class AssistedTask(FilteredTask):
 
 
 def huber(norm: NDArray[Any]) -> NDArray[Any]:
-    """Quadratic up to 1, linear beyond."""
+    """Penalise residuals: quadratic up to 1, linear beyond."""
     return np.where(norm <= 1.0, 0.5 * np.square(norm), norm - 0.5)
 
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.dataset import record
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.base import Assistant
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.noise import NoiseSource
@@ -25,19 +25,19 @@ from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.tasks.base import VectorTask
 
 
-def in_turn(ladder: Mapping[str, Sequence[float]], owner: Human, noise: NoiseSource, batch: int, first: int) -> MixedOperator:
-    """Operators for a batch of episodes: the unimpaired one, then every severity of every variant, then from the beginning.
+def in_turn(ladder: Mapping[str, Sequence[float]], context: OperatorContext, noise: NoiseSource, batch: int, first: int) -> MixedOperator:
+    """Build the operators of a batch of episodes: the unimpaired one, then every severity of every variant, then from the beginning.
 
     Args:
         ladder: severities by variant.
-        owner: what the operators are built from.
+        context: what the operators are built from.
         noise: of the batch.
         batch: episodes side by side.
         first: index of the first episode among all; it decides who drives whom.
     """
     named: list[tuple[str, float | None]] = [(UNIMPAIRED, None)]
     named += [(variant, value) for variant in sorted(ladder) for value in ladder[variant]]
-    mixed = MixedOperator([build_operator(variant, value, owner, noise, batch) for variant, value in named], noise, seed=0)
+    mixed = MixedOperator([build_operator(variant, value, context, noise, batch) for variant, value in named], noise, seed=0)
     mixed.choice = (first + torch.arange(batch)) % len(named)
     return mixed
 
@@ -52,8 +52,8 @@ def assisted_episodes(
     name: str,
     number: int,
     progress: Callable[[float, str], None] | None = None,
-) -> Replay:
-    """One episode per row as a shard, with the actions that the assistant executed.
+) -> Recording:
+    """Record one episode per row as a shard, with the actions that the assistant executed.
 
     Each episode runs twice: the assistant decides, and what it executed is carried out again before the recorder of the dataset. A task
     gives the same for the same actions, and its cameras take a small part of the time that the planner takes.
@@ -80,7 +80,7 @@ class Playback:
         self._action, self._now = action, 0
 
     def command(self, privileged: NDArray[Any]) -> NDArray[np.float32]:
-        """[B, A], whatever is seen."""
+        """Return the next actions [B, A], whatever is seen."""
         now: NDArray[np.float32] = self._action[min(self._now, len(self._action) - 1)]
         self._now += 1
         return now

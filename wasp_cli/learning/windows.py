@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.draws import gumbel
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.replay import Replay
+from wasp_cli.learning.sampling import gumbel
+from wasp_cli.learning.shards import Recording
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import Ahead, Batch
 
@@ -22,7 +22,7 @@ class Window(NamedTuple):
 
     batch: Batch
     rows: Tensor
-    """[B, T] rows of the replay"""
+    """[B, T] rows of the recording"""
     places: Tensor
     """[B, T] the same as places among the rows that may be learned from"""
     mirrored: Tensor
@@ -32,15 +32,15 @@ class Window(NamedTuple):
 
 
 class Windows:
-    """Random sequences of those rows of a replay that may be learned from; a share of them contains a costly step.
+    """Random sequences of those rows of a recording that may be learned from; a share of them contains a costly step.
 
     Where the task has a `mirror` (see `TaskInfo`), half of them are seen in it, with what follows. Everything lies on `device` (uint8
-    images included), so that a batch is one gather. On the CPU the replay's own memory is used.
+    images included), so that a batch is one gather. On the CPU the recording's own memory is used.
     """
 
     def __init__(
         self,
-        replay: Replay,
+        recording: Recording,
         rows: NDArray[np.int64],
         length: int,
         cost_share: float,
@@ -58,12 +58,14 @@ class Windows:
 
         self._mirror = None if mirror is None else there(mirror)
         self._rows = there(rows)
-        self._costly = there(np.flatnonzero(replay.cost[rows] > 0))
-        self._pixels, self._action = there(replay.pixels), there(replay.action)
-        self._reward, self._cost, self._terminal, self._first = map(there, (replay.reward, replay.cost, replay.terminal, replay.first))
+        self._costly = there(np.flatnonzero(recording.cost[rows] > 0))
+        self._pixels, self._action = there(recording.pixels), there(recording.action)
+        self._reward, self._cost, self._terminal, self._first = map(
+            there, (recording.reward, recording.cost, recording.terminal, recording.first)
+        )
 
     def sample(self, batch: int, source: torch.Generator) -> Window:
-        """B sequences; episodes may change within one (`first` marks it)."""
+        """Draw B sequences; episodes may change within one (`first` marks it)."""
         device = self._rows.device
         start = torch.randint(self._starts, (batch,), generator=source, device=device)
         wanted = round(self._share * batch)
@@ -82,7 +84,7 @@ class Windows:
         return Window(found, rows, places, mirrored, rows + len(self._first) * mirrored.unsqueeze(1))
 
     def ahead(self, window: Window, starts: int, horizon: int, images: int, noise: int, source: torch.Generator) -> Ahead:
-        """What followed random steps of a batch, in the window or behind it: only `images` of those images are looked up.
+        """Return what followed random steps of a batch, in the window or behind it: only `images` of those images are looked up.
 
         Args:
             window: B sequences of T steps.
@@ -121,7 +123,7 @@ def _in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
 
 
 class Context:
-    """What training last inferred at every row of a replay: a sequence that begins within an episode goes on from there.
+    """What training last inferred at every row of a recording: a sequence that begins within an episode goes on from there.
 
     Without it a sequence that begins inside a hazard could not know of it, because the camera does not see the ground below the robot. The
     latents are as old as the last visit of their row; no gradient flows into them.
@@ -133,7 +135,7 @@ class Context:
         self.known = torch.zeros(rows, dtype=torch.bool, device=device)
 
     def enter(self, window: Window, classes: int) -> tuple[Batch, Latent]:
-        """The batch with `first` set where nothing is known of what came before, and the latents [B, .] before its first step."""
+        """Return the batch with `first` set where nothing is known of what came before, and the latents [B, .] before its first step."""
         before = (window.memory[:, 0] - 1).clamp(min=0)
         first = window.batch.first.clone()
         first[:, 0] = torch.where(self.known[before], first[:, 0], 1.0)
@@ -153,7 +155,7 @@ class Context:
         self.h[:rows], self.z[:rows], self.known[:rows] = latents.h.to(self.h), latents.z.to(self.z), True
 
     def tensors(self) -> dict[str, Tensor]:
-        """For a checkpoint; `load` takes them back."""
+        """Return the state for a checkpoint; `load` takes them back."""
         return {"h": self.h, "z": self.z, "known": self.known.to(torch.uint8)}
 
     def load(self, tensors: dict[str, Tensor]) -> None:

@@ -1,14 +1,20 @@
-"""Policies: the expert's actor on privileged observations, and latent actors on (h, z)."""
+"""Policies: the expert's actor on privileged observations, latent actors on (h, z), and both on disk.
+
+Dimension letters: B batch rows, P size of a privileged observation, F latent features, A actions.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
 from wasp_cli.models.nets import mlp
+from wasp_cli.models.weights import load_module, save_weights
 
 
 class PrivilegedPolicy(nn.Module):
@@ -76,3 +82,43 @@ class Skills(nn.Module):
                 assert isinstance(actor, LatentPolicy)
                 return actor
         raise KeyError(f"no checkpoint at {fraction:g}; there are {', '.join(f'{f:g}' for f in self.fractions)}")
+
+
+def checkpoint_name(fraction: float) -> str:
+    """Return the file name of the privileged policy at a fraction of the interactions."""
+    return f"skill-{fraction:g}.safetensors"
+
+
+def checkpoint_fractions(folder: Path) -> list[float]:
+    """Read at which fractions of the interactions an expert artifact has a policy, in ascending order."""
+    evaluation = json.loads((folder / "evaluation.json").read_text())
+    return sorted(float(fraction) for fraction in evaluation)
+
+
+def save_privileged(policy: PrivilegedPolicy, path: Path, inputs: int, hidden: Sequence[int], action: int) -> None:
+    """Write the weights of a privileged policy and its constructor's arguments."""
+    save_weights(policy, path, inputs=inputs, hidden=list(hidden), action=action)
+
+
+def load_privileged(folder: Path, fraction: float) -> PrivilegedPolicy:
+    """Load the frozen privileged policy of a checkpoint from an expert artifact.
+
+    Raises:
+        ArtifactError: a file is missing or damaged.
+    """
+    return load_module(PrivilegedPolicy, folder / checkpoint_name(fraction))
+
+
+def save_skills(skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int) -> None:
+    """Write `skills.safetensors` and its constructor's arguments."""
+    path = folder / "skills.safetensors"
+    save_weights(skills, path, fractions=list(skills.fractions), features=features, hidden=list(hidden), action=action)
+
+
+def load_skills(folder: Path) -> Skills:
+    """Load the frozen latent policies of a policies artifact.
+
+    Raises:
+        ArtifactError: a file is missing or damaged.
+    """
+    return load_module(Skills, folder / "skills.safetensors")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -14,6 +15,7 @@ from torch.nn import functional as F
 from wasp_cli.models.base import Latent
 from wasp_cli.models.nets import CHANNELS, Decoder, Encoder, mlp
 from wasp_cli.models.rssm import RSSM, Observed, balanced_kl
+from wasp_cli.models.weights import load_module, save_weights
 
 
 @dataclass(frozen=True)
@@ -227,3 +229,17 @@ class SafetyWorldModel(nn.Module):
         logit = self.continue_head(features).squeeze(-1).float()
         surprise = F.binary_cross_entropy_with_logits(logit, 1.0 - terminal, reduction="none")
         return (surprise * counts).sum() / counts.sum().clamp(min=1.0)
+
+
+def save_world_model(model: SafetyWorldModel, folder: Path) -> None:
+    """Write `world_model.safetensors` and its sizes."""
+    save_weights(model, folder / "world_model.safetensors", **asdict(model.sizes))
+
+
+def load_world_model(folder: Path) -> SafetyWorldModel:
+    """Load the frozen model of a world-model artifact.
+
+    Raises:
+        ArtifactError: a file is missing or damaged.
+    """
+    return load_module(lambda **sizes: SafetyWorldModel(Sizes(**sizes)), folder / "world_model.safetensors")

@@ -23,13 +23,15 @@ Memory = dict[str, Tensor]
 
 
 @dataclass(frozen=True)
-class Human:
-    """What an operator variant is built from."""
+class OperatorContext:
+    """What an operator variant is built from, besides its severity and its noise."""
 
     skill: Callable[[float], Policy]
     """The policy at a fraction of the expert's training (1.0 is the expert)."""
     action_size: int
+    """A"""
     decision_seconds: float
+    """Seconds between two commands."""
 
 
 class Operator:
@@ -45,9 +47,9 @@ class Operator:
         self.memory = self.initial(batch)
 
     @classmethod
-    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
+    def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
         """An operator of severity `value`."""
-        return cls(human.skill(1.0), human.action_size, noise, batch)
+        return cls(context.skill(1.0), context.action_size, noise, batch)
 
     @property
     def draws(self) -> int:

@@ -8,7 +8,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Human, Memory, Operator
+from wasp_cli.operators.base import Memory, Operator, OperatorContext
 from wasp_cli.operators.noise import NoiseSource
 
 
@@ -19,9 +19,9 @@ class DelayedOperator(Operator):
     """d in decision steps."""
 
     @classmethod
-    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
-        operator = super().build(value, human, noise, batch)
-        operator.delay = delay_steps(value, human.decision_seconds)
+    def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        operator = super().build(value, context, noise, batch)
+        operator.delay = delay_steps(value, context.decision_seconds)
         operator.memory = operator.initial(batch)
         return operator
 

@@ -7,7 +7,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Human, Memory, Operator
+from wasp_cli.operators.base import Memory, Operator, OperatorContext
 from wasp_cli.operators.noise import NoiseSource
 
 
@@ -18,8 +18,8 @@ class GaussianNoiseOperator(Operator):
     sigma: float
 
     @classmethod
-    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
-        operator = super().build(value, human, noise, batch)
+    def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        operator = super().build(value, context, noise, batch)
         operator.sigma = value
         return operator
 

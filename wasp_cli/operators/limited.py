@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Self
 
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.noise import NoiseSource
 
 
@@ -12,5 +12,5 @@ class LimitedSkillOperator(Operator):
     """See the module; the severity is the fraction of the expert's interactions."""
 
     @classmethod
-    def build(cls, value: float, human: Human, noise: NoiseSource, batch: int) -> Self:
-        return cls(human.skill(value), human.action_size, noise, batch)
+    def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        return cls(context.skill(value), context.action_size, noise, batch)

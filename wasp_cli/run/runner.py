@@ -29,7 +29,7 @@ from wasp_cli.store.provenance import boot_id, provenance
 # Longest first, so that a wave does not end with one worker busy and the others idle.
 _LONG = (
     "expert", "world_model", "rollouts", "residual", "dataset", "denoiser",
-    "policies", "critics", "diagnostics", "ida_q", "heldout", "calibration", "counterfactual", "evaluate",
+    "policies", "critics", "latents", "diagnostics", "ida_q", "heldout", "calibration", "counterfactual", "evaluate",
 )  # fmt: skip
 
 

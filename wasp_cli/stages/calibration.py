@@ -27,12 +27,11 @@ class CalibrationStage:
         import torch
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
-        from wasp_cli.learning.closed_loop import human
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.methods.base import CalibratedAssistant, Heldout
         from wasp_cli.metrics.windows import sums_ahead
         from wasp_cli.models.base import Latent
-        from wasp_cli.operators.base import Operator
+        from wasp_cli.operators.base import Operator, OperatorContext
         from wasp_cli.operators.noise import EpisodeNoise
         from wasp_cli.seeds import derive
 
@@ -45,8 +44,8 @@ class CalibrationStage:
         parts = load_parts(job.inputs, job.settings["returns"])
         assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
         # The unimpaired operator has no memory, so only its policy and its number of rows matter here.
-        owner = human(parts.skills, 0.0, heldout.a_h.shape[1])
-        operator = Operator.build(1.0, owner, EpisodeNoise([0] * len(index)), len(index))
+        context = OperatorContext(parts.skills.at, heldout.a_h.shape[1], 0.0)
+        operator = Operator.build(1.0, context, EpisodeNoise([0] * len(index)), len(index))
         with torch.inference_mode():
             seed = derive("calibration", job.task, job.seed)
             thresholds: dict[str, float] = cast(CalibratedAssistant, assistant).calibrate(chosen, cost_ahead[index], operator, seed)

@@ -27,13 +27,13 @@ class CounterfactualStage:
 
         from wasp_cli import seeds
         from wasp_cli.errors import TrainingError
-        from wasp_cli.learning.closed_loop import human
         from wasp_cli.learning.counterfactual import branches, least_gain, sampled
         from wasp_cli.learning.heldout import load_heldout
-        from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.rerun import Recorded, Rerun
-        from wasp_cli.learning.trained import load_world_model
         from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+        from wasp_cli.models.policy import load_skills
+        from wasp_cli.models.world_model import load_world_model
+        from wasp_cli.operators.base import OperatorContext
         from wasp_cli.operators.build import build_operator
         from wasp_cli.operators.noise import EpisodeNoise
         from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, read_branches, write_branches
@@ -53,9 +53,9 @@ class CounterfactualStage:
         recorded = Recorded(**read_recorded(path))
         batch = len(recorded.a)
         task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
-        owner = human(load_skills(job.inputs["policies"]), task.decision_seconds, task.action_size)
+        context = OperatorContext(load_skills(job.inputs["policies"]).at, task.action_size, task.decision_seconds)
         mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, value, job.seed, e) for e in range(batch)])
-        operator = build_operator(variant, value, owner, mistakes, batch)
+        operator = build_operator(variant, value, context, mistakes, batch)
         rerun = Rerun(task, load_world_model(job.inputs["world_model"]), operator, recorded)
 
         ends = np.cumsum(rerun.lengths)[:-1]

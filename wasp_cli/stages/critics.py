@@ -1,7 +1,7 @@
 """Critics: V_r and V_c on imagined rollouts of the nominal expert (Eq. 7-8).
 
-Artifact: `critics.safetensors` (+ .json), `curve.json` (losses and mean targets), `quality.json` and `critics.png` (both critics beside the
-discounted sums that followed on held-out episodes).
+Artifact: `critics.safetensors` (+ .json), `curve.json` (losses and mean targets), `pairs.parquet` (both critics beside the discounted
+sums that followed on held-out episodes) and `quality.json` (what they are worth).
 """
 
 from __future__ import annotations
@@ -20,38 +20,38 @@ class CriticsStage:
     kind = "critics"
     config = CriticsConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "heldout")
+    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, then compare the critics with real discounted sums."""
         import torch
 
-        from wasp_cli.learning.critic_quality import heldout_pairs, quality, reliability_picture
+        from wasp_cli.learning.critic_quality import heldout_pairs, quality, write_pairs
         from wasp_cli.learning.critics import train_critics
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.shards import read_shards
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
 
         config = cast(CriticsConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
-        latents = load_latents(job.inputs["world_model"])
-        replay = read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"])
+        latents = load_latents(job.inputs["latents"])
+        recording = read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"])
         skills = load_skills(job.inputs["policies"])
         returns = job.settings["returns"]
         torch.manual_seed(derive("critics-weights", job.task, job.seed))
         stream = derive("critics", job.task, job.seed)
-        critics, curve = train_critics(model, skills, replay, latents, config, returns, stream, job.progress)
+        critics, curve = train_critics(model, skills, recording, latents, config, returns, stream, job.progress)
         arguments = {"features": model.feature_size, "hidden": list(config.hidden), "bins": config.bins, "reach": config.reach}
         save_weights(critics, job.out_dir / "critics.safetensors", **arguments)
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
         found = heldout_pairs(critics, load_heldout(job.inputs["heldout"]), returns)
         judged = {name: quality(one) for name, one in found.items()}
         (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        reliability_picture({f"V_{name}": one for name, one in found.items()}, job.out_dir / "critics.png")
+        write_pairs(job.out_dir / "pairs.parquet", {f"V_{name}": one for name, one in found.items()})
         return {
             f"{figure}_{name}": None if value is None else round(value, 3)
             for name, one in judged.items()

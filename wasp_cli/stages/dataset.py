@@ -1,7 +1,6 @@
 """Dataset: episodes with images from a mixture of behaviours.
 
-Artifact: `shard-NNNN.parquet` (see `learning.replay`), `contents.json` and `contents.md` (what there is per behaviour, see
-`learning.contents`), `contact_sheet.png` (frames of every behaviour).
+Artifact: `shard-NNNN.parquet` (see `learning.shards`), `contents.json` (what there is per behaviour, see `learning.contents`).
 """
 
 from __future__ import annotations
@@ -26,11 +25,10 @@ class DatasetStage:
         """Collect shard after shard until there are enough decision steps."""
         import numpy as np
 
-        from wasp_cli.learning.contact_sheet import contact_sheet
-        from wasp_cli.learning.contents import ALL, contents_markdown, contents_of, unseen_sources, warnings
+        from wasp_cli.learning.contents import ALL, contents_of, unseen_sources
         from wasp_cli.learning.dataset import Commander, behaviours, record
-        from wasp_cli.learning.expert import load_skill
-        from wasp_cli.learning.replay import count_rows, hand_over, write_shard
+        from wasp_cli.learning.shards import count_rows, hand_over, write_shard
+        from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
@@ -38,8 +36,8 @@ class DatasetStage:
         observe = ("pixels", "privileged")
         task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
         # Episodes may end early, so shards are added until the steps are there; the behaviours of a shard are drawn from its number.
-        fractions = _checkpoints(job)
-        skills = [load_skill(job.inputs["expert"], f) for f in fractions]
+        expert = job.inputs["expert"]
+        skills = [load_privileged(expert, f) for f in checkpoint_fractions(expert)]
         steps = shard = 0
         planned = max(1, round(config.steps / (config.envs * task.max_decisions)))
         schedule = behaviours(
@@ -56,9 +54,9 @@ class DatasetStage:
                 random = np.random.default_rng(derive("dataset-commands", job.task, job.seed, shard))
                 commander = Commander(skills, rows, task.action_size, random)
                 seeds = [derive("dataset-episode", job.task, job.seed, shard * config.envs + i) for i in range(config.envs)]
-                replay = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
+                recording = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
                 partial = path.with_suffix(".partial")
-                write_shard(partial, replay, task.cost_sources)
+                write_shard(partial, recording, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
             files.append(path)
             steps += count_rows(path) - config.envs
@@ -68,15 +66,7 @@ class DatasetStage:
             hand_over(path, job.out_dir / path.name)
         contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
-        (job.out_dir / "contents.md").write_text(contents_markdown(contents))
-        contact_sheet(job.out_dir, job.out_dir / "contact_sheet.png")
         whole, unseen = contents[ALL], unseen_sources(contents)
         summary: dict[str, Any] = {"steps": steps, "episodes": whole["episodes"], "costly_share": round(whole["costly_share"], 4)}
         summary |= {"sources_not_seen": len(unseen), "return": round(whole["return_per_episode"], 2)}
-        summary |= {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}
-        return summary | ({"warning": "; ".join(warnings(contents))} if warnings(contents) else {})
-
-
-def _checkpoints(job: Job) -> list[float]:
-    found = json.loads((job.inputs["expert"] / "evaluation.json").read_text())
-    return sorted(float(fraction) for fraction in found)
+        return summary | {"megabytes": round(sum(path.stat().st_size for path in files) / 2**20, 1)}

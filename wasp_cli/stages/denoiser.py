@@ -1,7 +1,7 @@
 """Diffusion's denoiser of expert actions.
 
-Artifact: `denoiser.safetensors` (+ .json with the noise schedule), `quality.json` and `quality.md` (on held-out episodes: how near the
-denoised commands are to the expert's actions and to the commands, see `learning.denoiser_quality`).
+Artifact: `denoiser.safetensors` (+ .json with the noise schedule), `quality.json` (on held-out episodes: how near the denoised
+commands are to the expert's actions and to the commands, see `learning.denoiser`).
 """
 
 from __future__ import annotations
@@ -23,30 +23,29 @@ class DenoiserStage:
     kind = "denoiser"
     config = DenoiserConfig
     settings = ("action_repeat",)
-    needs: tuple[str, ...] = ("expert", "dataset", "world_model")
+    needs: tuple[str, ...] = ("expert", "dataset", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train on the expert's own actions at recorded states, and judge it on held-out ones."""
         import numpy as np
         import torch
 
-        from wasp_cli.learning.denoiser import train_denoiser
-        from wasp_cli.learning.denoiser_quality import denoiser_quality, noise_loss, quality_markdown
-        from wasp_cli.learning.draws import generator
-        from wasp_cli.learning.expert import load_skill
+        from wasp_cli.learning.denoiser import denoiser_quality, noise_loss, train_denoiser
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.replay import HELD_OUT, read_replay
+        from wasp_cli.learning.sampling import generator
+        from wasp_cli.learning.shards import HELD_OUT, read_shards
+        from wasp_cli.models.policy import load_privileged
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 
         config = cast(DenoiserConfig, job.config)
-        replay = read_replay(job.inputs["dataset"], ["privileged", "action", "cost_env", "first", "episode", "behaviour"])
+        recording = read_shards(job.inputs["dataset"], ["privileged", "action", "cost_env", "first", "episode", "behaviour"])
         with torch.inference_mode():
-            labels = load_skill(job.inputs["expert"], 1.0)(torch.from_numpy(replay.privileged))
-        latents = load_latents(job.inputs["world_model"])
+            labels = load_privileged(job.inputs["expert"], 1.0)(torch.from_numpy(recording.privileged))
+        latents = load_latents(job.inputs["latents"])
         torch.manual_seed(derive("denoiser-weights", job.task, job.seed))
         denoiser, schedule, summary = train_denoiser(
-            replay, labels.clone(), latents, config, derive("denoiser", job.task, job.seed), job.progress
+            recording, labels.clone(), latents, config, derive("denoiser", job.task, job.seed), job.progress
         )
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
         save_weights(
@@ -54,13 +53,12 @@ class DenoiserStage:
             steps=schedule.steps, schedule={"steps": config.steps, "beta_min": config.beta_min, "beta_max": config.beta_max},
         )  # fmt: skip
         # The action at row i + 1 is what was executed at the state of row i.
-        held = torch.from_numpy(np.flatnonzero(replay.held_out(HELD_OUT)[:-1] & ~replay.first[1:].astype(bool)))
+        held = torch.from_numpy(np.flatnonzero(recording.held_out(HELD_OUT)[:-1] & ~recording.first[1:].astype(bool)))
         held = held[:: max(1, len(held) // QUALITY_ROWS)]
         seen, source = latents.at(held).features, generator(derive("denoiser-quality", job.task, job.seed))
         summary["heldout_noise_loss"] = noise_loss(denoiser, schedule, seen, labels[held], source)
-        recorded = torch.from_numpy(replay.action)[held + 1]
+        recorded = torch.from_numpy(recording.action)[held + 1]
         quality = denoiser_quality(denoiser, schedule, seen, labels[held], recorded, source)
         (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
-        (job.out_dir / "quality.md").write_text(quality_markdown(quality))
         asked, given = (quality["recorded"][ratio]["conformity"] for ratio in ("0", "0.4"))
         return summary | {"off_expert": round(asked, 3), "off_expert_denoised": round(given, 3)}

@@ -1,12 +1,11 @@
 """Diagnostics: what the world model is worth on held-out episodes, and under operators that are not in the dataset.
 
-Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `open_loop.md` (a table with the trivial baselines),
-`reliability.png`, `horizon.png`, `reconstruction.png`, `open_loop.png` and `open_loop.gif` (true and imagined images).
+Artifact: `diagnostics.json` (all numbers by set, see `learning.diagnostics`), `images.parquet` (true, decoded and imagined frames of
+held-out episodes, see `learning.image_samples`).
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -15,7 +14,7 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 
 SHOWN = (1, 5, 10, 15)
-"""Imagined steps that the summary and the pictures of reliability show."""
+"""Imagined steps that the summary shows."""
 
 
 class DiagnosticsStage:
@@ -27,17 +26,16 @@ class DiagnosticsStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Judge both sets of episodes, then draw."""
+        """Judge both sets of episodes, and sample images of the held-out ones."""
         import numpy as np
 
         from wasp_cli.learning import diagnostics as judge
-        from wasp_cli.learning import pictures
-        from wasp_cli.learning.diagnostics_table import open_loop_markdown
-        from wasp_cli.learning.expert import load_skill
-        from wasp_cli.learning.latents import encode
-        from wasp_cli.learning.replay import HELD_OUT, Replay, cost_sources, read_replay
-        from wasp_cli.learning.trained import load_world_model
-        from wasp_cli.learning.unseen import unseen_episodes
+        from wasp_cli.learning.diagnostics import unseen_episodes
+        from wasp_cli.learning.encoding import encode
+        from wasp_cli.learning.image_samples import decoded_sample, imagined_samples, sampled_windows, write_samples
+        from wasp_cli.learning.shards import HELD_OUT, Recording, cost_sources, read_shards
+        from wasp_cli.models.policy import checkpoint_fractions, load_privileged
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 
@@ -45,47 +43,41 @@ class DiagnosticsStage:
         alarm = judge.Alarm(config.threshold, job.settings["returns"].gamma_c)
         model = load_world_model(job.inputs["world_model"])
         folder = job.inputs["dataset"]
-        held = read_replay(folder, ["episode"]).held_out(HELD_OUT)
+        held = read_shards(folder, ["episode"]).held_out(HELD_OUT)
         observe = ("pixels", "privileged")
         task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
-        fractions = sorted(map(float, json.loads((job.inputs["expert"] / "evaluation.json").read_text())))
+        fractions = checkpoint_fractions(job.inputs["expert"])
         job.progress(0.0, "driving fresh episodes")
-        replays: dict[str, Replay] = {
-            "unseen": unseen_episodes(task, [load_skill(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
-            "held_out": read_replay(folder, mask=held),
+        recordings: dict[str, Recording] = {
+            "unseen": unseen_episodes(task, [load_privileged(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
+            "held_out": read_shards(folder, mask=held),
         }
         sets: dict[str, dict[str, Any]] = {}
-        for part, (name, replay) in enumerate(reversed(replays.items())):
+        for part, (name, recording) in enumerate(reversed(recordings.items())):
 
             def during(share: float, text: str, begun: float = 0.2 + 0.4 * part, name: str = name) -> None:
                 job.progress(begun + 0.2 * share, f"{name}: {text}")
 
-            latents = encode(model, replay, during)
+            latents = encode(model, recording, during)
             seed = derive("diagnostics", job.task, job.seed, name)
-            starts = judge.spread_starts(replay, config.horizon, config.starts, ended=True)
+            starts = judge.spread_starts(recording, config.horizon, config.starts, ended=True)
             during(1.0, "imagining")
-            seen = judge.forecast(model, replay, latents, starts, config.horizon, config.samples, seed)
-            few = judge.spread_starts(replay, config.horizon, config.image_starts)
-            steps = judge.judged_steps(replay, seen, alarm, cost_sources(folder))
-            images = judge.judged_images(model, replay, latents, few, config.horizon, config.samples, seed)
-            kinds, counts = np.unique(replay.behaviour[replay.first > 0].astype(str), return_counts=True)
+            seen = judge.forecast(model, recording, latents, starts, config.horizon, config.samples, seed)
+            few = judge.spread_starts(recording, config.horizon, config.image_starts)
+            steps = judge.judged_steps(recording, seen, alarm, cost_sources(folder))
+            images = judge.judged_images(model, recording, latents, few, config.horizon, config.samples, seed)
+            kinds, counts = np.unique(recording.behaviour[recording.first > 0].astype(str), return_counts=True)
             sets[name] = {
                 "episodes": dict(zip(kinds.tolist(), counts.tolist(), strict=True)), "starts": len(starts),
                 "steps": [row | image for row, image in zip(steps, images, strict=True)],
-                "window": judge.judged_window(replay, seen, alarm),
-                "filter": judge.judged_filter(model, replay, latents, config.image_starts),
+                "window": judge.judged_window(recording, seen, alarm),
+                "filter": judge.judged_filter(model, recording, latents, config.image_starts),
             }  # fmt: skip
             if name == "held_out":
-                pictures.reconstruction_sheet(model, replay, latents, job.out_dir / "reconstruction.png")
-                if len(few):
-                    windows = pictures.shown_windows(replay, seen)
-                    strips = pictures.strips(model, replay, latents, seen, windows, seed)
-                    pictures.open_loop_sheet(strips, job.out_dir / "open_loop.png")
-                    pictures.open_loop_film(strips, job.out_dir / "open_loop.gif")
-        pictures.reliability_figure(sets, SHOWN, job.out_dir / "reliability.png")
-        pictures.horizon_figure(sets, job.out_dir / "horizon.png")
+                windows = sampled_windows(recording, seen) if len(few) else []
+                imagined = imagined_samples(model, recording, latents, seen, windows, seed) if windows else []
+                write_samples(job.out_dir / "images.parquet", recording, decoded_sample(model, recording, latents), imagined)
         (job.out_dir / "diagnostics.json").write_text(finite_json(sets))
-        (job.out_dir / "open_loop.md").write_text(open_loop_markdown(sets))
         return _summary(sets)
 
 

@@ -26,9 +26,10 @@ class EvaluateStage:
 
         from wasp_cli import seeds
         from wasp_cli.learning.assistants import build_assistant, load_parts
-        from wasp_cli.learning.closed_loop import human, run_episodes
+        from wasp_cli.learning.closed_loop import run_episodes
         from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
+        from wasp_cli.operators.base import OperatorContext
         from wasp_cli.operators.build import build_operator
         from wasp_cli.operators.noise import EpisodeNoise
         from wasp_cli.store.tables import CellIdentity, write_cell
@@ -44,8 +45,8 @@ class EvaluateStage:
         layouts = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
         mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, value, job.seed, e) for e in episodes])
         own = [seeds.method_seed(job.task, variant, value, job.seed, e, method) for e in episodes]
-        owner = human(parts.skills, task.decision_seconds, task.action_size)
-        operator = build_operator(variant, value, owner, mistakes, config.episodes)
+        context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
+        operator = build_operator(variant, value, context, mistakes, config.episodes)
         loop = run_episodes(task, parts.world_model, operator, assistant, layouts, own, progress=job.progress)
 
         found, times = trajectories(loop)
@@ -60,7 +61,7 @@ class EvaluateStage:
 
 
 def thresholds_of(assistant: object) -> Any:
-    """The thresholds in force, for every row of the cell."""
+    """Return the thresholds in force, for every row of the cell."""
     from wasp_cli.store.tables import Thresholds
 
     return Thresholds(*(getattr(assistant, name, None) for name in ("tau_c", "tau_r", "tau_q")))

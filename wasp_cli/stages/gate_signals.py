@@ -1,7 +1,7 @@
 """Gate signals: which number foresees costs best, measured on fresh Human-only episodes under several operators.
 
-Artifact: `signals.json` (every signal by operator and for all of them, the gate at its threshold, its reliability, curves of the further
-critics), `signals.md` (the same as tables) and `reliability.png` (the gate's value beside the costs that really followed).
+Artifact: `signals.json` (every signal by operator and for all of them, the gate at its threshold, its reliability: its value beside the
+costs that really followed, curves of the further critics).
 """
 
 from __future__ import annotations
@@ -24,21 +24,20 @@ class GateSignalsStage:
     kind = "gate_signals"
     config = GateSignalsConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "critics")
+    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "critics")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train V_c at the other discounts, let every operator drive, and judge what was signalled."""
-        from wasp_cli.learning.closed_loop import human, run_episodes
-        from wasp_cli.learning.gate_signals import GATE, Watched, Watcher, bootstrap, cost_critics, joined, watched
-        from wasp_cli.learning.gate_signals_judge import judged
-        from wasp_cli.learning.gate_signals_page import POOLED, reliability_picture, signals_markdown
+        from wasp_cli.learning.closed_loop import run_episodes
+        from wasp_cli.learning.gate_signals import GATE, SignalRecorder, bootstrap, cost_critics
+        from wasp_cli.learning.gate_signals_judge import POOLED, SignalRows, joined, judged, signal_rows
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.replay import read_replay
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.critics import LatentCritics
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import load_module
-        from wasp_cli.operators.base import Operator
+        from wasp_cli.models.world_model import load_world_model
+        from wasp_cli.operators.base import Operator, OperatorContext
         from wasp_cli.operators.build import build_operator
         from wasp_cli.operators.noise import EpisodeNoise
         from wasp_cli.operators.registry import UNIMPAIRED
@@ -50,7 +49,7 @@ class GateSignalsStage:
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
         trained = load_module(LatentCritics, job.inputs["critics"] / "critics.safetensors")
         critics, curves = cost_critics(
-            model, skills, read_replay(job.inputs["dataset"], ["cost", "terminal", "episode"]), load_latents(job.inputs["world_model"]),
+            model, skills, read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"]), load_latents(job.inputs["latents"]),
             trained, config, returns, (job.task, job.seed), lambda share, text: job.progress(TRAINING * share, text),
         )  # fmt: skip
 
@@ -58,9 +57,9 @@ class GateSignalsStage:
         asked += [(variant, value) for variant in sorted(config.operators) for value in config.operators[variant]]
         there = [(variant, value) for variant, value in asked if variant != "limited-skill" or value in skills.fractions]
         task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
-        owner = human(skills, task.decision_seconds, task.action_size)
+        context = OperatorContext(skills.at, task.action_size, task.decision_seconds)
         batch = config.episodes
-        parts: dict[str, Watched] = {}
+        parts: dict[str, SignalRows] = {}
         for number, (variant, value) in enumerate(there):
             name = _name(variant, value)
 
@@ -71,10 +70,10 @@ class GateSignalsStage:
                 [derive(f"gate-signals-{role}", job.task, job.seed, variant, value, i) for i in range(batch)]
                 for role in ("episode", "operator", "draws")
             )
-            operator = build_operator(variant, value, owner, EpisodeNoise(mistakes), batch)
-            watcher = Watcher(model, critics, Operator.build(1.0, owner, EpisodeNoise(mistakes), batch), config, returns)
-            loop = run_episodes(task, model, operator, watcher, layouts, draws, progress=during)
-            parts[name] = watched(loop, watcher.seen, config.window, returns.gamma_c, number * batch)
+            operator = build_operator(variant, value, context, EpisodeNoise(mistakes), batch)
+            recorder = SignalRecorder(model, critics, Operator.build(1.0, context, EpisodeNoise(mistakes), batch), config, returns)
+            loop = run_episodes(task, model, operator, recorder, layouts, draws, progress=during)
+            parts[name] = signal_rows(loop, recorder.seen, config.window, returns.gamma_c, number * batch)
         rival = bootstrap(returns.gamma_c)
         everyone = {POOLED: joined(list(parts.values())), **parts}
         sets = {name: judged(rows, config.threshold, rival) for name, rows in everyone.items()}
@@ -82,8 +81,6 @@ class GateSignalsStage:
         left_out = [_name(*one) for one in asked if one not in there]
         facts = {"gamma_c": returns.gamma_c, "gate": GATE, **json.loads(config.model_dump_json()), "left_out": left_out}
         (job.out_dir / "signals.json").write_text(finite_json({**facts, "sets": sets, "curves": curves}))
-        (job.out_dir / "signals.md").write_text(signals_markdown(sets, left_out, config, returns.gamma_c))
-        reliability_picture(sets, config.threshold, job.out_dir / "reliability.png")
         pooled = sets[POOLED]
         eq8 = pooled["signals"][rival]
         numbers = {

@@ -22,10 +22,10 @@ class HeldoutStage:
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Run the latent expert on seeds that no evaluation uses."""
-        from wasp_cli.learning.closed_loop import expert_episodes
-        from wasp_cli.learning.heldout import heldout_rows, save_heldout
-        from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.heldout import save_heldout
+        from wasp_cli.learning.nominal import expert_episodes, heldout_rows
+        from wasp_cli.models.policy import load_skills
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 

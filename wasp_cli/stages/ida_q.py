@@ -1,7 +1,7 @@
 """IDA's Q ensemble: TD on real and noisy transitions for the expert policy.
 
-Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `quality.json` and `q.png` (Q of the expert's actions beside the
-discounted reward that followed on held-out episodes).
+Artifact: `ensemble.safetensors` (+ .json), `curve.json` (TD loss), `pairs.parquet` (Q of the expert's actions beside the
+discounted reward that followed on held-out episodes) and `quality.json` (what it is worth).
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ class IDAQStage:
     kind = "ida_q"
     config = EnsembleConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "policies", "heldout")
+    needs: tuple[str, ...] = ("dataset", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train on the dataset's latents; say how far Q tells the expert's action from a random one."""
         import torch
 
-        from wasp_cli.learning.critic_quality import quality, reliability_picture
+        from wasp_cli.learning.critic_quality import quality, write_pairs
         from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.policies import load_skills
-        from wasp_cli.learning.replay import read_replay
+        from wasp_cli.learning.shards import read_shards
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
 
         config = cast(EnsembleConfig, job.config)
-        replay = read_replay(job.inputs["dataset"], ["action", "reward", "terminal", "first", "episode", "behaviour"])
-        latents = load_latents(job.inputs["world_model"])
+        recording = read_shards(job.inputs["dataset"], ["action", "reward", "terminal", "first", "episode", "behaviour"])
+        latents = load_latents(job.inputs["latents"])
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("ida-weights", job.task, job.seed))
         seed, gamma = derive("ida", job.task, job.seed), job.settings["returns"].gamma_r
-        ensemble, curve = train_ensemble(skills, replay, latents, config, gamma, seed, job.progress)
+        ensemble, curve = train_ensemble(skills, recording, latents, config, gamma, seed, job.progress)
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
-        arguments = {"members": config.members, "features": features, "action": replay.action.shape[1], "hidden": list(config.hidden)}
+        arguments = {"members": config.members, "features": features, "action": recording.action.shape[1], "hidden": list(config.hidden)}
         save_weights(ensemble, job.out_dir / "ensemble.safetensors", **arguments)
         with torch.inference_mode():
             seen = latents.at(torch.arange(0, len(latents.h), max(1, len(latents.h) // 2000))).features
@@ -53,6 +53,6 @@ class IDAQStage:
         judged = quality(found)
         (job.out_dir / "curve.json").write_text(json.dumps(curve))
         (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        reliability_picture({"Q": found}, job.out_dir / "q.png")
+        write_pairs(job.out_dir / "pairs.parquet", {"Q": found})
         told = {name: judged[name] for name in ("rank", "predicted_over_real", "cut_off")}
         return {"td_loss": curve[-1], "expert_over_opposite": float(gap), **told}

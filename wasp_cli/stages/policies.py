@@ -11,7 +11,6 @@ evaluation of the kept one on other episodes is not flattered by the choice.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -29,7 +28,7 @@ class PoliciesStage:
     kind = "policies"
     config = PoliciesConfig
     settings = ("action_repeat",)
-    needs: tuple[str, ...] = ("expert", "dataset", "world_model")
+    needs: tuple[str, ...] = ("expert", "dataset", "world_model", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Distil; label on policy until the latent expert is good enough, or else reinforce it; evaluate every skill."""
@@ -39,19 +38,20 @@ class PoliciesStage:
 
         from wasp_cli.learning import policies as learning
         from wasp_cli.learning import verdicts as verdict
-        from wasp_cli.learning.expert import EpisodeSums, evaluate_privileged, load_skill
         from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
         from wasp_cli.learning.reinforce import reinforce
-        from wasp_cli.learning.replay import HELD_OUT, read_replay
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.learning.shards import HELD_OUT, read_shards
+        from wasp_cli.models.policy import checkpoint_fractions, load_privileged, save_skills
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(PoliciesConfig, job.config)
-        fractions = sorted(float(f) for f in json.loads((job.inputs["expert"] / "evaluation.json").read_text()))
-        experts = [load_skill(job.inputs["expert"], f) for f in fractions]
-        replay = read_replay(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
+        fractions = checkpoint_fractions(job.inputs["expert"])
+        experts = [load_privileged(job.inputs["expert"], f) for f in fractions]
+        recording = read_shards(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
         model, enough = load_world_model(job.inputs["world_model"]), TASKS[job.task].success_goals
 
         def seed(role: str, *parts: int) -> int:
@@ -79,9 +79,9 @@ class PoliciesStage:
 
         # -- distillation
         labelled = learning.label(
-            model, experts, replay, load_latents(job.inputs["world_model"]), config.imagined_depth, seed("policies-prior")
+            model, experts, recording, load_latents(job.inputs["latents"]), config.imagined_depth, seed("policies-prior")
         )
-        held = torch.from_numpy(replay.held_out(HELD_OUT))
+        held = torch.from_numpy(recording.held_out(HELD_OUT))
         recorded, rest = labelled.rows(~held), labelled.rows(held)
         torch.manual_seed(seed("policies-weights"))
         skills = learning.new_skills(experts, fractions, model.feature_size, config)
@@ -130,7 +130,7 @@ class PoliciesStage:
             (job.out_dir / "reinforcement.json").write_text(finite_json(curve))
         kept = verdict.best_round(verdicts)
         skills.load_state_dict(weights[kept])
-        learning.save_skills(skills, job.out_dir, model.feature_size, config.hidden, model.action_size)
+        save_skills(skills, job.out_dir, model.feature_size, config.hidden, model.action_size)
 
         # -- evaluation
         seeds = [seed("policies-evaluation", i) for i in range(config.evaluation_episodes)]

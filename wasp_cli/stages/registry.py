@@ -22,6 +22,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("expert", "wasp_cli.stages.expert:ExpertStage"),
         StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage"),
         StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage"),
+        StageInfo("latents", "wasp_cli.stages.latents:LatentsStage"),
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage"),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage"),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage"),

@@ -1,6 +1,6 @@
 """SafeRL-Res: a residual policy trained in the real task through the filter.
 
-Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout), `curve.png`.
+Artifact: `residual.safetensors` (+ .json), `curve.json` (a row per rollout).
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ class ResidualStage:
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train and store the mean residual."""
-        from wasp_cli.learning.learning_curve import draw_curve
-        from wasp_cli.learning.policies import load_skills
         from wasp_cli.learning.residual import train_residual
-        from wasp_cli.learning.trained import load_world_model
+        from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
+        from wasp_cli.models.world_model import load_world_model
         from wasp_cli.tasks.make import make_task
 
         config = cast(ResidualConfig, job.config)
@@ -43,5 +42,4 @@ class ResidualStage:
             policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)
         )
         (job.out_dir / "curve.json").write_text(finite_json(curve))
-        draw_curve(curve, config.cost_limit if config.mode == "lagrangian" else None, job.out_dir / "curve.png")
         return {name: curve[-1][name] for name in ("interactions", "cost_per_1000", "multiplier")}

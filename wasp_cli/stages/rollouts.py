@@ -34,11 +34,10 @@ class RolloutsStage:
         import numpy as np
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
-        from wasp_cli.learning.closed_loop import human
-        from wasp_cli.learning.contact_sheet import contact_sheet
-        from wasp_cli.learning.contents import ALL, contents_markdown, contents_of
-        from wasp_cli.learning.replay import count_rows, hand_over, read_replay, shards, write_shard
+        from wasp_cli.learning.contents import ALL, contents_of
         from wasp_cli.learning.rollouts import assisted_episodes, in_turn
+        from wasp_cli.learning.shards import count_rows, hand_over, read_shards, shard_files, write_shard
+        from wasp_cli.operators.base import OperatorContext
         from wasp_cli.operators.noise import EpisodeNoise
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
@@ -48,9 +47,9 @@ class RolloutsStage:
         task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=observe, threads=job.threads)
         parts = load_parts(job.inputs, job.settings["returns"])
         assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
-        owner = human(parts.skills, task.decision_seconds, task.action_size)
-        known = shards(job.inputs["dataset"])
-        recorded = int(np.max(read_replay(job.inputs["dataset"], ["episode"]).episode)) + 1
+        context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
+        known = shard_files(job.inputs["dataset"])
+        recorded = int(np.max(read_shards(job.inputs["dataset"], ["episode"]).episode)) + 1
 
         def streams(role: str, first: int) -> list[int]:
             return [derive(f"rollouts-{role}", job.task, job.seed, job.axes["round"], first + i) for i in range(config.envs)]
@@ -66,11 +65,11 @@ class RolloutsStage:
                 job.progress(min(1.0, (before + share * most) / config.steps), f"{before} of {config.steps} decision steps, {text}")
 
             if not path.exists():
-                operator = in_turn(config.operators, owner, EpisodeNoise(streams("operator", first)), config.envs, first)
+                operator = in_turn(config.operators, context, EpisodeNoise(streams("operator", first)), config.envs, first)
                 seeds = streams("episode", first), streams("method", first)
-                replay = assisted_episodes(task, parts.world_model, operator, assistant, *seeds, BEHAVIOUR, recorded + first, tell)
+                recording = assisted_episodes(task, parts.world_model, operator, assistant, *seeds, BEHAVIOUR, recorded + first, tell)
                 partial = path.with_suffix(".partial")
-                write_shard(partial, replay, task.cost_sources)
+                write_shard(partial, recording, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard
             new.append(path)
             steps += count_rows(path) - config.envs
@@ -78,8 +77,6 @@ class RolloutsStage:
             hand_over(path, job.out_dir / path.name)
         contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
-        (job.out_dir / "contents.md").write_text(contents_markdown(contents))
-        contact_sheet(job.out_dir, job.out_dir / "contact_sheet.png")
         size = sum(path.stat().st_size for path in job.out_dir.glob("shard-*.parquet"))
         own = contents[BEHAVIOUR]
         return {

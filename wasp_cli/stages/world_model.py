@@ -1,7 +1,7 @@
-"""World model: Eq. 6 on sequences, refit of the heads on prior latents, latents of the whole dataset.
+"""World model: Eq. 6 on sequences, then a refit of the heads on prior latents.
 
-Artifact: `world_model.safetensors` (+ .json sizes), `latents.safetensors` (h float16, z class indices, one row per recorded row),
-`curves.json`. What the model is worth is said by the stage `diagnostics`.
+Artifact: `world_model.safetensors` (+ .json sizes), `curves.json`. What it infers at every recorded row is stored by the stage `latents`;
+what the model is worth is said by the stage `diagnostics`.
 """
 
 from __future__ import annotations
@@ -38,23 +38,22 @@ class WorldModelStage:
 
         from wasp_cli.learning import world_model as learning
         from wasp_cli.learning.device import training_device
-        from wasp_cli.learning.latents import encode, save_latents
-        from wasp_cli.learning.refit import refit_heads
-        from wasp_cli.learning.replay import HELD_OUT, read_replay
-        from wasp_cli.learning.trained import load_world_model, save_world_model
+        from wasp_cli.learning.encoding import encode
+        from wasp_cli.learning.shards import HELD_OUT, read_shards
+        from wasp_cli.models.world_model import load_world_model, save_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(WorldModelConfig, job.config)
-        replay = read_replay(job.inputs["dataset"])
-        learned = ~replay.held_out(HELD_OUT)
+        recording = read_shards(job.inputs["dataset"])
+        learned = ~recording.held_out(HELD_OUT)
         names = (job.task, job.seed, *((job.axes["round"],) if "round" in job.axes else ()))
         if "previous" in job.inputs:
             model, updates = load_world_model(job.inputs["previous"]).requires_grad_(True), config.later_updates
         else:
             torch.manual_seed(derive("world-model-weights", *names))
-            model, updates = learning.build(config, replay.action.shape[1]), config.updates
-            model.mean_image.copy_(learning.mean_image(replay))
+            model, updates = learning.build(config, recording.action.shape[1]), config.updates
+            model.mean_image.copy_(learning.mean_image(recording))
         model.to(training_device())
 
         def during(low: float, high: float) -> learning.Report:
@@ -63,16 +62,15 @@ class WorldModelStage:
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
         matrix = TASKS[job.task].mirror if config.mirror else None
         mirror = None if matrix is None else np.array(matrix, np.float32)
-        before = encode(model, replay, during(0.0, 0.1)) if "previous" in job.inputs else None
+        before = encode(model, recording, during(0.0, 0.1)) if "previous" in job.inputs else None
         curves, skipped = learning.train(
-            model, replay, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), mirror=mirror, before=before
+            model, recording, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), mirror=mirror, before=before
         )
         model.requires_grad_(False)
-        latents = encode(model, replay, during(0.85, 0.95))
-        refit_heads(model, replay, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
+        latents = encode(model, recording, during(0.85, 0.95))
+        learning.refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
         model.cpu()
         save_world_model(model, job.out_dir)
-        save_latents(latents, job.out_dir)
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
         summary = {f"final_{TERMS[name]}": round(values[-1], 4) for name, values in curves.items() if values and name in TERMS}
         return {**summary, "skipped": skipped}

@@ -18,7 +18,6 @@ import torch
 from wasp_cli import seeds
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.evaluation import trajectories
-from wasp_cli.learning.expert import load_skill
 from wasp_cli.memory import keep_memory
 from wasp_cli.methods.base import Assistant
 from wasp_cli.methods.configs import WASPConfig
@@ -26,8 +25,9 @@ from wasp_cli.methods.human import HumanOnly
 from wasp_cli.methods.wasp.assistant import WASP, effective
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, episode_metrics, pool
+from wasp_cli.models.policy import load_privileged
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Human, Policy
+from wasp_cli.operators.base import OperatorContext, Policy
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.studies.simulator import NoCritics, SimulatorModel, on_features
@@ -135,8 +135,8 @@ def _batch(cell: Cell, config: WASPConfig | None, episodes: range, threads: int,
     task = build(batch, "pixels")
     model = SimulatorModel(task, build)
     mistakes = EpisodeNoise([seeds.operator_seed(cell.task, cell.variant, cell.value, cell.seed, e) for e in episodes])
-    owner = Human(lambda fraction: _skill(cell.expert, fraction), task.action_size, task.decision_seconds)
-    operator = build_operator(cell.variant, cell.value, owner, mistakes, batch)
+    context = OperatorContext(lambda fraction: _skill(cell.expert, fraction), task.action_size, task.decision_seconds)
+    operator = build_operator(cell.variant, cell.value, context, mistakes, batch)
     layouts = [seeds.layout_seed(cell.task, cell.seed, e) for e in episodes]
     own = [seeds.method_seed(cell.task, cell.variant, cell.value, cell.seed, e, "wasp") for e in episodes]
     loop = run_episodes(task, cast(SafetyWorldModel, model), operator, _assistant(cell, config, model), layouts, own, progress=progress)
@@ -151,4 +151,4 @@ def _assistant(cell: Cell, config: WASPConfig | None, model: SimulatorModel) -> 
 
 
 def _skill(folder: Path, fraction: float) -> Policy:
-    return on_features(load_skill(folder, fraction).requires_grad_(False))
+    return on_features(load_privileged(folder, fraction).requires_grad_(False))

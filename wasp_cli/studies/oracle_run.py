@@ -19,9 +19,10 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.main_table import PAPER_COLUMNS
-from wasp_cli.report.table import Column, Row, Table, Value
-from wasp_cli.report.titles import ABLATIONS, operator_title, task_title
+from wasp_cli.report.stats.summary import Value
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import ABLATIONS, operator_title, task_title
 from wasp_cli.run.session import restricted
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec

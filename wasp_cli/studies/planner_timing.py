@@ -24,10 +24,11 @@ from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
-from wasp_cli.report.table import Column, Row, Table, Value
+from wasp_cli.report.stats.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 ACTIONS = 2
 NEVER = 1e9
@@ -120,9 +121,9 @@ class Setup:
         model = build(world_model, ACTIONS).eval().requires_grad_(False)
         values = LatentCritics(model.feature_size, critics.hidden, critics.bins, critics.reach).requires_grad_(False)
         skills = Skills([1.0], model.feature_size, policies.hidden, ACTIONS).requires_grad_(False)
-        owner = Human(skill=skills.at, action_size=ACTIONS, decision_seconds=0.1)
+        context = OperatorContext(skill=skills.at, action_size=ACTIONS, decision_seconds=0.1)
         self.imagination = Imagination(model, values, effective(wasp), returns.gamma_r, returns.gamma_c, returns.lam)
-        self.operator: Operator = build_operator("laggy", 0.7, owner, EpisodeNoise(list(range(batch))), batch)
+        self.operator: Operator = build_operator("laggy", 0.7, context, EpisodeNoise(list(range(batch))), batch)
         self.latent: Latent = model.initial(batch)
         self.a_h = self.operator.command(self.latent.features)
         self.assistant = WASP(wasp, self.imagination, {})

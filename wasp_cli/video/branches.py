@@ -16,8 +16,8 @@ from PIL import Image, ImageDraw
 
 from wasp_cli.learning.counterfactual import branches
 from wasp_cli.learning.rerun import Rerun
-from wasp_cli.learning.trained import load_world_model
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
+from wasp_cli.models.world_model import load_world_model
 from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.video.encode import STILL, checked, write

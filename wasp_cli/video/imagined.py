@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.learning.draws import generator, gumbel
+from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator

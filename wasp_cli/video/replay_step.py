@@ -15,8 +15,8 @@ from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.report.explain.stored import Episode, number, read_episode
-from wasp_cli.report.frame import odd_tables_refused
 from wasp_cli.report.node import mapping
+from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.store.artifact import published, read_manifest, read_record
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell

@@ -16,12 +16,10 @@ import torch
 from numpy.typing import NDArray
 
 from wasp_cli import seeds
-from wasp_cli.learning.closed_loop import human
-from wasp_cli.learning.policies import load_skills
 from wasp_cli.learning.rerun import Recorded, Rerun
-from wasp_cli.learning.trained import load_world_model
-from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Operator
+from wasp_cli.models.policy import load_skills
+from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.tasks.base import Floats, Pixels, VectorTask
@@ -57,8 +55,8 @@ class Source:
         """The operator of the cell, fresh."""
         batch = len(self.recorded.a)
         mistakes = [seeds.operator_seed(self.task, self.variant, self.value, self.seed, e) for e in range(batch)]
-        owner = human(load_skills(self.policies), world.decision_seconds, world.action_size)
-        return build_operator(self.variant, self.value, owner, EpisodeNoise(mistakes), batch)
+        context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
+        return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
 from wasp_cli.methods.wasp.residual import plan_residuals, propose
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
-from wasp_cli.operators.base import Human
+from wasp_cli.operators.base import OperatorContext
 from wasp_cli.operators.build import build_operator
 from wasp_cli.operators.noise import DrawnNoise
 
@@ -41,8 +41,8 @@ def test_values_decide_nothing_about_the_course_of_a_search() -> None:
 def _decide(variant: str, config: WASPConfig) -> None:
     model = build(SMALL, A)
     skills = Skills([1.0], model.feature_size, [8], A)
-    human = Human(skill=skills.at, action_size=A, decision_seconds=0.1)
-    operator = build_operator(variant, 0.4, human, DrawnNoise(torch.zeros(1, B, 3)), B)
+    context = OperatorContext(skill=skills.at, action_size=A, decision_seconds=0.1)
+    operator = build_operator(variant, 0.4, context, DrawnNoise(torch.zeros(1, B, 3)), B)
     imagination = Imagination(model, LatentCritics(model.feature_size, [8]), config, 0.99, 0.95, 0.95)
     start = Situation(model.initial(B), torch.zeros(B, A), operator, torch.arange(B))
     draws = Draws(torch.zeros(B, H, M, model.noise_size), torch.zeros(B, H, M, operator.draws))

@@ -22,7 +22,7 @@ from torch import Tensor
 from wasp_cli.methods.wasp.imagine import Draws, Situation
 from wasp_cli.metrics.episode import GATE_NONE, GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Human, Operator
+from wasp_cli.operators.base import Operator, OperatorContext
 from wasp_cli.operators.laggy import LaggyOperator
 from wasp_cli.operators.noise import EpisodeNoise
 
@@ -145,8 +145,8 @@ def test_an_operator_who_repeats_himself_is_kept_out_of_the_hazard_too() -> None
     costs = {}
     for variant in (None, "full"):
         world = Corridor(jitter=0.01)
-        human = Human(lambda _: scene_worlds.careful(world), 1, scene_worlds.STEP)  # noqa: B023
-        operator = LaggyOperator.build(0.85, human, EpisodeNoise(range(ROWS)), ROWS)
+        context = OperatorContext(lambda _: scene_worlds.careful(world), 1, scene_worlds.STEP)  # noqa: B023
+        operator = LaggyOperator.build(0.85, context, EpisodeNoise(range(ROWS)), ROWS)
         costs[variant] = scene_drives.drive(world, operator, None if variant is None else scene_drives.settings(**SMALL), 60).costs
     assert costs[None].mean() > 2
     assert costs["full"].mean() < 0.25 * costs[None].mean()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
-from wasp_cli.report.frame import odd_tables_refused
+from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.plain import printable
 from wasp_cli.store.tables import Thresholds, read_episodes, read_steps, read_times, read_version

@@ -1,0 +1,41 @@
+"""Episodes of the unimpaired latent expert without assistance, and their decisions as rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from wasp_cli.learning.closed_loop import Loop, run_episodes
+from wasp_cli.methods.base import Heldout
+from wasp_cli.methods.human import HumanOnly
+from wasp_cli.models.base import Latent
+from wasp_cli.models.policy import Skills
+from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.operators.base import Operator, OperatorContext
+from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.tasks.base import VectorTask
+
+
+def expert_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, seeds: Sequence[int], *, keep_latents: bool = False) -> Loop:
+    """Run an episode per seed of the unimpaired latent expert without assistance."""
+    operator = Operator.build(1.0, OperatorContext(skills.at, task.action_size, task.decision_seconds), EpisodeNoise(seeds), task.batch)
+    return run_episodes(task, model, operator, HumanOnly(), seeds, seeds, keep_latents=keep_latents)
+
+
+def heldout_rows(loop: Loop) -> Heldout:
+    """Take the decisions of a recorded loop, episode after episode, without those after an episode's end."""
+    assert loop.h is not None
+    assert loop.z is not None
+    alive = torch.from_numpy(loop.alive.T.copy())  # [B, T]
+    episode = torch.arange(alive.shape[0]).unsqueeze(1).expand_as(alive)
+
+    def rows(values: torch.Tensor) -> torch.Tensor:
+        return values.transpose(0, 1)[alive].clone()
+
+    return Heldout(
+        Latent(rows(loop.h), rows(loop.z)), rows(torch.from_numpy(loop.a_h)), rows(torch.from_numpy(loop.reward.astype(np.float32))),
+        rows(torch.from_numpy(loop.cost.astype(np.float32))), episode[alive].clone(),
+        rows(torch.from_numpy(loop.terminated.astype(np.float32))),
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""What was trained, for people: tables, figures, pages and pictures from the numbers that stages leave."""

@@ -1,0 +1,37 @@
+"""Latents: what the world model infers at every recorded row, for everything that is trained on latents.
+
+Artifact: `latents.safetensors` (h float16, z class indices, one row per row of the dataset). It is apart from the weights, since it is
+larger than they are and an evaluation does not read it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from wasp_cli.learning.configs import LatentsConfig
+from wasp_cli.stages.base import Job
+
+
+class LatentsStage:
+    """See the module."""
+
+    kind = "latents"
+    config = LatentsConfig
+    settings: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ("dataset", "world_model")
+
+    def run(self, job: Job) -> Mapping[str, Any]:
+        """Filter every recorded episode and store the latents."""
+        from wasp_cli.learning.device import training_device
+        from wasp_cli.learning.encoding import encode
+        from wasp_cli.learning.latents import save_latents
+        from wasp_cli.learning.shards import read_shards
+        from wasp_cli.models.world_model import load_world_model
+
+        recording = read_shards(job.inputs["dataset"], ["pixels", "action", "first", "episode"])
+        model = load_world_model(job.inputs["world_model"]).to(training_device())
+        latents = encode(model, recording, job.progress)
+        save_latents(latents, job.out_dir)
+        size = (job.out_dir / "latents.safetensors").stat().st_size
+        return {"rows": len(latents.h), "megabytes": round(size / 2**20, 1)}
