@@ -166,7 +166,7 @@ def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_p
     source = source_of(cell)
     found = play_episode(source, 1, [None] * trace.length, {0}, HORIZON, lambda share, text: None)
     assert found.decisions[0].scene is None
-    assert (found.readout, found.look, found.cameras) == (None, None, 1)
+    assert (found.readout, found.appearance, found.cameras) == (None, None, 1)
     nothing = Correction([None] * trace.length, "", False)
     made = film_episode(source, trace, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
     assert made.frames == trace.length

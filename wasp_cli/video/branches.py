@@ -102,7 +102,7 @@ class BranchPair:
             chosen = [[t] if e == episode else [] for e in range(world.batch)]
             found = branches(rerun, chosen, window, progress)
         self.world, self.t, self.window = world, t, window
-        self.look: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
+        self.appearance: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
         self.traces: Mapping[str, BranchTrace] = {
             branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in found
         }
@@ -143,11 +143,11 @@ class BranchPair:
     def _state(self, name: str, step: int) -> Image.Image:
         states = self._states[name]
         now = min(step, len(states.actions))
-        if self.look is None:
+        if self.appearance is None:
             front = np.ascontiguousarray(np.moveaxis(states.pixels[now][:3], 0, -1))
             return Image.fromarray(front).resize((MAP, MAP), Image.Resampling.BICUBIC)
         paths = {each: along([scene.position[0, :2] for scene in self._states[each].scenes]) for each in self._states}
-        picture = MapPicture.of(self.look, states.scenes[now], MAP, *_window(list(paths.values())))
+        picture = MapPicture.of(self.appearance, states.scenes[now], MAP, *_window(list(paths.values())))
         other = ALONE if name == ASSISTED else ASSISTED
         picture.line(paths[other][: step + 1], _COLOURS[other] + "60", 2.0)
         picture.line(paths[name][: now + 1], "#FFFFFFB0", 5.0)
@@ -155,7 +155,7 @@ class BranchPair:
         paid = np.flatnonzero(self.traces[name].cost[:now])
         picture.dots(paths[name][paid + 1], COST, 5.0, "#FFFFFF")
         if now < len(states.actions):
-            action, pose = states.actions[now], Pose(self.look, states.scenes[now])
+            action, pose = states.actions[now], Pose(self.appearance, states.scenes[now])
             draw_actions(picture, self.world, pose, action if name == ALONE or now else self._states[ALONE].actions[0], action, 4)
         return picture.finished()
 

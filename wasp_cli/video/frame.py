@@ -72,7 +72,7 @@ class Painter:
         self._played, self._trace, self._horizon, self._hold, self._corrected = played, trace, horizon, hold, corrected
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
         self._timeline = Timeline(trace, WIDTH, TIMELINE)
-        self._view = None if played.look is None else MapView(played.look, MAP)
+        self._view = None if played.appearance is None else MapView(played.appearance, MAP)
 
     def frame(self, decision: PlayedDecision) -> Image.Image:
         """RGB of WIDTH x HEIGHT."""
@@ -101,7 +101,7 @@ class Painter:
 
     def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
         where = (GAP, HEADER + TITLE)
-        if self._view is None or decision.scene is None or self._played.look is None or decision.pose is None:
+        if self._view is None or decision.scene is None or self._played.appearance is None or decision.pose is None:
             draw.text((GAP, HEADER), "front camera (this task has no map)", _GREY, font(12))
             image.paste(_camera(decision.pixels, 0, MAP), where)
             return
@@ -110,7 +110,7 @@ class Painter:
         picture = self._view.picture(decision.scene)
         picture.trail(self._played.places[: t + 1], 1.2)
         picture.dots(self._played.places[: t + 1][self._trace.costly[: t + 1]], COST, 3.5)
-        pose = Pose(self._played.look, decision.scene)
+        pose = Pose(self._played.appearance, decision.scene)
         draw_actions(picture, self._played.world, pose, self._trace.a_h[t], self._trace.a[t], 4, ARROW)
         self._futures(picture, decision.pose, imagined)
         if self._trace.costly[t]:

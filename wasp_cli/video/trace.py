@@ -87,7 +87,7 @@ class PlayedEpisode(NamedTuple):
 
     model: SafetyWorldModel
     world: VectorTask
-    look: Appearance | None
+    appearance: Appearance | None
     cameras: int
     decisions: list[PlayedDecision]
     """in order; the decisions that are shown"""
@@ -130,7 +130,7 @@ def _play_episode(
     source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
 ) -> PlayedEpisode:
     world, model = source.world(), load_world_model(source.world_model)
-    look = world.appearance() if isinstance(world, HasScene) else None
+    appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
     features: list[NDArray[np.float32]] = []
@@ -138,8 +138,8 @@ def _play_episode(
     decisions: list[PlayedDecision] = []
     for moment in rerun:
         t = moment.t
-        if look is not None and isinstance(world, HasScene):
-            poses.append(_poses(look, world.scene(everyone)))
+        if appearance is not None and isinstance(world, HasScene):
+            poses.append(_poses(appearance, world.scene(everyone)))
             features.append(moment.latent.features.numpy().copy())
         if t in shown and t < length:
             assert moment.seen.pixels is not None
@@ -153,12 +153,12 @@ def _play_episode(
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
     readout, explained = _read_out(features, poses, rerun.lengths, episode)
-    return PlayedEpisode(model, world, look, getattr(world, "cameras", 2), decisions, places, readout, explained)
+    return PlayedEpisode(model, world, appearance, getattr(world, "cameras", 2), decisions, places, readout, explained)
 
 
-def _poses(look: Appearance, scene: Scene) -> Floats:
+def _poses(appearance: Appearance, scene: Scene) -> Floats:
     """[B, 3] x, y and yaw of the robots' fronts."""
-    front = scene.rotation[:, :2, :2] @ np.array(look.forward)
+    front = scene.rotation[:, :2, :2] @ np.array(appearance.forward)
     return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)
 
 
