@@ -9,8 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.report.claims.html import verdict_html
-from wasp_cli.report.claims.text import verdict_markdown, verdict_terminal
+from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure

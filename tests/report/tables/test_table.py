@@ -133,5 +133,16 @@ def test_terminal_leaves_out_what_does_not_fit(width: int, spread: bool, delta: 
     text = console.export_text()
     assert ("±" in text, "+1.5" in text, "Extra" in text) == (spread, delta, optional)
     assert text.count("12.25") == (4 if optional else 2)
-    assert ("hidden; widen" in text) == (width < 100)
+    assert ("hidden;" in text) == (width < 100)
     assert "[red]b" in text  # a label is no markup
+
+
+def test_a_narrow_terminal_wraps_labels_and_cuts_no_digit() -> None:
+    console = Console(width=50, file=io.StringIO(), record=True)
+    label = "a measure whose name alone would fill the whole line"
+    console.print(terminal(table(row("a", label, -1234.5, 0.25)), 50))
+    text = console.export_text()
+    assert "-1234.50" in text
+    assert "0.2" in text
+    assert "…" not in text
+    assert "hidden" not in text  # nothing is

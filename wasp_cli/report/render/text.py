@@ -75,8 +75,11 @@ def terminal(table: Table, width: int = 120) -> Group:
         rich, least = _rich(table, width, *attempt)
         if least <= width:
             break
-    if attempt != attempts[0]:
-        notes.append(f"{'Columns' if len(attempt[0]) < len(every) else '± and intervals'} hidden; widen the terminal, or see the files.")
+    shown, *parts = attempt
+    cut = any(table.text(r, c, *parts) != table.text(r, c) for r in range(len(table.rows)) for c in shown)
+    hidden = " and ".join(["columns"] * (len(shown) < len(every)) + ["spreads and brackets"] * cut)
+    if hidden:
+        notes.append(f"{hidden[0].upper()}{hidden[1:]} hidden; widen the terminal, or see the files.")
     return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
 
 
@@ -91,8 +94,9 @@ def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta:
     frame = sum(labels) + 2 * (len(labels) + len(shown))  # each column has a space and a rule beside it
     rich = RichTable(title=escape(table.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     rich.padding = (0, 1, 0, 0)
+    fits = frame + sum(tight) <= width
     for label, size in zip(table.labels, labels, strict=True):
-        rich.add_column(escape(label), width=size)
+        rich.add_column(escape(label), width=size if fits else None)  # a label may wrap, a number may not
     for heading, size in zip(headings, loose if frame + sum(loose) <= width else tight, strict=True):
         rich.add_column(escape(heading), justify="right", width=size)
     for r, line in enumerate(texts):
