@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from wasp_cli.cli.app import app
-from wasp_cli.spec.ablation import ablation
+from wasp_cli.spec.derived import ablation
 from wasp_cli.spec.load import load
 from wasp_cli.spec.sweep import read_sweep
 

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.trained.evidence import EVIDENCE
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.branches import read_branches
 from wasp_cli.store.tables import read_episodes, read_steps
@@ -117,9 +118,14 @@ def test_the_second_round_trains_on_the_first_and_on_what_wasp_did(results: Path
     assert told["wasp"]["steps"] > 0
     upstream = json.loads((of_round(results, "world_model", 2) / "manifest.json").read_text())["upstream"]
     assert upstream == {"dataset": after.name, "previous": of_round(results, "world_model", 1).name}
-    for kind in ("policies", "critics", "heldout", "ida_q", "denoiser", "residual"):
-        read = json.loads((of_round(results, kind, 2) / "manifest.json").read_text())["upstream"]
-        assert read["world_model"] == of_round(results, "world_model", 2).name
+    reading = {
+        "world_model": ("latents", "policies", "critics", "heldout", "residual"),
+        "latents": ("policies", "critics", "ida_q", "denoiser"),
+    }
+    for needed, kinds in reading.items():
+        for kind in kinds:
+            read = json.loads((of_round(results, kind, 2) / "manifest.json").read_text())["upstream"]
+            assert read[needed] == of_round(results, needed, 2).name
 
 
 def test_no_two_methods_have_the_same_rows(results: Path) -> None:
@@ -172,6 +178,10 @@ def test_report_needs_the_results_folder_alone(results: Path) -> None:
         assert info.title in shown.stdout
     assert "Trained parts" in shown.stdout
     assert "World model, imagined steps ahead" in shown.stdout
+    parts = {path.parent.name.split("-")[2]: path for path in (results / "reports" / "chain" / "trained").glob("*/*")}
+    assert {kind for kind in EVIDENCE if (results / "store" / kind).is_dir()} == set(parts)
+    files = {path.name for path in (results / "reports" / "chain" / "trained").glob("*/*")}
+    assert {"contact_sheet.png", "open_loop.png", "open_loop.gif", "reconstruction.png", "curve.png", "critics.png"} <= files
 
 
 def test_one_worker_gives_the_same_rows_as_two(results: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import resource
 import torch
 from wasp_cli.studies.planner_timing import Setup
 from wasp_cli.memory import keep_memory
-from wasp_cli.spec.bench import bench_configs
+from wasp_cli.spec.derived import bench_configs
 
 def faults():
     decide()

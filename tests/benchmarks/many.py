@@ -15,14 +15,12 @@ import pyarrow.parquet as pq
 
 from tests.report.invented import invent
 from wasp_cli.metrics.episode import episode_metrics
-from wasp_cli.report.ablation_table import ablation_table
-from wasp_cli.report.comparison_table import comparison_tables
-from wasp_cli.report.frame import Wanted, read_frame
-from wasp_cli.report.latency_table import latency_table
-from wasp_cli.report.main_table import detail_table, main_table, operator_table
-from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.severity_table import severity_table
-from wasp_cli.report.threshold_table import threshold_table
+from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.stats.frame import Wanted, read_frame
+from wasp_cli.report.tables.by_axis import operator_table, severity_table
+from wasp_cli.report.tables.comparison import comparison_tables
+from wasp_cli.report.tables.details import detail_table, latency_table, threshold_table
+from wasp_cli.report.tables.main import ablation_table, main_table
 from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, cell_table
 
 TASKS = ("goal1", "race1", "formula1")

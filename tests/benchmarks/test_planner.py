@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from wasp_cli.spec.bench import bench_configs
+from wasp_cli.spec.derived import bench_configs
 from wasp_cli.studies.planner_timing import THRESHOLDS, Setup, matrix_rate
 
 THREADS = min(2, os.cpu_count() or 1)

@@ -124,13 +124,13 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
     assert wasp("check", spec).stdout == f"{spec}: ok, training only\n"
     assert "nothing to evaluate" in wasp("plan", spec, "--results", results).stdout
     done = wasp("run", spec, "--results", results, "-j", "0", fake=True)
-    assert (done.returncode, "11 computed" in done.stderr) == (0, True), done.stderr
+    assert (done.returncode, "13 computed" in done.stderr) == (0, True), done.stderr
     shown = wasp("report", results)
     assert shown.returncode == 0, shown.stderr
     assert "Main results" not in shown.stdout
     page = (results / "reports" / "smoke" / "report.md").read_text(encoding="utf-8")
     assert "- Training only: the spec lists no methods." in page
-    assert page.count("| Goal1 | 0 | ") == 11
+    assert page.count("| Goal1 | 0 | ") == 13
     assert "| world_model, round 2 | " in page
     assert not (results / "reports" / "smoke" / "table1.md").exists()
 
@@ -243,11 +243,11 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
 def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     from wasp_cli.cli.run import run_and_report
-    from wasp_cli.run.session import Way
+    from wasp_cli.run.session import RunOptions
 
     # The fake stages end well, and write no cell.
     with pytest.raises(CellsFailed, match="14 cells cannot be read") as caught:
-        run_and_report(load(small_spec), tmp_path / "results", Way(jobs=0))
+        run_and_report(load(small_spec), tmp_path / "results", RunOptions(jobs=0))
     assert "goal1 human noisy=0.2 seed 0" in caught.value.message
 
 
@@ -270,18 +270,18 @@ def test_a_run_with_failures_names_them_with_their_logs_and_ends_with_1(fakes: F
     fakes.set()
     again = wasp("run", small_spec, "--results", results, "-j", "1", fake=True)
     assert again.returncode == 0
-    assert "4 computed, 30 computed before" in again.stderr
+    assert "4 computed, 32 computed before" in again.stderr
 
 
 def test_a_second_run_computes_nothing(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     first = wasp("run", small_spec, "--results", tmp_path / "results", "-j", "0", fake=True)
-    assert (first.returncode, "34 computed" in first.stderr) == (0, True), first.stderr
-    assert "[34/34] done" in first.stderr
+    assert (first.returncode, "36 computed" in first.stderr) == (0, True), first.stderr
+    assert "[36/36] done" in first.stderr
     start = time.perf_counter()
     second = wasp("run", small_spec, "--results", tmp_path / "results", fake=True)
     assert time.perf_counter() - start < 10
-    assert "0 computed, 34 computed before" in second.stderr
-    assert len(fakes.executions()) == 34
+    assert "0 computed, 36 computed before" in second.stderr
+    assert len(fakes.executions()) == 36
 
 
 def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.report.two_runs import episodes, write_results
-from wasp_cli.report.render import RENDERERS
+from tests.compare.two_runs import episodes, write_results
+from wasp_cli.report.render.files import RENDERERS
 
 
 @pytest.fixture(scope="module")

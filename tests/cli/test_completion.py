@@ -14,7 +14,7 @@ from wasp_cli.cli import completion as complete
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.spec.settings import settings
+from wasp_cli.spec.hints import settings
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
@@ -48,7 +48,7 @@ def offered(line: str, folder: Path = ROOT) -> list[str]:
         ("wasp tasks show formula", ["formula0", "formula1"]),
         ("wasp sweep specs/smoke.yaml --method ", list(METHODS)),
         ("wasp ablate --variant no", ["no-case2", "no-rollout"]),
-        ("wasp bench ceiling specs/smoke.yaml --variant s", ["safety-only"]),
+        ("wasp bench oracle specs/smoke.yaml --variant s", ["safety-only"]),
         ("wasp ablate --preset ", ["smoke", "quick", "cpu", "gpu", "paper"]),
         ("wasp run specs/smoke.yaml --set wasp.ca", ["wasp.candidates=", "wasp.case2_memory="]),
         ("wasp run specs/smoke.yaml --set pre", ["preset="]),
@@ -94,5 +94,5 @@ def test_a_plugin_that_does_not_load_offers_nothing(monkeypatch: pytest.MonkeyPa
         raise WaspError("plugin 'x' does not load")
 
     monkeypatch.setattr("wasp_cli.registry.Registry._entries", broken)
-    monkeypatch.setattr("wasp_cli.spec.settings.settings", lambda: broken(OPERATORS))
+    monkeypatch.setattr("wasp_cli.spec.hints.settings", lambda: broken(OPERATORS))
     assert complete.tasks() == complete.methods() == complete.variants() == complete.settings() == []

@@ -11,12 +11,12 @@ import pytest
 from click.testing import Result
 
 from tests.commands import run_here
-from tests.report.invented_ladder import write_returns
+from tests.report.invented_check import write_returns
 from tests.run.harness import Fakes, fakes
 from wasp_cli.plan.grid import lay_out
+from wasp_cli.spec.derived import operators_alone
 from wasp_cli.spec.load import load
-from wasp_cli.spec.operators import operators_alone
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 
 __all__ = ["fakes"]
@@ -43,7 +43,7 @@ LINES = [
     for task in ("goal1", "race1")
     for line in (
         "laggy: accepted: falls at every step; moderate keeps 60 % of the expert's return",
-        "noisy: accepted: one severity alone, which nothing is compared with; moderate keeps 50 % of the expert's return",
+        "noisy: accepted: only one severity; trend not tested; moderate keeps 50 % of the expert's return",
     )
 ]
 
@@ -72,7 +72,7 @@ def store(spec: Path, results: Path, returns: Returns, without: str = "nothing")
             if node.kind == "evaluate":
                 write_returns(folder, cells[node.key], returns[cells[node.key].value])
             (folder / "data.bin").write_bytes(b"")  # what fake stages read of each other
-            publish(layout, node.kind, node.key, folder, {})
+            commit(layout, node.kind, node.key, folder, {})
     return results
 
 
@@ -85,7 +85,7 @@ def test_accepted_operators_print_a_table_and_end_with_0(spec: Path, tmp_path: P
     assert re.search(r"^ Goal1 +Expert +10\.00 ± 0\.00 +100\.0 ", done.stdout, re.MULTILINE)
     assert re.search(r"^ +Laggy +moderate 0\.7 +6\.00 ± 0\.00 +60\.0 .* -2\.00 +0\.00 *$", done.stdout, re.MULTILINE)
     assert re.findall(r"^(?:goal1|race1) .*", done.stdout, re.MULTILINE) == LINES
-    page = results / "reports" / "operators-little" / "ladder.md"
+    page = results / "reports" / "operators-little" / "severity_check.md"
     assert f"table: {page}, " in done.stdout
     assert LINES[3] in page.read_text(encoding="utf-8")
     assert sorted((results / "store").rglob("*")) == before
@@ -149,7 +149,7 @@ def test_the_cells_are_those_of_the_whole_spec(spec: Path) -> None:
     whole = {str(cell): node.key for cell, node in lay_out(with_expert.spec).cells if cell.method != "wasp"}
     alone = lay_out(operators_alone(spec).spec)
     assert {str(cell): node.key for cell, node in alone.cells} == whole
-    assert {node.kind for node in alone.nodes} == {"expert", "dataset", "world_model", "policies", "evaluate"}
+    assert {node.kind for node in alone.nodes} == {"expert", "dataset", "world_model", "latents", "policies", "evaluate"}
 
 
 def test_settings_do_not_bring_back_what_is_left_out(spec: Path) -> None:

@@ -28,7 +28,7 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.mixed import MixedOperator
-from wasp_cli.report.statistics import over_seeds
+from wasp_cli.report.stats.summary import over_seeds
 
 STEPS = 50
 

@@ -19,12 +19,12 @@ from tests.report.invented import invent, write
 from tests.run.harness import ROOT, SMALL, Fakes, data_of, prepared, run
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed
-from wasp_cli.report.frame import read_frame
+from wasp_cli.report.stats.frame import read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.tables import CELL_FILE, SCHEMA, CellIdentity
 
 
@@ -151,9 +151,9 @@ def test_a_wall_clock_that_jumps_back_changes_nothing(
     run_id = new_run(layout, loaded, plan)
     real = Runner._ended
 
-    def jump(self: Runner, node: object, outcome: object) -> None:
+    def jump(self: Runner, node: object, result: object) -> None:
         layout.journal(run_id).write_text('{"at": "1970-01-01T00:00:00+00:00", "event": "done", "key": "x", "label": "y"}\n')
-        real(self, node, outcome)  # type: ignore[arg-type]
+        real(self, node, result)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Runner, "_ended", jump)
     assert Runner(layout, run_id, InlinePool()).run(plan).complete
@@ -172,7 +172,7 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path: Path, m
     folder = staging_folder(layout, node.key)
     identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
     write(folder, identity, [invent(3, 2, 0.0, 0.1)]).path.rename(folder / CELL_FILE)
-    publish(layout, node.kind, node.key, folder, {"key": node.key, "kind": node.kind})
+    commit(layout, node.kind, node.key, folder, {"key": node.key, "kind": node.kind})
     path = layout.artifact(node.kind, node.key) / CELL_FILE
     column = pq.read_metadata(path).row_group(0).column(SCHEMA.get_field_index("return"))
     flip(path, column.dictionary_page_offset + column.total_compressed_size - 1)

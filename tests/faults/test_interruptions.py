@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.run.harness import Fakes, data_of, group_is_gone, run, start, wait_until
-from wasp_cli.run.journal import read_journal
+from wasp_cli.run.record import read_journal
 from wasp_cli.store.layout import Layout
 
 

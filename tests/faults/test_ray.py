@@ -34,7 +34,7 @@ def test_a_grid_through_ray_has_the_same_bytes(fakes: Fakes, small_spec: Path, c
     process = start("run", small_spec, "--results", results, "--backend", "ray", "--scheduler", cluster)
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
-    assert "17 computed, 0 computed before" in errors
+    assert "18 computed, 0 computed before" in errors
     run(small_spec, tmp_path / "here")
     assert data_of(results) == data_of(tmp_path / "here")
     assert not list(results.glob("runs/*/outcomes/*"))

@@ -9,7 +9,7 @@ import pytest
 
 from tests.run.harness import Fakes, prepared, run
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.store.layout import Layout
 
@@ -74,4 +74,4 @@ def test_a_full_disk_ends_a_node_not_the_run(fakes: Fakes, small_spec: Path, tmp
     layout.log(run_id, node.label, node.key).symlink_to("/dev/full")
     summary = Runner(layout, run_id, InlinePool()).run(plan)
     assert [failure.node.key for failure in summary.failed] == [node.key]
-    assert "No space left" in summary.failed[0].outcome.message
+    assert "No space left" in summary.failed[0].result.message

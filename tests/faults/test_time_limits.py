@@ -12,9 +12,10 @@ import pytest
 
 from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
 from wasp_cli.errors import TimeLimitExceeded
-from wasp_cli.run.limit import limited, was_ended
-from wasp_cli.run.pool import InlinePool, LokyPool, Pool
-from wasp_cli.run.pulse import memory_mb
+from wasp_cli.run.heartbeat import memory_mb
+from wasp_cli.run.interrupt import limited, was_ended
+from wasp_cli.run.job import Pool
+from wasp_cli.run.pool import InlinePool, LokyPool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.worker import KILLED
@@ -40,8 +41,8 @@ def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(
     summary = limited_run(small_spec, tmp_path / "results", pool(), limit=1.0)
     (failure,) = summary.failed
     assert failure.node.label == LABEL
-    assert failure.outcome.message == "it took longer than the limit of 1.0 s"
-    assert failure.outcome.seconds < 10
+    assert failure.result.message == "it took longer than the limit of 1.0 s"
+    assert failure.result.seconds < 10
     assert not summary.blocked
     fakes.set()
     assert run(small_spec, tmp_path / "results").complete
@@ -57,7 +58,7 @@ def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(
     summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=1.0)
     (failure,) = summary.failed
     assert failure.node.label == LABEL
-    assert failure.outcome.message == "it did not react to its time limit, so its process was ended"
+    assert failure.result.message == "it did not react to its time limit, so its process was ended"
     assert sum(NODE in line for line in fakes.executions()) == 1, "what hangs once would hang again"
     assert not list((tmp_path / "results").glob("runs/*/running/*"))
     fakes.set()

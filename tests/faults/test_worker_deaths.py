@@ -20,7 +20,7 @@ def test_a_node_that_kills_its_worker_is_named_and_the_others_finish(jobs: int, 
     finally:
         pool.close(kill=True)
     assert [failure.node.label for failure in summary.failed] == ["goal1 s0 human noisy=0.2"]
-    assert summary.failed[0].outcome.message.startswith(f"{KILLED}; it last held ")
+    assert summary.failed[0].result.message.startswith(f"{KILLED}; it last held ")
     assert not summary.blocked
     ran = fakes.executions()
     # In flight at the death: the killer and at most one other. Nothing else runs twice.

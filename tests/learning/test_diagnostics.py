@@ -26,6 +26,7 @@ from wasp_cli.learning.world_model import build
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import save_world_model
+from wasp_cli.report.trained.pages import open_loop_markdown
 from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5
@@ -288,7 +289,10 @@ def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, 
     wanted = {f"{key}@{k}" for key in ("auprc", "persistence", "predicted_over_base", "recall", "reward_r2", "base") for k in SHOWN}
     wanted |= {f"unseen_auprc@{k}" for k in SHOWN} | {"auprc_any", "unseen_auprc_any", "image_over_copy@15"}
     assert set(summaries[0]) == wanted
-    assert set(found["held_out"]["steps"][0]["foreseen_by_source"]) >= {"hazards"}
+    page = open_loop_markdown(found)
+    assert page.count("\n## ") == 2
+    assert "hazards" in page
+    assert "nan" not in page
     images = pq.read_table(root / "first" / "images.parquet")
     assert images["window"].to_pylist().count(-1) == 10
 

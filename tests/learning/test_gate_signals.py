@@ -34,9 +34,10 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.operators.laggy import LaggyOperator
-from wasp_cli.plan.part import Part
-from wasp_cli.report.trained_table import Trained
-from wasp_cli.report.training_table import training_tables
+from wasp_cli.plan.node import Part
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.pages import signals_markdown
+from wasp_cli.report.trained.table import training_tables
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import DEFAULT_STAGES, validate
 from wasp_cli.stages.base import Job, no_progress
@@ -264,7 +265,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     driven = record(short_task(2), [0, 5], lambda seen: np.zeros((2, 2), np.float32), ["expert", "noisy"], 0)
     write_shard(folders["dataset"] / "shard-0000.parquet", driven, ("hazards",))
     model = load_world_model(folders["world_model"])
-    save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["world_model"])
+    folders["latents"] = folders["dataset"]
+    save_latents(encode(model, read_shards(folders["dataset"]), no_progress), folders["latents"])
     return {kind: folders[kind] for kind in GateSignalsStage.needs}
 
 
@@ -312,6 +314,7 @@ def test_the_stage_judges_every_operator_that_can_be_built(
     assert list(found["curves"]) == ["0.99"]
     assert summaries[0]["auprc"] == pytest.approx(found["sets"]["all"]["signals"][GATE]["auprc"], abs=5e-4)
     assert summaries[0]["auprc_bootstrap"] == pytest.approx(found["sets"]["all"]["signals"][bootstrap(0.95)]["auprc"], abs=5e-4)
+    assert "limited-skill 0.5" in signals_markdown(found)
 
 
 def test_the_report_shows_the_gate_where_it_was_judged() -> None:

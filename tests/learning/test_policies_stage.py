@@ -22,7 +22,7 @@ from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.latents import save_latents
 from wasp_cli.learning.shards import read_shards
 from wasp_cli.learning.world_model import build
-from wasp_cli.models.policy import LatentPolicy, Skills
+from wasp_cli.models.policy import LatentPolicy, Skills, load_skills
 from wasp_cli.models.world_model import save_world_model
 from wasp_cli.stages.base import no_progress
 from wasp_cli.stages.policies import PoliciesStage
@@ -40,7 +40,7 @@ def inputs(root: Path) -> dict[str, Path]:
     model = build(WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16), 2)
     save_world_model(model, root / "seeing")
     save_latents(encode(model, read_shards(root / "whole"), no_progress), root / "seeing")
-    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "seeing"}
+    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "seeing", "latents": root / "seeing"}
 
 
 class Run:
@@ -74,7 +74,7 @@ class Run:
         self.summary = PoliciesStage().run(job)
         self.folder = root / name
         self.evaluation = json.loads((self.folder / "evaluation.json").read_text())
-        self.kept = policies.load_skills(self.folder).state_dict()
+        self.kept = load_skills(self.folder).state_dict()
 
 
 Start = Callable[..., Run]

@@ -93,7 +93,7 @@ def test_selectors_name_the_branches_of_cells() -> None:
     alone = labels(laid_out, "stage=counterfactual,value=0.6,seed=1")
     assert alone == {f"goal1 s1 counterfactual {method} noisy=0.6" for method in ("ida", "wasp")}
     plan = make_plan(laid_out, {}, {}, wanted=select(laid_out, ["stage=counterfactual,method=ida,value=0.6,seed=1"]))
-    kinds = ("expert", "dataset", "world_model", "policies", "heldout", "ida_q", "calibration ida", "ida noisy=0.6")
+    kinds = ("expert", "dataset", "world_model", "latents", "policies", "heldout", "ida_q", "calibration ida", "ida noisy=0.6")
     assert ran(plan) == {f"goal1 s1 {kind}" for kind in (*kinds, "counterfactual ida noisy=0.6")}
 
 

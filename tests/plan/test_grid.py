@@ -6,8 +6,7 @@ from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid, lay_out
-from wasp_cli.plan.node import Node
-from wasp_cli.plan.waves import waves
+from wasp_cli.plan.node import Node, waves
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec, validate
 
@@ -146,7 +145,7 @@ def test_an_evaluation_reads_what_its_method_needs() -> None:
 def test_named_stages_are_trained_once_for_each_task_and_chain() -> None:
     laid_out = grid(tasks=["goal1", "race1"], methods=[], stages=["heldout", "world_model"], operators={}, seeds=[0, 1])
     assert (laid_out.cells, laid_out.points) == ((), 0)
-    kinds = ["expert", "dataset", "world_model", "policies", "heldout"]
+    kinds = ["expert", "dataset", "world_model", "latents", "policies", "heldout"]
     assert sorted(node.label for node in laid_out.nodes) == sorted(
         f"{t} s{s} {k}" for t in ("goal1", "race1") for s in (0, 1) for k in kinds
     )
@@ -185,12 +184,16 @@ def test_a_further_round_trains_again_on_what_the_assistant_met() -> None:
     second = nodes["goal1 s0 world_model, round 2"]
     assert (second.axes, second.config) == ({"round": 2}, first.config)
     assert second.needs == {"dataset": rollouts, "previous": first}
-    assert nodes["goal1 s0 policies, round 2"].needs == {"expert": nodes["goal1 s0 expert"], "dataset": rollouts, "world_model": second}
+    latents = nodes["goal1 s0 latents, round 2"]
+    assert latents.needs == {"dataset": rollouts, "world_model": second}
+    assert nodes["goal1 s0 policies, round 2"].needs == {
+        "expert": nodes["goal1 s0 expert"], "dataset": rollouts, "world_model": second, "latents": latents,
+    }  # fmt: skip
     counted = [(node.kind, node.axes.get("round", 1)) for node in nodes.values() if node.kind != "evaluate"]
     assert sorted(counted) == [
         ("calibration", 2), ("calibration", 2), ("critics", 1), ("critics", 2), ("dataset", 1), ("diagnostics", 2), ("expert", 1),
-        ("heldout", 1), ("heldout", 2), ("ida_q", 2), ("policies", 1), ("policies", 2), ("rollouts", 2), ("world_model", 1),
-        ("world_model", 2),
+        ("heldout", 1), ("heldout", 2), ("ida_q", 2), ("latents", 1), ("latents", 2), ("policies", 1), ("policies", 2), ("rollouts", 2),
+        ("world_model", 1), ("world_model", 2),
     ]  # fmt: skip
 
 
@@ -213,7 +216,7 @@ def test_each_round_completes_the_dataset_of_the_one_before() -> None:
 def test_the_planner_moves_what_follows_its_rollouts_and_nothing_before() -> None:
     before, after = by_label(grid(rounds=2)), by_label(grid(rounds=2, wasp={"candidates": 9}))
     still = {node.kind for label, node in before.items() if after[label].key == node.key}
-    assert still == {"expert", "dataset", "world_model", "policies", "heldout", "critics"}
+    assert still == {"expert", "dataset", "world_model", "latents", "policies", "heldout", "critics"}
     assert {node.axes.get("round", 1) for label, node in before.items() if after[label].key == node.key} == {1}
 
 
@@ -228,7 +231,7 @@ def test_stages_are_named_for_the_last_round() -> None:
 def test_parts_are_what_is_trained() -> None:
     laid_out = grid()
     named = {(part.task, part.kind, part.seed) for part, _ in laid_out.parts}
-    kinds = ("expert", "dataset", "world_model", "policies", "critics", "heldout", "ida_q", "diagnostics")
+    kinds = ("expert", "dataset", "world_model", "latents", "policies", "critics", "heldout", "ida_q", "diagnostics")
     assert named == {("goal1", kind, seed) for kind in kinds for seed in (0, 1)}
 
 

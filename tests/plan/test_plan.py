@@ -10,7 +10,7 @@ from rich.console import Console
 from tests.plan.test_grid import grid
 from wasp_cli.plan.plan import Plan, make_plan, plan_against
 from wasp_cli.plan.show import show
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 
 
@@ -38,9 +38,9 @@ def test_times_come_from_nodes_of_the_same_sort() -> None:
     laid_out = grid(seeds=[0], methods=["human", "expert"])
     seconds = {node.sort: 10.0 for node in laid_out.nodes}
     plan = make_plan(laid_out, {}, {}, seconds)
-    # expert, dataset, world model and policies follow one another; the four evaluations share two workers
-    assert plan.estimate(2) == (pytest.approx(4 * 10 + 4 * 10 / 2), 0)
-    assert plan.estimate(100) == (pytest.approx(5 * 10), 0)
+    # expert, dataset, world model, latents and policies follow one another; the four evaluations share two workers
+    assert plan.estimate(2) == (pytest.approx(5 * 10 + 4 * 10 / 2), 0)
+    assert plan.estimate(100) == (pytest.approx(6 * 10), 0)
     expert = laid_out.nodes[0].sort
     assert make_plan(laid_out, {}, {}, {expert: 10.0}).estimate(2) == (10.0, len(laid_out.nodes) - 1)
 
@@ -89,7 +89,7 @@ def test_a_damaged_artifact_is_computed_again(tmp_path: Path) -> None:
     for each in (node, whole):
         folder = staging_folder(layout, each.key)
         (folder / "data.bin").write_bytes(b"12345")
-        publish(layout, each.kind, each.key, folder, {})
+        commit(layout, each.kind, each.key, folder, {})
     assert plan_against(laid_out, layout).count("cached") == 2
     (layout.artifact(node.kind, node.key) / "data.bin").write_bytes(b"123")
     plan = plan_against(laid_out, layout)

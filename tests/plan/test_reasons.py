@@ -14,7 +14,7 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.store import index
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
 
@@ -43,7 +43,7 @@ def store(layout: Layout, node: Node, **changes: Any) -> None:
         "sources": source_hashes(node.modules),
         "provenance": {"versions": provenance()["versions"], "seconds": 2.0, "started_at": "2026-01-01T00:00:00"},
     }
-    publish(layout, node.kind, node.key, folder, {**manifest, **changes})
+    commit(layout, node.kind, node.key, folder, {**manifest, **changes})
 
 
 def fill(layout: Layout, laid_out: Grid) -> None:
@@ -76,7 +76,7 @@ def test_what_only_reads_something_new_says_what(layout: Layout) -> None:
     fill(layout, grid())
     found = reasons_of(plan_against(grid(world_model={"updates": 21}), layout))
     assert found["goal1 s0 world_model"] == "spec changed: world_model.updates 20 -> 21"
-    assert found["goal1 s0 policies"] == "upstream changed: world_model"
+    assert found["goal1 s0 policies"] == "upstream changed: world_model, latents"
 
 
 def test_changed_code_is_named_by_module(layout: Layout) -> None:

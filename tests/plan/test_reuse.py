@@ -16,7 +16,8 @@ from wasp_cli.plan.reuse import choose
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import Offer
 
-MODEL, SKILLS, HELDOUT, CRITICS = "goal1 s0 world_model", "goal1 s0 policies", "goal1 s0 heldout", "goal1 s0 critics"
+MODEL, LATENTS, SKILLS = "goal1 s0 world_model", "goal1 s0 latents", "goal1 s0 policies"
+HELDOUT, CRITICS = "goal1 s0 heldout", "goal1 s0 critics"
 NOWHERE = Layout(Path("nowhere"))
 
 
@@ -45,7 +46,7 @@ def offer(own: Grid, label: str, key: str, behind: dict[str, str] | None = None,
 
 def version(number: int) -> dict[str, str]:
     """Keys of one version of all that is trained behind the critics, by label."""
-    return {label: f"{number}{letter}" * 10 for label, letter in zip((MODEL, SKILLS, HELDOUT, CRITICS), "abcd", strict=True)}
+    return {label: f"{number}{letter}" * 10 for label, letter in zip((MODEL, LATENTS, SKILLS, HELDOUT, CRITICS), "abcde", strict=True)}
 
 
 def chosen(own: Grid, offered: list[Offer]) -> dict[str, str]:
@@ -109,21 +110,21 @@ def test_what_goes_with_what_else_is_reused_counts_before_what_is_newer() -> Non
     first, second = version(1), version(2)
     offered = [offer(own, MODEL, first[MODEL], at="2026-03-01")]
     for behind, at in ((first, "2026-01-01"), (second, "2026-02-01")):
-        offered += [offer(own, label, behind[label], behind, at) for label in (SKILLS, HELDOUT, CRITICS)]
+        offered += [offer(own, label, behind[label], behind, at) for label in (LATENTS, SKILLS, HELDOUT, CRITICS)]
     assert chosen(own, offered) == first
 
 
 def test_what_goes_with_nothing_here_is_left_alone() -> None:
     own = own_grid()
     cell, behind = "goal1 s0 wasp noisy=0.2", version(1)
-    stranger = offer(own, CRITICS, behind[CRITICS], behind)
-    assert chosen(own, [stranger]) == {}
+    foreign = offer(own, CRITICS, behind[CRITICS], behind)
+    assert chosen(own, [foreign]) == {}
     # The rows of a cell are read by nothing, so that they need not go with anything.
-    assert chosen(own, [stranger, offer(own, cell, "f" * 20, behind)]) == {cell: "f" * 20}
+    assert chosen(own, [foreign, offer(own, cell, "f" * 20, behind)]) == {cell: "f" * 20}
     # Half of what it goes with is not enough: the skills of today would be others than those behind it.
     model = offer(own, MODEL, behind[MODEL])
-    assert chosen(own, [stranger, model]) == {MODEL: model.key}
-    assert chosen(own, [stranger, model, *(offer(own, label, behind[label], behind) for label in (SKILLS, HELDOUT))]) == behind
+    assert chosen(own, [foreign, model]) == {MODEL: model.key}
+    assert chosen(own, [foreign, model, *(offer(own, label, behind[label], behind) for label in (LATENTS, SKILLS, HELDOUT))]) == behind
 
 
 def test_what_lies_behind_everything_that_is_read_need_not_be_there() -> None:

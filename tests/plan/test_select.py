@@ -63,7 +63,10 @@ def test_what_nobody_needs_any_more_is_left_alone() -> None:
     one = next(iter(cells))
     again = make_plan(laid_out, {"evaluate": cells - {one}}, {})
     needed = next(node for node in laid_out.nodes if node.key == one)
-    assert ran(again) == {needed.label, *(f"goal1 s{needed.seed} {kind}" for kind in ("expert", "dataset", "world_model", "policies"))}
+    assert ran(again) == {
+        needed.label,
+        *(f"goal1 s{needed.seed} {kind}" for kind in ("expert", "dataset", "world_model", "latents", "policies")),
+    }
 
 
 @pytest.mark.parametrize("text", ["", "task", "task=", "=goal1", "task=goal1,", "task=goal1,,seed=0", "task=goal1|"])

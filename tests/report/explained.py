@@ -14,7 +14,7 @@ from wasp_cli.report.explain.collect import decision_facts, summarize
 from wasp_cli.report.explain.decision_text import decision_lines
 from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
@@ -110,7 +110,7 @@ class Invented:
         layout.prepare()
         staging = staging_folder(layout, KEY)
         self.write(staging / "cell.parquet")
-        publish(layout, "evaluate", KEY, staging, self.manifest())
+        commit(layout, "evaluate", KEY, staging, self.manifest())
 
 
 def text_of(lines: list[Any]) -> str:

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import dumps
 from wasp_cli.store.layout import Layout
 

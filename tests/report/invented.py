@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.plans import plans_of
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
-from wasp_cli.report.frame import Wanted
+from wasp_cli.report.stats.frame import Wanted
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 
 OPERATORS = {"noisy": (0.2, 0.6), "laggy": (0.5, 0.85)}

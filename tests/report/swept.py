@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.report.invented import invent, write
-from wasp_cli.report.frame import Wanted, read_frame
-from wasp_cli.report.sweep_table import Condition, Swept
+from wasp_cli.report.stats.frame import Wanted, read_frame
+from wasp_cli.report.tables.by_axis import Condition, Swept
 from wasp_cli.store.tables import CellIdentity
 
 NUMBERS: tuple[tuple[str, Any], ...] = (("0", 0), ("0.20", 0.2), ("0.6", 0.6))

@@ -15,8 +15,8 @@ import pytest
 from tests.commands import run_here
 from tests.report.golden_store import STORE
 from wasp_cli.report.document import Report
-from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
+from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.summarize import report_run
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import load_paper
@@ -65,7 +65,7 @@ def test_the_store_is_whole_and_has_everything_that_a_report_can_show(report: Re
         "paper",
         "statistics",
         "severity",
-        "ladder",
+        "severity_check",
         "latency",
     }
     assert report.verdict is not None

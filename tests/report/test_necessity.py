@@ -12,12 +12,12 @@ from PIL import Image
 from tests.report.branched import with_invented_branches
 from tests.report.invented import write_grid
 from tests.report.test_golden import golden
-from wasp_cli.report.branches import with_branches
-from wasp_cli.report.frame import Frame, Wanted, read_frame
-from wasp_cli.report.necessity_figure import necessity_figure
-from wasp_cli.report.necessity_table import necessity_table
-from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.table import Table
+from wasp_cli.report.figures.necessity import necessity_figure
+from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.stats.branches import with_branches
+from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.tables.necessity import necessity_table
+from wasp_cli.report.tables.table import Table
 
 Grid = Callable[..., list[Wanted]]
 

@@ -78,7 +78,7 @@ def test_what_failed_says_why(results: Path) -> None:
     facts = shown(results, "goal1 s0 ida_q")
     assert (facts["kind"], facts["failure"]["message"], facts["files"]) == ("ida_q", "the loss is not finite", [])
     text = run_here("show", facts["key"][:8], "--results", results, columns=80).stdout
-    assert "Failed last\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
+    assert "Last failure\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
 
 
 def test_the_text_says_the_same(results: Path) -> None:
@@ -86,6 +86,16 @@ def test_the_text_says_the_same(results: Path) -> None:
     assert text.startswith("goal1 s0 world_model\n  kind      world_model\n")
     assert "  deter             32  (default 256)\n" in text
     assert "  data.bin  32 bytes\n" in text
+
+
+def test_folders_with_its_pictures_are_named(results: Path) -> None:
+    facts = shown(results, "goal1 s0 world_model")
+    assert facts["pictures"] == []
+    for key in (facts["key"], "0" * 20):
+        (results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{key[:8]}").mkdir(parents=True)
+    folder = str(results / "reports" / "small" / "trained" / f"goal1-s0-world_model-{facts['key'][:8]}")
+    assert shown(results, "goal1 s0 world_model")["pictures"] == [folder]
+    assert folder in run_here("show", facts["key"], "--results", results, columns=300).stdout
 
 
 @pytest.mark.parametrize("kind", ["evaluate", "world_model", "calibration", "expert"])

@@ -11,18 +11,17 @@ from rich.console import Console
 
 from tests.report.branched import invent_branches
 from tests.report.invented import SKILL, invent, write
-from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import cells_of, lay_out
 from wasp_cli.plan.keys import libraries
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.report.ablation_table import ablation_table
-from wasp_cli.report.assumption_list import assumptions_in_force
 from wasp_cli.report.document import TABLES, Report
-from wasp_cli.report.frame import Frame
+from wasp_cli.report.provenance import assumptions_in_force
+from wasp_cli.report.stats.frame import Frame
 from wasp_cli.report.summarize import identity_of, report_run
-from wasp_cli.report.trained_table import duration, numbers_text, trained_artifacts
+from wasp_cli.report.tables.main import ablation_table
+from wasp_cli.report.trained.artifacts import duration, numbers_text, trained_artifacts
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
@@ -304,7 +303,7 @@ def test_a_blocked_cell_names_what_blocks_it(spec: Spec, tmp_path: Path) -> None
 MODULE = "wasp_cli.tasks.goal.task"
 
 
-def bring_in(layout: Layout, kind: str, name: str, **changes: Any) -> None:
+def import_artifact(layout: Layout, kind: str, name: str, **changes: Any) -> None:
     """Make an artifact one that was published: under today's code, but for changes."""
     record = json.loads(layout.manifest(kind, name).read_text())
     provenance = {
@@ -322,7 +321,7 @@ def bring_in(layout: Layout, kind: str, name: str, **changes: Any) -> None:
 def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     layout = Layout(tmp_path)
     for _, name in cells[:2]:
-        bring_in(layout, "evaluate", name)
+        import_artifact(layout, "evaluate", name)
     report = report_run(tmp_path, spec, cells)
     # Ten cells, and behind them two experts, two world models and two calibrations.
     today = "their code and libraries are those of today"
@@ -330,7 +329,7 @@ def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, ce
         f"2 of 16 results here are published ones (2 evaluate), computed by wasp 0.9 (git abcdef0) on 2026-01-02; {today}.",
         f"Published cells: evaluate {cells[0][1][:4]}, evaluate {cells[1][1][:4]}.",
     )
-    bring_in(layout, "world_model", key("world_model", 0), sources={MODULE: "before", "wasp_cli.gone": "before"})
+    import_artifact(layout, "world_model", key("world_model", 0), sources={MODULE: "before", "wasp_cli.gone": "before"})
     report = report_run(tmp_path, spec, cells)
     assert "3 of 16 results here are published ones (1 world_model, 2 evaluate)" in report.published[0]
     assert report.published[0].endswith(f"; since then has changed: wasp_cli.gone, {MODULE}.")
@@ -344,7 +343,7 @@ def test_versions_of_published_results_stand_apart(spec: Spec, cells: Cells, tmp
     layout = Layout(tmp_path)
     before = {"published": True, "wasp": "0.8", "git": {"sha": "1" * 40, "dirty": True}, "versions": {**libraries(), "torch": "1.13.1"}}
     for number, (_, name) in enumerate(cells):
-        bring_in(layout, "evaluate", name, **({} if number else {"provenance": before}))
+        import_artifact(layout, "evaluate", name, **({} if number else {"provenance": before}))
     older, newer, _ = report_run(tmp_path, spec, cells).published
     assert older.startswith("1 of 16 results here are published ones (1 evaluate), computed by wasp 0.8 (git 1111111 with changes) ")
     assert "; since then has changed: torch 1.13 -> " in older
@@ -357,7 +356,7 @@ def test_what_published_results_make_needless_is_no_gap(spec: Spec, cells: Cells
         "2 trained parts were not computed, since published results were used in place of what reads them: critics.",
     )
     assert "parts are missing" in report_run(tmp_path, spec, cells, parts(spec)).markdown()
-    bring_in(layout, "evaluate", cells[0][1])
+    import_artifact(layout, "evaluate", cells[0][1])
     report = report_run(tmp_path, spec, cells, parts(spec))
     assert needless in report.published
     assert "parts]" not in report.markdown()
@@ -371,7 +370,7 @@ def test_what_published_results_make_needless_is_no_gap(spec: Spec, cells: Cells
 
 def test_a_missing_cell_leaves_what_it_needs_a_gap(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     layout = Layout(tmp_path)
-    bring_in(layout, "evaluate", cells[0][1])
+    import_artifact(layout, "evaluate", cells[0][1])
     (layout.artifact("evaluate", cells[1][1]) / CELL_FILE).unlink()
     assert "2 of 8 parts are missing" in report_run(tmp_path, spec, cells, parts(spec)).markdown()
 
@@ -379,7 +378,7 @@ def test_a_missing_cell_leaves_what_it_needs_a_gap(spec: Spec, cells: Cells, tmp
 @pytest.mark.parametrize("sources", [None, [1], {"../../etc/hosts": "x", "": "y", "a..b": 7}])
 def test_odd_sources_of_a_published_result_are_harmless(sources: Any, spec: Spec, cells: Cells, tmp_path: Path) -> None:
     layout = Layout(tmp_path)
-    bring_in(layout, "evaluate", cells[0][1])
+    import_artifact(layout, "evaluate", cells[0][1])
     record = json.loads(layout.manifest("evaluate", cells[0][1]).read_text())
     record |= {"sources": sources, "provenance": {"published": True, "versions": [1], "git": 3, "started_at": None}}
     del record["kind"]

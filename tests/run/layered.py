@@ -18,7 +18,7 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.publish import carry_publication, publication
-from wasp_cli.run.session import Session, Way, run_spec
+from wasp_cli.run.session import RunOptions, Session, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 
@@ -56,7 +56,7 @@ def moved(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 def here(fakes: Fakes, small_spec: Path, tmp_path: Path) -> Path:
     """A fresh results folder with the published results of the spec, which were computed elsewhere."""
     elsewhere = Layout(tmp_path / "elsewhere")
-    run_spec(load(small_spec), elsewhere.root, Way(jobs=0))
+    run_spec(load(small_spec), elsewhere.root, RunOptions(jobs=0))
     fresh = tmp_path / "results"
     publish(small_spec, elsewhere, Layout(fresh / "published"))
     fakes.log.unlink()
@@ -70,7 +70,7 @@ def publish(spec: Path, layout: Layout, target: Layout) -> None:
 
 
 def run(spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published") -> Session:
-    done = run_spec(load(spec, settings), results, Way(jobs=0), reuse=choice)
+    done = run_spec(load(spec, settings), results, RunOptions(jobs=0), reuse=choice)
     done.require_complete()
     return done
 

@@ -18,8 +18,8 @@ from tests.run.harness import Fakes, prepared, run, start, wait_until
 from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
-from wasp_cli.run.journal import read_journal
 from wasp_cli.run.reach import remove_unreached, unreached
+from wasp_cli.run.record import read_journal
 from wasp_cli.store import gc
 from wasp_cli.store.artifact import staging_folder, sweep, write_record
 from wasp_cli.store.layout import Layout

@@ -13,7 +13,7 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import Fakes, run
 from wasp_cli.run.publish import PUBLIC
-from wasp_cli.run.session import Way, run_spec
+from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import corruption, file_digest, read_manifest
 from wasp_cli.store.layout import Layout
@@ -171,7 +171,7 @@ def test_what_was_reused_is_published_only_on_demand(results: Path, small_spec: 
     shutil.copytree(results / "published", fresh / "published")
     done = run_here("plan", small_spec, "--results", fresh, "--reuse", "published", columns=200)
     assert "published with this code" in done.output
-    run_spec(load(small_spec, ("reuse=published",)), fresh, Way(jobs=0))
+    run_spec(load(small_spec, ("reuse=published",)), fresh, RunOptions(jobs=0))
     before = tree(fresh / "published")
     told = publish(small_spec, fresh, "--reuse", "published")
     assert tree(fresh / "published") == before
@@ -186,7 +186,7 @@ def test_gc_leaves_the_layer_and_what_was_taken_from_it(results: Path, small_spe
     publish(small_spec, results)
     fresh = tmp_path / "fresh"
     shutil.copytree(results / "published", fresh / "published")
-    run_spec(load(small_spec, ("reuse=published",)), fresh, Way(jobs=0))
+    run_spec(load(small_spec, ("reuse=published",)), fresh, RunOptions(jobs=0))
     before, taken = tree(fresh / "published"), keys(fresh)
     assert run_here("gc", fresh, "--yes", "--runs", columns=80).exit_code == 0
     assert tree(fresh / "published") == before

@@ -15,7 +15,7 @@ from wasp_cli.plan import grid, reasons, reuse
 from wasp_cli.plan.closure import closure
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.run.session import Way, run_spec
+from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.run.sweep import run_sweep
 from wasp_cli.spec.load import load
 from wasp_cli.spec.sweep import read_sweep
@@ -64,7 +64,7 @@ def test_the_spec_says_what_is_reused_and_the_option_wins(here: Path, fakes: Fak
     assert not lay_out_over(load(small_spec).spec, layout).reused
     assert lay_out_over(load(small_spec, ("reuse=published",)).spec, layout).reused
     assert not lay_out_over(load(small_spec, ("reuse=published",)).spec, layout, "none").reused
-    run_spec(load(small_spec, ("reuse=published",)), here, Way(jobs=0))
+    run_spec(load(small_spec, ("reuse=published",)), here, RunOptions(jobs=0))
     assert not fakes.executions()
 
 
@@ -179,7 +179,7 @@ def test_nothing_is_spent_where_nothing_is_reused(fakes: Fakes, small_spec: Path
 def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
     moved(COMMON)
     swept = read_sweep(small_spec, "wasp.tau_c=0.3,0.5", ("human", "wasp"), ("reuse=published",))
-    done = run_sweep(swept, here, Way(jobs=0))
+    done = run_sweep(swept, here, RunOptions(jobs=0))
     assert done.session.summary.complete
     # Nothing is trained, Human-only is there, and so is WASP under one of the values.
     assert kinds(fakes.executions()) == {"calibration": 2, "evaluate": 2 * 2}

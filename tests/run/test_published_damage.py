@@ -1,4 +1,4 @@
-"""Published results that are damaged, or a stranger's: they make us compute, and no more."""
+"""Published results that are damaged or untrusted: they make us compute, and no more."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
-from wasp_cli.store.published import bring_in
+from wasp_cli.store.published import import_artifact
 
 __all__ = ["fresh_console", "here", "moved"]
 
@@ -93,7 +93,7 @@ HARMS: dict[str, Callable[[Path, dict[str, Any]], object]] = {
 
 
 @pytest.mark.parametrize("harm", HARMS)
-def test_a_stranger_can_make_us_compute_and_no_more(harm: str, here: Path, fakes: Fakes, small_spec: Path) -> None:
+def test_untrusted_results_can_make_us_compute_and_no_more(harm: str, here: Path, fakes: Fakes, small_spec: Path) -> None:
     path = published_manifest(here, "goal1 s1 human laggy=0.7")
     manifest = json.loads(path.read_text())
     (here / "secret.bin").write_bytes(b"mine")
@@ -140,20 +140,20 @@ def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(
 def test_what_the_store_has_is_not_brought_in_again(here: Path, fakes: Fakes, small_spec: Path) -> None:
     reused = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values()))
     layout = Layout(here)
-    assert bring_in(layout, reused.offer, lambda: False)
+    assert import_artifact(layout, reused.offer, lambda: False)
     assert read_manifest(layout, reused.offer.kind, reused.offer.key) == {
         **reused.offer.manifest,
         "provenance": {**reused.offer.manifest["provenance"], "published": True},
     }
-    assert not bring_in(layout, reused.offer, lambda: False)
+    assert not import_artifact(layout, reused.offer, lambda: False)
     with held(layout.lock(reused.offer.key), lambda: False), pytest.raises(Busy):
-        bring_in(layout, reused.offer, lambda: False)
+        import_artifact(layout, reused.offer, lambda: False)
 
 
 def test_what_changes_after_the_plan_was_made_is_not_brought_in(here: Path, fakes: Fakes, small_spec: Path) -> None:
     offer = next(iter(lay_out_over(load(small_spec).spec, Layout(here), "published").reused.values())).offer
     (offer.source.artifact(offer.kind, offer.key) / "data.bin").write_bytes(b"something else")
     with pytest.raises(ArtifactError, match="does not have the bytes"):
-        bring_in(Layout(here), offer, lambda: False)
+        import_artifact(Layout(here), offer, lambda: False)
     assert not list((here / "tmp").iterdir())
     assert not list(here.glob("store/*/*"))

@@ -17,7 +17,7 @@ import pytest
 from tests.run.harness import ROOT, Fakes, prepared, run
 from wasp_cli.cli import doctor
 from wasp_cli.errors import StoreError, WaspError, refusal
-from wasp_cli.plan.waves import waves
+from wasp_cli.plan.node import waves
 from wasp_cli.registry import Registry
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run, results_of
@@ -106,10 +106,10 @@ def test_a_broken_plugin_is_named(found: object, message: str, monkeypatch: pyte
 def test_changed_source_explains_a_failure(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     fakes.set(behave={"goal1": "raise"})
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
-    order = Runner(layout, new_run(layout, loaded, plan), InlinePool())._order(plan.to_run()[0], threads=1)
-    outcome = execute(replace(order, sources={**order.sources, "wasp_cli.config": "0" * 12}), own_process=False)
-    assert outcome.message == "the source changed while the run was going: wasp_cli.config"
-    assert "ZeroDivisionError" in Path(outcome.log).read_text(encoding="utf-8")
+    job = Runner(layout, new_run(layout, loaded, plan), InlinePool())._job(plan.to_run()[0], threads=1)
+    result = execute(replace(job, sources={**job.sources, "wasp_cli.config": "0" * 12}), own_process=False)
+    assert result.message == "the source changed while the run was going: wasp_cli.config"
+    assert "ZeroDivisionError" in Path(result.log).read_text(encoding="utf-8")
 
 
 def closed_pipe() -> int:

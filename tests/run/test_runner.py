@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 
 from tests.run.harness import Fakes, data_of, prepared, run
-from wasp_cli.report.runs import last_runs
-from wasp_cli.run.journal import read_journal
-from wasp_cli.run.order import Order, Outcome
+from wasp_cli.report.provenance import last_runs
+from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pool import InlinePool, LokyPool
-from wasp_cli.run.record import new_run, read_run
+from wasp_cli.run.record import new_run, read_journal, read_run
 from wasp_cli.run.runner import Runner, failures_text
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
@@ -49,10 +48,10 @@ def test_a_failure_blocks_its_dependents_only_and_runs_again(fakes: Fakes, small
         ("calibration", "ida", 0),
         ("evaluate", "ida", 0),
     }
-    outcome = summary.failed[0].outcome
-    assert outcome.message.startswith("ZeroDivisionError: one by zero (fake_stages.py:")
-    assert "Traceback" in Path(outcome.log).read_text(encoding="utf-8")
-    assert outcome.log in failures_text(summary.failed)
+    result = summary.failed[0].result
+    assert result.message.startswith("ZeroDivisionError: one by zero (fake_stages.py:")
+    assert "Traceback" in Path(result.log).read_text(encoding="utf-8")
+    assert result.log in failures_text(summary.failed)
     _, layout, plan = prepared(small_spec, results)
     assert {(step.state, step.node.kind) for step in plan.steps if step.state != "cached"} == {
         ("failed", "ida_q"), ("missing", "calibration"), ("missing", "evaluate"),
@@ -69,7 +68,7 @@ def test_an_expected_error_is_told_with_its_hint(fakes: Fakes, small_spec: Path,
     fakes.set(behave={"s1 expert": "refuse"})
     summary = run(small_spec, tmp_path / "results")
     (failure,) = [failure for failure in summary.failed if failure.node.kind == "expert"]
-    assert (failure.outcome.message, failure.outcome.hint) == ("the loss is not finite", "lower the learning rate")
+    assert (failure.result.message, failure.result.hint) == ("the loss is not finite", "lower the learning rate")
 
 
 def test_a_stage_that_exits_fails_and_nothing_else(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -86,7 +85,7 @@ def test_the_manifest_tells_what_where_and_how(fakes: Fakes, small_spec: Path, t
     manifest = json.loads(path.read_text(encoding="utf-8"))
     assert manifest["key"] == path.parent.name
     assert manifest["label"] == "goal1 s1 critics"
-    assert manifest["upstream"].keys() == {"dataset", "world_model", "policies", "heldout"}
+    assert manifest["upstream"].keys() == {"dataset", "world_model", "latents", "policies", "heldout"}
     assert manifest["settings"] == {"action_repeat": 4, "returns": {"gamma_r": 0.99, "gamma_c": 0.95, "lam": 0.95}}
     assert manifest["summary"]["nothing"] is None
     assert manifest["provenance"]["attempt"] == 1
@@ -136,15 +135,15 @@ def test_workers_give_the_same_bytes_as_this_process(jobs: int, fakes: Fakes, sm
 
 
 class Shuffled(InlinePool):
-    """Carries out the orders of a wave in an order of its own."""
+    """Computes the nodes of a wave in an order of its own."""
 
     def __init__(self, seed: int) -> None:
         self._chance = random.Random(seed)
 
-    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
-        orders = list(orders)
-        self._chance.shuffle(orders)
-        yield from super().run(orders)
+    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
+        node_jobs = list(node_jobs)
+        self._chance.shuffle(node_jobs)
+        yield from super().run(node_jobs)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -16,7 +16,7 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import ROOT, Fakes, run, start, wait_until
 from tests.run.recorded import at, dead_pid, key, planned, process, write_run
-from wasp_cli.run.show_status import FAILURES
+from wasp_cli.run.show import LISTED
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 
@@ -52,8 +52,8 @@ def test_failures_are_counted_where_they_are_many(layout: Layout) -> None:
     failed = [(float(n), "failed", {"key": key(n), "label": f"n{n}", "message": "x"}) for n in range(20)]
     write_run(layout, RUN, [planned(n, f"n{n}") for n in range(20)], [(0.0, "run started", process(dead_pid())), *failed])
     shown = status(layout)
-    assert shown.count("FAILED") == FAILURES
-    assert f"and {20 - FAILURES} more" in shown
+    assert shown.count("FAILED") == LISTED
+    assert f"and {20 - LISTED} more" in shown
     assert len(json.loads(status(layout, "--json"))[0]["failed"]) == 20
 
 
@@ -70,8 +70,8 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes: Fake
     try:
         wait_until(lambda: len(fakes.executions()) >= 8 and [share(path) for path in running_files(layout)] == [0.5, 0.5])
         (state,) = json.loads(status(layout, "--json"))
-        assert (state["spec"], state["state"], state["total"], state["running"]) == ("small", "running", 34, 2)
-        assert state["finished"] + state["running"] + state["waiting"] == 34
+        assert (state["spec"], state["state"], state["total"], state["running"]) == ("small", "running", 36, 2)
+        assert state["finished"] + state["running"] + state["waiting"] == 36
         assert {node["share"] for node in state["active"]} == {0.5}
         text = status(layout)
         assert "2 running" in text

@@ -12,9 +12,9 @@ import pytest
 from tests.run.harness import Fakes, group_is_gone, start, wait_until
 from wasp_cli.console import err
 from wasp_cli.errors import CellsFailed, UnknownName, UsageError
-from wasp_cli.report.runs import last_runs
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
-from wasp_cli.run.session import Way
+from wasp_cli.run.session import RunOptions
 from wasp_cli.run.sweep import SweepSession, on_task, run_sweep
 from wasp_cli.spec.sweep import read_sweep
 from wasp_cli.store.artifact import read_record
@@ -32,7 +32,7 @@ def fresh_console() -> Iterator[None]:
 
 
 def swept(spec: Path, results: Path, vary: str = VARY, methods: tuple[str, ...] = (), settings: tuple[str, ...] = ()) -> SweepSession:
-    return run_sweep(read_sweep(spec, vary, methods, settings), results, Way(jobs=0))
+    return run_sweep(read_sweep(spec, vary, methods, settings), results, RunOptions(jobs=0))
 
 
 def test_what_the_values_share_is_computed_once(fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from wasp_cli.spec.settings import settings
+from wasp_cli.spec.hints import settings
 
 FOLDER = Path(__file__).parents[2] / "specs"
 SPECS = [path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.yaml")) if path.stem != "paper"]

@@ -12,11 +12,9 @@ from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_run
-from wasp_cli.spec.ablation import ablation
-from wasp_cli.spec.bench import bench_configs
-from wasp_cli.spec.extend import LONGEST_CHAIN
-from wasp_cli.spec.load import load
-from wasp_cli.spec.problem import InvalidSpec
+from wasp_cli.spec.derived import ablation, bench_configs
+from wasp_cli.spec.load import LONGEST_CHAIN, load
+from wasp_cli.spec.places import InvalidSpec
 from wasp_cli.spec.sweep import read_sweep
 from wasp_cli.store.layout import Layout
 

@@ -7,8 +7,8 @@ import pytest
 from tests.spec.test_load import GOOD, only
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.spec.hints import settings
 from wasp_cli.spec.names import assistant_variants, training_stages
-from wasp_cli.spec.settings import settings
 from wasp_cli.tasks.registry import TASKS
 
 

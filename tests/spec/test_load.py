@@ -7,9 +7,8 @@ import pytest
 
 from tests.spec.good import GOOD
 from wasp_cli.errors import UsageError
-from wasp_cli.spec.extend import chain_of
-from wasp_cli.spec.load import Loaded, load, loaded
-from wasp_cli.spec.problem import InvalidSpec, Problem
+from wasp_cli.spec.load import Loaded, chain_of, load, loaded
+from wasp_cli.spec.places import InvalidSpec, Problem
 from wasp_cli.spec.read import parse
 
 SPECS = Path(__file__).parents[2] / "specs"

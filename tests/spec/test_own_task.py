@@ -11,10 +11,8 @@ from pathlib import Path
 import pytest
 
 from wasp_cli.run.record import read_run
-from wasp_cli.spec.extend import chain_of
-from wasp_cli.spec.load import Loaded, load, loaded
-from wasp_cli.spec.overrides import override
-from wasp_cli.spec.problem import InvalidSpec, Problem
+from wasp_cli.spec.load import Loaded, chain_of, load, loaded, override
+from wasp_cli.spec.places import InvalidSpec, Problem
 from wasp_cli.spec.read import parse
 
 ROOT = Path(__file__).parents[2]

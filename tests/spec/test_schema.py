@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.commands import run_here
 from wasp_cli.methods.registry import METHODS, MethodInfo
-from wasp_cli.spec.extend import chain_of
+from wasp_cli.spec.load import chain_of
 from wasp_cli.spec.model import spec_type
 from wasp_cli.spec.plain import plain
 from wasp_cli.spec.read import parse, read

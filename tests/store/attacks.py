@@ -1,4 +1,4 @@
-"""What a stranger may put into a results folder."""
+"""What an untrusted results folder may hold."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from tests.run.recorded import key
-from tests.store.stranger import LABEL, RUN, Stranger, manifest_of
+from tests.store.untrusted import LABEL, RUN, UntrustedStore, manifest_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.tables import CELL_FILE, SCHEMA
 
 ESCAPE = "\x1b]0;owned\x07"
 DEEP = '{"a": ' * 300 + "1" + "}" * 300
-Attack = Callable[[Stranger, Path], None]
+Attack = Callable[[UntrustedStore, Path], None]
 ATTACKS: dict[str, Attack] = {}
 
 
@@ -28,91 +28,91 @@ def attack(make: Attack) -> Attack:
 
 
 @attack
-def nothing_at_all(it: Stranger, outside: Path) -> None:
+def nothing_at_all(it: UntrustedStore, outside: Path) -> None:
     """The folder that the others change is whole."""
 
 
 @attack
-def files_elsewhere(it: Stranger, outside: Path) -> None:
+def files_elsewhere(it: UntrustedStore, outside: Path) -> None:
     names = ("../../../../outside/secret.json", str(outside / "secret.json"), "..", "", "a\0b", "x" * 5000, "deep/../../x")
     it.manifest(files={name: {"size": 1, "sha256": "0"} for name in names})
 
 
 @attack
-def files_of_no_form(it: Stranger, outside: Path) -> None:
+def files_of_no_form(it: UntrustedStore, outside: Path) -> None:
     it.manifest(files=["x"])
 
 
 @attack
-def upstream_elsewhere(it: Stranger, outside: Path) -> None:
+def upstream_elsewhere(it: UntrustedStore, outside: Path) -> None:
     it.manifest(upstream={"a": "../../../outside", "b": key(1), "c": [1], "d": {}}, upstream_kinds={"b": "../../outside", "d": 7})
 
 
 @attack
-def a_manifest_of_wrong_types(it: Stranger, outside: Path) -> None:
+def a_manifest_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     it.manifest(
         upstream=7, upstream_kinds=[], config=[1], settings="x", axes=[], provenance=[], summary=7, label={"a": 1}, seed="x", task=5
     )
 
 
 @attack
-def numbers_of_wrong_types(it: Stranger, outside: Path) -> None:
+def numbers_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     provenance = {"seconds": "long", "started_at": 5, "attempt": [], "git": "x", "versions": 7}
     for path in it.layout.store.glob("*/*/manifest.json"):
         it.change(path, provenance=provenance, summary={"a": [1, {"b": None}]})
 
 
 @attack
-def other_tasks_and_methods(it: Stranger, outside: Path) -> None:
+def other_tasks_and_methods(it: UntrustedStore, outside: Path) -> None:
     it.manifest(task="evil_module:X-v0", axes={"method": "evil_module:run", "method_config": {"a": 1}}, kind="evil_module:run")
 
 
 @attack
-def a_task_that_would_be_imported(it: Stranger, outside: Path) -> None:
+def a_task_that_would_be_imported(it: UntrustedStore, outside: Path) -> None:
     it.specification(tasks=["evil_module:X-v0"])
     it.fails()
 
 
 @attack
-def a_cell_of_a_task_that_would_be_imported(it: Stranger, outside: Path) -> None:
+def a_cell_of_a_task_that_would_be_imported(it: UntrustedStore, outside: Path) -> None:
     it.rows(task=["evil_module:X-v0"])
     it.plan(cells=[{**it.cell, "task": "evil_module:X-v0"}])
     it.fails()
 
 
 @attack
-def a_name_that_is_a_path(it: Stranger, outside: Path) -> None:
+def a_name_that_is_a_path(it: UntrustedStore, outside: Path) -> None:
     it.specification(name="../../outside")
 
 
 @attack
-def a_plan_for_a_path(it: Stranger, outside: Path) -> None:
+def a_plan_for_a_path(it: UntrustedStore, outside: Path) -> None:
     it.plan(spec="../../outside", nodes=[{**node, "key": "../..", "kind": "../../outside", "label": "../../x"} for node in it.nodes()])
 
 
 @attack
-def needs_that_are_paths(it: Stranger, outside: Path) -> None:
+def needs_that_are_paths(it: UntrustedStore, outside: Path) -> None:
     it.plan(nodes=[{**node, "needs": {"a": "../../outside", "b": 7, "c": node["key"]}, "seconds": "x"} for node in it.nodes()])
     it.fails()
 
 
 @attack
-def cells_that_are_paths(it: Stranger, outside: Path) -> None:
+def cells_that_are_paths(it: UntrustedStore, outside: Path) -> None:
     it.plan(cells=[{**it.cell, "key": "../../../outside"}])
 
 
 @attack
-def cells_of_wrong_types(it: Stranger, outside: Path) -> None:
+def cells_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     it.plan(cells=[{**it.cell, "value": "x", "task": ["goal1"], "seed": {}}])
 
 
 @attack
-def cells_of_no_form(it: Stranger, outside: Path) -> None:
+def cells_of_no_form(it: UntrustedStore, outside: Path) -> None:
     it.plan(cells=7, parts="x", nodes={"a": 1})
 
 
 @attack
-def labels_that_command_the_terminal(it: Stranger, outside: Path) -> None:
+def labels_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
     it.plan(nodes=[{**node, "label": ESCAPE + node["label"]} for node in it.nodes()], spec=f"tiny{ESCAPE}\ud800")
     it.manifest(label=ESCAPE, summary={ESCAPE: ESCAPE}, provenance={ESCAPE: ESCAPE, "started_at": ESCAPE})
     it.fails(message=ESCAPE, label=ESCAPE, log=ESCAPE, hint=ESCAPE)
@@ -123,12 +123,12 @@ def labels_that_command_the_terminal(it: Stranger, outside: Path) -> None:
 
 
 @attack
-def rows_that_command_the_terminal(it: Stranger, outside: Path) -> None:
+def rows_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
     it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], assistant_variant=[ESCAPE])
 
 
 @attack
-def deep_nesting(it: Stranger, outside: Path) -> None:
+def deep_nesting(it: UntrustedStore, outside: Path) -> None:
     run = it.layout.run(RUN)
     for path in (it.artifact / "manifest.json", run / "plan.json", run / "spec.json", it.layout.failure(key(1))):
         path.write_text(DEEP)
@@ -137,7 +137,7 @@ def deep_nesting(it: Stranger, outside: Path) -> None:
 
 
 @attack
-def a_long_chain(it: Stranger, outside: Path) -> None:
+def a_long_chain(it: UntrustedStore, outside: Path) -> None:
     for number in range(1200):
         write_record(
             it.layout.manifest("expert", key(number)), manifest_of("expert", key(number), "x", {"expert": ("expert", key(number + 1))})
@@ -146,48 +146,48 @@ def a_long_chain(it: Stranger, outside: Path) -> None:
 
 
 @attack
-def a_chain_without_end(it: Stranger, outside: Path) -> None:
+def a_chain_without_end(it: UntrustedStore, outside: Path) -> None:
     it.manifest(upstream={"evaluate": it.key}, upstream_kinds={"evaluate": "evaluate"})
     it.plan(nodes=[{**node, "needs": {"a": node["key"]}} for node in it.nodes()])
 
 
 @attack
-def a_linked_artifact(it: Stranger, outside: Path) -> None:
+def a_linked_artifact(it: UntrustedStore, outside: Path) -> None:
     link(it.artifact, outside)
 
 
 @attack
-def a_linked_manifest(it: Stranger, outside: Path) -> None:
+def a_linked_manifest(it: UntrustedStore, outside: Path) -> None:
     link(it.artifact / "manifest.json", outside / "manifest.json")
 
 
 @attack
-def a_linked_table(it: Stranger, outside: Path) -> None:
+def a_linked_table(it: UntrustedStore, outside: Path) -> None:
     link(it.artifact / CELL_FILE, outside / CELL_FILE)
 
 
 @attack
-def a_linked_kind(it: Stranger, outside: Path) -> None:
+def a_linked_kind(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.kind("evaluate"), outside)
 
 
 @attack
-def a_linked_run(it: Stranger, outside: Path) -> None:
+def a_linked_run(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.run(RUN), outside)
 
 
 @attack
-def linked_logs(it: Stranger, outside: Path) -> None:
+def linked_logs(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.log(RUN, LABEL, it.key), outside / "secret.json")
 
 
 @attack
-def a_linked_folder_of_logs(it: Stranger, outside: Path) -> None:
+def a_linked_folder_of_logs(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.run(RUN) / "logs", outside / "inner")
 
 
 @attack
-def linked_records(it: Stranger, outside: Path) -> None:
+def linked_records(it: UntrustedStore, outside: Path) -> None:
     for path in (it.layout.failure(it.key), it.layout.running(RUN, it.key), it.layout.run(RUN) / "journal.jsonl"):
         link(path, outside / "secret.json")
     link(it.layout.lock(it.key), outside / "secret.json")
@@ -196,40 +196,40 @@ def linked_records(it: Stranger, outside: Path) -> None:
 
 
 @attack
-def a_linked_plan(it: Stranger, outside: Path) -> None:
+def a_linked_plan(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.run(RUN) / "plan.json", outside / "secret.json")
 
 
 @attack
-def a_linked_spec(it: Stranger, outside: Path) -> None:
+def a_linked_spec(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.run(RUN) / "spec.json", outside / "secret.json")
 
 
 @attack
-def a_linked_report(it: Stranger, outside: Path) -> None:
+def a_linked_report(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.root / "reports", outside)
 
 
 @attack
-def the_linked_report_of_a_spec(it: Stranger, outside: Path) -> None:
+def the_linked_report_of_a_spec(it: UntrustedStore, outside: Path) -> None:
     (it.layout.root / "reports").mkdir()
     link(it.layout.reports("tiny"), outside)
 
 
 @attack
-def a_linked_page(it: Stranger, outside: Path) -> None:
+def a_linked_page(it: UntrustedStore, outside: Path) -> None:
     it.layout.reports("tiny").mkdir(parents=True)
     for name in ("report.md", "table1.csv", "cost_return.png"):
         link(it.layout.reports("tiny") / name, outside / "report.md")
 
 
 @attack
-def a_linked_store(it: Stranger, outside: Path) -> None:
+def a_linked_store(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.store, outside)
 
 
 @attack
-def pipes(it: Stranger, outside: Path) -> None:
+def pipes(it: UntrustedStore, outside: Path) -> None:
     paths = (it.artifact / CELL_FILE, it.layout.failure(it.key), it.layout.run(RUN) / "spec.json", it.layout.log(RUN, LABEL, it.key))
     for path in (*paths, it.layout.running(RUN, it.key), it.layout.lock(it.key), it.layout.tmp / f"{it.key}-x"):
         path.unlink(missing_ok=True)
@@ -237,23 +237,23 @@ def pipes(it: Stranger, outside: Path) -> None:
 
 
 @attack
-def a_table_of_another_version(it: Stranger, outside: Path) -> None:
+def a_table_of_another_version(it: UntrustedStore, outside: Path) -> None:
     path = it.artifact / CELL_FILE
     pq.write_table(pq.read_table(path).replace_schema_metadata({b"wasp.cell": b"evil"}), path)
 
 
 @attack
-def a_table_without_columns(it: Stranger, outside: Path) -> None:
+def a_table_without_columns(it: UntrustedStore, outside: Path) -> None:
     it.rows(cost=None, steps=None)
 
 
 @attack
-def a_table_of_wrong_types(it: Stranger, outside: Path) -> None:
+def a_table_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     it.rows(cost=["x"], steps=[7], tau_c=["y"])
 
 
 @attack
-def a_table_of_other_objects(it: Stranger, outside: Path) -> None:
+def a_table_of_other_objects(it: UntrustedStore, outside: Path) -> None:
     """Pandas would unpickle what Parquet never does."""
     metadata = {**(SCHEMA.metadata or {}), b"pandas": b'{"columns": [{"pandas_type": "object", "numpy_type": "object"}]}'}
     np.save(it.artifact / "data.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
@@ -261,13 +261,13 @@ def a_table_of_other_objects(it: Stranger, outside: Path) -> None:
 
 
 @attack
-def a_sweep_of_paths(it: Stranger, outside: Path) -> None:
+def a_sweep_of_paths(it: UntrustedStore, outside: Path) -> None:
     values = [{"value": 1, "run": run} for run in ("../../outside", RUN, 7, None)]
     write_record(it.layout.run("20260501-130000-sweep-0000") / "sweep.json", {"spec": [ESCAPE], "setting": {}, "values": [*values, 5]})
 
 
 @attack
-def names_of_runs_and_kinds(it: Stranger, outside: Path) -> None:
+def names_of_runs_and_kinds(it: UntrustedStore, outside: Path) -> None:
     for name in (f"9{ESCAPE.replace('/', '')}", "9 9", "..."):
         (it.layout.runs / name).mkdir()
         (it.layout.store / name / key(1)).mkdir(parents=True)

@@ -10,13 +10,13 @@ import pytest
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store.artifact import (
+    commit,
     damage,
-    is_published,
-    publish,
-    published,
+    exists,
     read_manifest,
     read_record,
     staging_folder,
+    stored_keys,
     sweep,
     write_record,
 )  # fmt: skip
@@ -41,18 +41,18 @@ def staged(layout: Layout, content: str) -> Path:
 
 
 def test_an_artifact_appears_whole(layout: Layout) -> None:
-    assert published(layout, "expert") == set()
-    place = publish(layout, "expert", KEY, staged(layout, "one"), {"key": KEY})
+    assert stored_keys(layout, "expert") == set()
+    place = commit(layout, "expert", KEY, staged(layout, "one"), {"key": KEY})
     assert (place / "deep" / "data").read_text() == "one"
     digest = hashlib.sha256(b"one").hexdigest()
     assert read_manifest(layout, "expert", KEY) == {"key": KEY, "files": {"deep/data": {"size": 3, "sha256": digest}}}
-    assert published(layout, "expert") == {KEY}
+    assert stored_keys(layout, "expert") == {KEY}
     assert not list(layout.tmp.iterdir())
 
 
 def test_the_first_of_two_stays(layout: Layout) -> None:
-    publish(layout, "expert", KEY, staged(layout, "one"), {})
-    place = publish(layout, "expert", KEY, staged(layout, "two"), {})
+    commit(layout, "expert", KEY, staged(layout, "one"), {})
+    place = commit(layout, "expert", KEY, staged(layout, "two"), {})
     assert (place / "deep" / "data").read_text() == "one"
     assert not list(layout.tmp.iterdir())
 
@@ -61,26 +61,26 @@ def test_rubbish_in_the_place_gives_way(layout: Layout) -> None:
     place = layout.artifact("expert", KEY)
     place.mkdir(parents=True)
     (place / "rubbish").write_text("x")
-    assert not is_published(layout, "expert", KEY)
-    assert published(layout, "expert") == set()
-    publish(layout, "expert", KEY, staged(layout, "one"), {})
+    assert not exists(layout, "expert", KEY)
+    assert stored_keys(layout, "expert") == set()
+    commit(layout, "expert", KEY, staged(layout, "one"), {})
     assert sorted(path.name for path in place.iterdir()) == ["deep", "manifest.json"]
     assert not list(layout.tmp.iterdir())
 
 
 @pytest.mark.parametrize("harm", ["remove", "cut", "manifest", "empty manifest"])
 def test_a_damaged_artifact_is_none_and_gives_way(harm: str, layout: Layout) -> None:
-    place = publish(layout, "expert", KEY, staged(layout, "one"), {})
-    assert is_published(layout, "expert", KEY)
+    place = commit(layout, "expert", KEY, staged(layout, "one"), {})
+    assert exists(layout, "expert", KEY)
     if harm == "remove":
         (place / "deep" / "data").unlink()
     elif harm == "cut":
         (place / "deep" / "data").write_text("o")
     else:
         (place / "manifest.json").write_text("{" if harm == "manifest" else "{}")
-    assert not is_published(layout, "expert", KEY)
+    assert not exists(layout, "expert", KEY)
     assert str(place) in (damage(layout, "expert", KEY) or "")
-    publish(layout, "expert", KEY, staged(layout, "one"), {})
+    commit(layout, "expert", KEY, staged(layout, "one"), {})
     assert damage(layout, "expert", KEY) is None
     assert (place / "deep" / "data").read_text() == "one"
     assert not list(layout.tmp.iterdir())
@@ -88,7 +88,7 @@ def test_a_damaged_artifact_is_none_and_gives_way(harm: str, layout: Layout) -> 
 
 def test_a_manifest_without_a_json_form_publishes_nothing(layout: Layout) -> None:
     with pytest.raises(ValueError, match="JSON"):
-        publish(layout, "expert", KEY, staged(layout, "one"), {"loss": float("nan")})
+        commit(layout, "expert", KEY, staged(layout, "one"), {"loss": float("nan")})
     assert not layout.artifact("expert", KEY).exists()
 
 
@@ -96,7 +96,7 @@ def test_links_are_no_artifacts(layout: Layout) -> None:
     folder = staged(layout, "one")
     (folder / "link").symlink_to("/etc/hostname")
     with pytest.raises(ArtifactError, match="is a link"):
-        publish(layout, "expert", KEY, folder, {})
+        commit(layout, "expert", KEY, folder, {})
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "\x00", "[" * 20000])

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-from wasp_cli.store.artifact import publish, staging_folder, write_record
+from wasp_cli.store.artifact import commit, staging_folder, write_record
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 
@@ -22,7 +22,7 @@ def store(layout: Layout, key: str, label: str, started_at: str = "2026-05-01T12
     staging = staging_folder(layout, key)
     (staging / "cell.parquet").write_bytes(b"rows")
     manifest = {"key": key, "kind": "evaluate", "label": label, "provenance": {"started_at": started_at}, **further}
-    return publish(layout, "evaluate", key, staging, manifest)
+    return commit(layout, "evaluate", key, staging, manifest)
 
 
 @pytest.fixture

@@ -52,7 +52,7 @@ def altered(name: str, values: list[object]) -> Callable[[pa.Table], pa.Table]:
         lambda table: table.slice(0, 0),
         lambda table: table.cast(table.schema.set(COST, pa.field("cost", pa.int64()))),
     ],
-    ids=["methods", "values", "thresholds", "nan", "less", "order", "older", "stranger", "empty", "types"],
+    ids=["methods", "values", "thresholds", "nan", "less", "order", "older", "odd", "empty", "types"],
 )  # fmt: skip
 def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path: Path, change: Callable[[pa.Table], pa.Table]) -> None:
     path = cell(tmp_path)

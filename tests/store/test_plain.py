@@ -11,14 +11,14 @@ import pytest
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store import plain
 from wasp_cli.store.artifact import (
+    commit,
     damage,
     discard,
     is_file_name,
-    publish,
-    published,
     read_manifest,
     read_record,
     staging_folder,
+    stored_keys,
     write_record,
 )
 from wasp_cli.store.layout import Layout
@@ -95,7 +95,7 @@ def layout(tmp_path: Path) -> Layout:
     staging = staging_folder(layout, KEY)
     (staging / "deep").mkdir()
     (staging / "deep" / "data").write_text("1")
-    publish(layout, "expert", KEY, staging, {})
+    commit(layout, "expert", KEY, staging, {})
     return layout
 
 
@@ -103,13 +103,13 @@ def test_an_artifact_that_became_a_link_is_none(layout: Layout, tmp_path: Path) 
     place = layout.artifact("expert", KEY)
     place.rename(tmp_path / "elsewhere")
     place.symlink_to(tmp_path / "elsewhere")
-    assert published(layout, "expert") == set()
+    assert stored_keys(layout, "expert") == set()
     assert "is a link" in (damage(layout, "expert", KEY) or "")
     with pytest.raises(ArtifactError, match="is a link"):
         read_manifest(layout, "expert", KEY)
     staging = staging_folder(layout, KEY)
     (staging / "data").write_text("2")
-    publish(layout, "expert", KEY, staging, {})
+    commit(layout, "expert", KEY, staging, {})
     assert damage(layout, "expert", KEY) is None
     assert (tmp_path / "elsewhere" / "deep" / "data").read_text() == "1"
 

@@ -43,14 +43,13 @@ def planner(
     one rollout per candidate, one with the sizes of the spec.
     """
     from wasp_cli import console
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
-    from wasp_cli.spec.bench import bench_configs
-    from wasp_cli.studies.planner_table import bench_table, notes
+    from wasp_cli.spec.derived import bench_configs
 
     # Read when torch is loaded. Threads that wait too long for one that a busy neighbour delays take its core too.
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
-    from wasp_cli.studies.planner_timing import bench_planner
+    from wasp_cli.studies.planner_timing import bench_planner, bench_table, notes
 
     found = {
         name: bench_planner(*configs, batch=batch, threads=cores() if threads is None else threads, repeats=repeats)
@@ -103,12 +102,11 @@ def oracle(
     operator and imagination use the expert that a run of this spec has trained.
     """
     from wasp_cli import console
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
-    from wasp_cli.studies.oracle_run import measure_ceiling
-    from wasp_cli.studies.oracle_table import ceiling_table
+    from wasp_cli.studies.oracle_run import measure_oracle, oracle_table
 
-    cell, found = measure_ceiling(
+    cell, found = measure_oracle(
         spec, task, operator, variant or ["full"],
         episodes=episodes, tau_r=tau_r, threads=cores() if threads is None else threads, results=results, settings=set_ or (),
     )  # fmt: skip
@@ -116,4 +114,4 @@ def oracle(
         print_json({"task": cell.task, "operator": cell.variant, "value": cell.value, "seed": cell.seed, "tau_r": tau_r,
                     "rows": [outcome.as_json() for outcome in found]})  # fmt: skip
         return
-    console.out().print(terminal(ceiling_table(cell, found), console.out().width))
+    console.out().print(terminal(oracle_table(cell, found), console.out().width))

@@ -57,7 +57,7 @@ def presets() -> list[str]:
 def settings() -> list[str]:
     """List the keys of `--set` and `--vary`, each with its `=`."""
     from wasp_cli.errors import WaspError
-    from wasp_cli.spec.settings import settings
+    from wasp_cli.spec.hints import settings
 
     try:
         return [f"{name}=" for name in settings()]

@@ -44,7 +44,7 @@ def status(folder: ResultsArgument = Path("results"), run: RunOption = None, jso
     from wasp_cli.errors import StoreError
     from wasp_cli.plan.recorded import named_run, planned_runs
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show_status import as_json, show_status
+    from wasp_cli.run.show import as_json, show_status
     from wasp_cli.run.watch import shown_runs, state_of
 
     layout = results_of(folder)
@@ -97,8 +97,7 @@ def show(node: NodeArgument, results: ResultsOption = Path("results"), json: Jso
     from dataclasses import asdict
 
     from wasp_cli.console import out
-    from wasp_cli.report.node import node_facts
-    from wasp_cli.report.node_text import node_lines
+    from wasp_cli.report.node import node_facts, node_lines
     from wasp_cli.run.record import results_of
     from wasp_cli.store.find import find_node
 

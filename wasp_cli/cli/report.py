@@ -11,8 +11,7 @@ from wasp_cli.cli.options import JsonOption, ResultsArgument, expected_errors, p
 
 if TYPE_CHECKING:
     from wasp_cli.compare.runs import Compared, Side
-    from wasp_cli.plan.cell import Cell
-    from wasp_cli.plan.part import Part
+    from wasp_cli.plan.node import Cell, Part
     from wasp_cli.report.document import Report
     from wasp_cli.report.page.films import Draw
     from wasp_cli.spec.model import Spec
@@ -46,11 +45,12 @@ def report(
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
     films: Annotated[bool, typer.Option("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
+    trained: Annotated[bool, typer.Option("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print the tables of a results folder; write tables, figures and an HTML report."""
     from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
     from wasp_cli.report.document import missing_words
-    from wasp_cli.report.runs import last_runs
+    from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
     from wasp_cli.spec.paper import load_paper
 
@@ -66,7 +66,9 @@ def report(
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
-                shown = show_report(layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, claimed, films=films)
+                shown = show_report(
+                    layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, claimed, films=films, trained=trained
+                )
                 damaged += shown.damaged
                 gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
                 missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
@@ -89,6 +91,7 @@ def show_report(
     paper: Paper,
     *,
     films: bool = False,
+    trained: bool = False,
 ) -> Report:
     """Write the report of one spec, then print it.
 
@@ -100,6 +103,7 @@ def show_report(
         branched: the cells whose interventions were tested, each with the key of its branches.
         paper: numbers and claims to compare with.
         films: whether the HTML report has films of episodes.
+        trained: whether each trained part is drawn.
     """
     from wasp_cli.console import err, out
     from wasp_cli.report.summarize import report_run
@@ -108,16 +112,18 @@ def show_report(
     # Written first: a terminal that goes away costs no file.
     with err().status("report") as status:
         draw = _film_drawing() if films else None
-        _, page, *_ = report.write(layout.reports(spec.name), draw, lambda text: status.update(f"film of {text}"))
+        _, page, *_ = report.write(layout.reports(spec.name), draw, lambda text: status.update(f"drawing {text}"), evidence=trained)
     report.terminal(out())
     beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
-    out().print(f"report: {page} ({beside}{'' if films else '; wasp report adds films of episodes'})", markup=False, soft_wrap=True)
+    left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
+    further = f"; wasp report adds {' and '.join(left_out)}" if left_out else ""
+    out().print(f"report: {page} ({beside}{further})", markup=False, soft_wrap=True)
     out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
     return report
 
 
 def _film_drawing() -> Draw:
-    from wasp_cli.video.sprite import sprite_of  # needs MuJoCo
+    from wasp_cli.video.film import sprite_of  # needs MuJoCo
 
     return sprite_of
 
@@ -190,7 +196,7 @@ def _pairs(first: Path, second: Path, spec: str | None, spec_a: str | None, spec
     """
     from wasp_cli.compare.runs import Side
     from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-    from wasp_cli.report.runs import last_runs
+    from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
 
     if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):

@@ -29,8 +29,8 @@ from wasp_cli.cli.options import (
 from wasp_cli.cli.report import show_report
 
 if TYPE_CHECKING:
-    from wasp_cli.report.frame import Missing
-    from wasp_cli.run.session import Selection, Way
+    from wasp_cli.report.stats.frame import Missing
+    from wasp_cli.run.session import RunOptions, Selection
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.model import Spec
     from wasp_cli.store.layout import Layout
@@ -139,7 +139,7 @@ def ablate(
 
     Operators, seeds and episodes are those of the spec. With many of them this takes long: --set changes them.
     """
-    from wasp_cli.spec.ablation import ablation
+    from wasp_cli.spec.derived import ablation
 
     options = run_options(jobs, timeout, retries, backend, scheduler)
     run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, options, reuse=reuse)
@@ -239,37 +239,39 @@ def operators(
     """
     from wasp_cli.console import out
     from wasp_cli.plan.plan import cells_with_keys
-    from wasp_cli.report.ladder import require_accepted, verdict_lines
-    from wasp_cli.report.ladder_cells import read_ladders
-    from wasp_cli.report.ladder_table import as_json, ladder_table, write_ladder
+    from wasp_cli.report.render.files import make_own, write_pages
+    from wasp_cli.report.render.text import terminal
+    from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
     from wasp_cli.report.summarize import wanted_cells
-    from wasp_cli.report.table import terminal
+    from wasp_cli.report.tables.severity_check import as_json, check_table, judged
     from wasp_cli.run.session import restricted, run_spec
-    from wasp_cli.spec.operators import operators_alone
+    from wasp_cli.spec.derived import operators_alone
 
     loaded = restricted(operators_alone(spec, set_ or ()), task)
     session = run_spec(loaded, results, run_options(jobs, timeout, retries, backend, scheduler))
     # Also after failures: what is there is worth seeing.
     wanted, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
-    ladders, frame = read_ladders(loaded.spec, wanted)
-    table = ladder_table(ladders, frame)
-    files = write_ladder(session.layout.reports(loaded.spec.name), table, ladders)
+    checks, frame = read_checks(loaded.spec, wanted)
+    table = check_table(checks, frame)
+    folder = session.layout.reports(loaded.spec.name)
+    make_own(folder)
+    files = write_pages(folder, {}, [judged(table, checks)])
     if json:
-        print_json(as_json(loaded.spec.name, ladders, frame))
+        print_json(as_json(loaded.spec.name, checks, frame))
     else:
         out().print(terminal(table, out().width))
-        for line in ("", *verdict_lines(ladders), f"table: {', '.join(map(str, files))}"):
+        for line in ("", *verdict_lines(checks), f"table: {', '.join(map(str, files))}"):
             out().print(line, markup=False, soft_wrap=True)
     session.require_complete()
     require_cells(frame.missing, session.layout)
-    require_accepted(ladders)
+    require_accepted(checks)
 
 
-def run_options(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> Way:
+def run_options(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> RunOptions:
     """Collect what was typed about how a run is carried out."""
-    from wasp_cli.run.session import Way, cores
+    from wasp_cli.run.session import RunOptions, cores
 
-    return Way(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
+    return RunOptions(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
 
 
 def show_plan(
@@ -292,7 +294,9 @@ def show_plan(
         show(laid_out, out(), max(jobs, 1), every=every)
 
 
-def run_and_report(loaded: Loaded, results: Path, options: Way, selection: Selection | None = None, reuse: str | None = None) -> None:
+def run_and_report(
+    loaded: Loaded, results: Path, options: RunOptions, selection: Selection | None = None, reuse: str | None = None
+) -> None:
     """Run a spec, then write and print its report.
 
     Raises:
@@ -319,12 +323,12 @@ def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
         layout: the results folder of the run; damaged cells are invalidated there, so that the next run computes them.
     """
     from wasp_cli.errors import CellsFailed
-    from wasp_cli.store.artifact import condemn
+    from wasp_cli.store.artifact import invalidate
 
     if missing:
         for cell in missing:
             if cell.damaged:
-                condemn(layout, cell.kind, cell.key, cell.reason)
+                invalidate(layout, cell.kind, cell.key, cell.reason)
         named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"

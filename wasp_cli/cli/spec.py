@@ -12,7 +12,7 @@ from wasp_cli.cli import completion as complete
 from wasp_cli.cli.options import JsonOption, SetOption, expected_errors, print_json
 
 if TYPE_CHECKING:
-    from wasp_cli.spec.problem import Problem
+    from wasp_cli.spec.places import Problem
 
 PANEL = "Specs and tasks"
 
@@ -33,7 +33,7 @@ def check(
     """Validate specs and paper files: every mistake at once, with file, line and column."""
     from wasp_cli.console import out
     from wasp_cli.errors import SpecError
-    from wasp_cli.spec.problem import InvalidSpec
+    from wasp_cli.spec.places import InvalidSpec
 
     found: list[dict[str, Any]] = []
     refused: dict[Problem, None] = {}  # two specs may extend the same wrong one

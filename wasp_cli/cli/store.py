@@ -52,7 +52,7 @@ def gc(
     from wasp_cli.console import out
     from wasp_cli.run.reach import kept_keys, remove_unreached, unreached
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show_gc import removed_line, show_rubbish
+    from wasp_cli.run.show import removed_line, show_rubbish
 
     layout = results_of(folder)
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
@@ -105,7 +105,7 @@ def publish(
     from wasp_cli.run.publish import carry_publication, publication
     from wasp_cli.run.record import results_of
     from wasp_cli.run.session import restricted
-    from wasp_cli.run.show_publish import show_publication
+    from wasp_cli.run.show import show_publication
     from wasp_cli.spec.load import load
     from wasp_cli.store.layout import Layout
     from wasp_cli.store.lock import held

@@ -30,7 +30,7 @@ def tasks(context: typer.Context, json: JsonOption = False) -> None:
     from dataclasses import asdict
 
     from wasp_cli.console import out
-    from wasp_cli.report.task_table import task_table
+    from wasp_cli.report.tables.tasks import task_table
     from wasp_cli.tasks.describe import describe
 
     found = describe()

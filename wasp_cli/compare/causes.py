@@ -1,6 +1,6 @@
 """Why two results folders have other rows for one cell: what differs in its configuration, its code, its libraries, and upstream of it.
 
-From the manifests alone, which may be a stranger's; nothing is imported and no code of today is looked at.
+From the manifests alone, which may be untrusted; nothing is imported and no code of today is looked at.
 """
 
 from __future__ import annotations

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wasp_cli.report.bootstrap import COVERAGE, SEED, Interval, drawn
-from wasp_cli.report.frame import CellNumbers, Floats
+from wasp_cli.report.stats.bootstrap import COVERAGE, SEED, drawn
+from wasp_cli.report.stats.frame import CellNumbers, Floats
+from wasp_cli.report.stats.summary import Interval
 
 MEASURES = ("return", "cost", "viol", "int_rate", "success")
 EXACT = 13

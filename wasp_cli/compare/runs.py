@@ -15,9 +15,9 @@ from typing import Literal
 from wasp_cli.compare.causes import Causes
 from wasp_cli.compare.paired import LEVEL, MEASURES, Paired, corrected, paired_episodes
 from wasp_cli.errors import StoreError
-from wasp_cli.plan.cell import Cell
-from wasp_cli.report.bootstrap import Estimate, difference_of
-from wasp_cli.report.frame import CellNumbers, Wanted, odd_tables_refused, read_frame
+from wasp_cli.plan.node import Cell
+from wasp_cli.report.stats.bootstrap import Estimate, difference_of
+from wasp_cli.report.stats.frame import CellNumbers, Wanted, odd_tables_refused, read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.layout import Layout

@@ -16,7 +16,7 @@ from wasp_cli.models.world_model import load_world_model
 
 
 def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
-    """The frozen models of a training chain, and the calibrated thresholds where there are any."""
+    """Load the frozen models of a training chain, and the calibrated thresholds where there are any."""
     thresholds: dict[str, float] = {}
     if "calibration" in inputs:
         thresholds = json.loads((inputs["calibration"] / "calibration.json").read_text())
@@ -27,11 +27,11 @@ def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
 
 
 def method_config(method: str, resolved: Mapping[str, Any]) -> Config:
-    """The validated configuration of a method from its resolved JSON form."""
+    """Return the validated configuration of a method from its resolved JSON form."""
     return METHODS[method].config_model().model_validate(resolved)
 
 
 def build_assistant(method: str, resolved: Mapping[str, Any], parts: Parts) -> Assistant:
-    """An assistant by its registered name."""
+    """Build an assistant by its registered name."""
     cls: AssistantClass = METHODS.load(method)
     return cls(method_config(method, resolved), parts)

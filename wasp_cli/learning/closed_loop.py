@@ -54,13 +54,13 @@ class Filter:
         self._action = torch.zeros(batch, model.action_size)
 
     def see(self, observation: Observation, first: Tensor) -> Latent:
-        """The latent after a new observation; rows with `first` [B] start anew."""
+        """Return the latents [B, .] after a new observation; rows with `first` [B] start anew."""
         assert observation.pixels is not None
         self.latent = self.model.filter(self.latent, self._action, torch.from_numpy(observation.pixels), first)
         return self.latent
 
     def executed(self, action: Tensor) -> None:
-        """Tell the filter what was executed: [B, A]."""
+        """Tell the filter which actions [B, A] were executed."""
         self._action = action
 
 
@@ -76,7 +76,7 @@ def run_episodes(
     keep_latents: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Loop:
-    """One episode per row, until all have ended.
+    """Run one episode per row, until all have ended.
 
     Args:
         task: B episodes with pixels.

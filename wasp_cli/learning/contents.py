@@ -40,10 +40,10 @@ def contents(recording: Recording, sources: Sequence[str]) -> dict[str, dict[str
 
 
 def contents_of(folder: Path) -> dict[str, dict[str, Any]]:
-    """The contents of a dataset artifact, without reading its images."""
+    """Summarise the contents of a dataset artifact, without reading its images."""
     return contents(read_shards(folder, COLUMNS), cost_sources(folder))
 
 
 def unseen_sources(table: Contents) -> list[str]:
-    """The cost sources that never cost."""
+    """Name the cost sources that never cost."""
     return [kind for kind, share in table[ALL]["sources"].items() if share == 0.0]

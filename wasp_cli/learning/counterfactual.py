@@ -61,7 +61,7 @@ class _Start(NamedTuple):
 
 
 def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[int]]:
-    """Every `stride`-th intervened decision of a cell, counted on from episode to episode, so that each is as likely as any other.
+    """Choose every `stride`-th intervened decision of a cell, counted on from episode to episode, so that each is as likely as any other.
 
     Args:
         intervened: per episode [T_e].
@@ -80,7 +80,7 @@ def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[i
 
 
 def least_gain(heldout: Heldout, window: int, fraction: float) -> float:
-    """tau_R of Eq. 21: a share of what the unimpaired expert earns in W decision steps, on average; NaN where no episode has as many."""
+    """Return tau_R of Eq. 21: a share of the unimpaired expert's mean return in W decision steps; NaN where no episode has as many."""
     earned = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), window)
     earned = earned[~np.isnan(earned)]
     return fraction * float(earned.mean()) if len(earned) else float("nan")
@@ -88,7 +88,7 @@ def least_gain(heldout: Heldout, window: int, fraction: float) -> float:
 
 @torch.inference_mode()
 def branches(rerun: Rerun, chosen: Sequence[Sequence[int]], window: int, progress: Progress) -> list[Branch]:
-    """Both branches at every chosen decision, sorted by episode, decision and name.
+    """Run both branches at every chosen decision, sorted by episode, decision and name.
 
     Args:
         rerun: the episodes; its task and operator carry out the branches afterwards.

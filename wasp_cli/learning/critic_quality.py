@@ -32,7 +32,7 @@ class Pairs(NamedTuple):
 
 
 def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> tuple[Floats, Floats]:
-    """The discounted sum from every decision to its episode's end, and gamma^n where the time limit came n decisions later.
+    """Return the discounted sum from every decision to its episode's end, and gamma^n where the time limit came n decisions later.
 
     Args:
         signal: [K] what each decision scored, episodes one after the other.
@@ -55,7 +55,7 @@ def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any],
 
 
 def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> Pairs:
-    """Predictions beside the real returns, without decisions whose return the time limit cuts.
+    """Pair predictions with real returns, without decisions whose return the time limit cuts.
 
     At most `CUT_OFF` of a return may be cut. Where episodes are too short for that, what half of the longest one cuts is allowed. What is
     cut is filled up with the mean of the signal, which favours no state.
@@ -69,7 +69,7 @@ def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: ND
 
 @torch.inference_mode()
 def heldout_pairs(critics: Critics, heldout: Heldout, returns: ReturnsConfig) -> dict[str, Pairs]:
-    """The pairs of V_r and V_c, by 'r' and 'c'."""
+    """Return the pairs of V_r and V_c, by 'r' and 'c'."""
     episode, terminal = heldout.episode.numpy(), heldout.terminal.numpy()
     values = {"r": critics.value_r(heldout.latent), "c": critics.value_c(heldout.latent)}
     signals = {"r": (heldout.reward, returns.gamma_r), "c": (heldout.cost, returns.gamma_c)}
@@ -80,7 +80,7 @@ def heldout_pairs(critics: Critics, heldout: Heldout, returns: ReturnsConfig) ->
 
 
 def quality(found: Pairs) -> dict[str, float | None]:
-    """Rank correlation and mean predicted / mean real; None where too few decisions or no variation leave them undefined."""
+    """Return rank correlation and mean predicted / mean real; None where too few decisions or no variation leave them undefined."""
     enough = len(found.real) >= 10 and np.ptp(found.real) > 0 and np.ptp(found.predicted) > 0
     mean = float(found.real.mean()) if len(found.real) else 0.0
     return {
@@ -91,7 +91,7 @@ def quality(found: Pairs) -> dict[str, float | None]:
 
 
 def spearman(a: Floats, b: Floats) -> float:
-    """Rank correlation, ties at their average rank: discounted costs have many exact ties at zero."""
+    """Return the rank correlation, ties at their average rank: discounted costs have many exact ties at zero."""
     return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
 
 

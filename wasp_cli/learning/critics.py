@@ -36,7 +36,7 @@ class Starts:
         self._share = share
 
     def sample(self, count: int, source: torch.Generator) -> Tensor:
-        """Indices [count] of rows."""
+        """Draw indices [count] of rows."""
         index = self.every[torch.randint(len(self.every), (count,), generator=source)]
         wanted = round(self._share * count)
         if wanted and len(self.risky):
@@ -58,7 +58,7 @@ class Rollout(NamedTuple):
     """probability that the episode goes on"""
 
     def weight(self) -> Tensor:
-        """[H, B] probability that the episode had not ended before the step began."""
+        """Return the probability [H, B] that the episode had not ended before the step began."""
         return torch.cat([torch.ones_like(self.keep[:1]), self.keep[:-1]]).cumprod(0)
 
 
@@ -124,7 +124,7 @@ def train_critics(
 
 
 def imagine(model: SafetyWorldModel, skills: Skills, start: Latent, horizon: int, source: torch.Generator) -> Rollout:
-    """H steps under the expert from B latents; the heads read all arrived states at once."""
+    """Imagine H steps under the expert from B latents; the heads read all arrived states at once."""
     noise = gumbel((horizon, len(start.h), model.noise_size), source)
     features, hs, zs = [], [], []
     latent = start

@@ -43,7 +43,7 @@ STICKY = 0.9
 
 
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
-    """A behaviour for each episode, in the shares of the mixture; `skills` is the number of checkpoints.
+    """Draw a behaviour for each episode, in the shares of the mixture; `skills` is the number of checkpoints.
 
     The order is random, except that the episodes which `Recording.held_out` keeps from training have the shares of all: left to chance, a
     behaviour may be missing among them, or one that always costs may outweigh the others.
@@ -85,7 +85,7 @@ class Commander:
         """Intended commands [B, A] of the episode so far."""
 
     def command(self, privileged: NDArray[np.float32]) -> NDArray[np.float32]:
-        """[B, P] to [B, A] in [-1, 1]."""
+        """Return commands [B, A] in [-1, 1] for privileged observations [B, P]."""
         rows, random = self._rows, self._random
         with torch.inference_mode():
             seen = torch.from_numpy(privileged)
@@ -116,7 +116,7 @@ class Commander:
 def record(
     task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int
 ) -> Recording:
-    """One episode per row, as a shard.
+    """Record one episode per row, as a shard.
 
     Args:
         task: B episodes with pixels and privileged observations.

@@ -27,7 +27,7 @@ RATIOS = (0.2, 0.3, 0.4, 0.6)
 
 
 def demonstrations(recording: Recording, config: DenoiserConfig) -> NDArray[np.int64]:
-    """Rows whose expert action is learned, without those that are held out: all, or the near-expert episodes within the cost limit.
+    """Choose the rows [K] whose expert action is learned, never held-out ones: all, or the near-expert episodes within the cost limit.
 
     When no near-expert episode is within it, the one of least cost has to do.
 
@@ -97,7 +97,7 @@ def train_denoiser(
 
 @torch.inference_mode()
 def noise_loss(denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, expert: Tensor, source: torch.Generator) -> float:
-    """Mean squared error of the predicted noise over all levels at expert actions [K, A]; predicting none at all scores 1."""
+    """Return the mean squared error of the predicted noise over all levels at expert actions [K, A]; predicting none at all scores 1."""
     level = torch.randint(schedule.steps, (len(expert),), generator=source)
     noise = torch.randn(tuple(expert.shape), generator=source)
     return float((denoiser(features, schedule.diffuse(expert, level, noise), level) - noise).square().mean())
@@ -107,7 +107,7 @@ def noise_loss(denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, ex
 def denoiser_quality(
     denoiser: Denoiser, schedule: NoiseSchedule, features: Tensor, expert: Tensor, recorded: Tensor, source: torch.Generator
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Mean distances by kind of command and ratio: `conformity` to the expert's action, `fidelity` to the command (0 is nearest).
+    """Return mean distances by kind of command and ratio: `conformity` to the expert's action, `fidelity` to the command (0 is nearest).
 
     Args:
         denoiser: trained.

@@ -16,7 +16,7 @@ VARIABLE = "WASP_DEVICE"
 
 
 def training_device() -> torch.device:
-    """The device that `WASP_DEVICE` names, or the first GPU, or the CPU.
+    """Return the device that `WASP_DEVICE` names, or the first GPU, or the CPU.
 
     Raises:
         UsageError: the variable names no device that torch can use here.
@@ -35,5 +35,5 @@ def training_device() -> torch.device:
 
 
 def mixed_precision(device: torch.device) -> AbstractContextManager[object]:
-    """bfloat16 products on a GPU; float32 on a CPU, most of which have no fast bfloat16."""
+    """Compute with bfloat16 products on a GPU; float32 on a CPU, most of which have no fast bfloat16."""
     return torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")

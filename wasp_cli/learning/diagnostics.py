@@ -63,13 +63,13 @@ class Alarm(NamedTuple):
     """gamma_c"""
 
     def up(self, cost: Floats) -> NDArray[np.bool_]:
-        """[K, H] costs to [K]."""
+        """Return where the alarm [K] is raised by costs [K, H]."""
         raised: NDArray[np.bool_] = (cost * self.gamma ** np.arange(cost.shape[1])).sum(1) > self.threshold
         return raised
 
 
 def spread_starts(recording: Recording, horizon: int, count: int, *, ended: bool = False) -> NDArray[np.int64]:
-    """At most `count` rows, evenly spread over those from which `horizon` rows follow within their episode.
+    """Choose at most `count` rows, evenly spread over those from which `horizon` rows follow within their episode.
 
     With `ended`, also over those whose episode ends sooner by its own rule: where a goal ends it, the others never see the goal. Episodes
     that a time limit cuts off say nothing of what would have followed.
@@ -86,7 +86,7 @@ def spread_starts(recording: Recording, horizon: int, count: int, *, ended: bool
 
 
 def what_followed(recording: Recording, starts: NDArray[np.int64], horizon: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The rows [K, H] after each start, after the end of its episode the last one again, and whether the episode was still going."""
+    """Return the rows [K, H] after each start, after the end of its episode the last one again, and whether the episode was still going."""
     last = np.searchsorted(recording.episode, recording.episode[starts], side="right")[:, None] - 1  # [K, 1]
     ahead: NDArray[np.int64] = starts[:, None] + 1 + np.arange(horizon)
     within: NDArray[np.bool_] = ahead <= last
@@ -114,7 +114,7 @@ def forecast(
 
 
 def judged_steps(recording: Recording, seen: Forecast, alarm: Alarm, sources: Sequence[str]) -> list[Row]:
-    """A row per imagined step.
+    """Judge every imagined step: a row of numbers for each.
 
     `base` is the share of costly steps and `auprc` that of c-hat, `auprc_low` and `auprc_high` a 95 % interval of it over resampled
     episodes; `persistence` is that of "cost stays what it is at the start". `recall` is read at FALSE_ALARMS. `foreseen` is the share of
@@ -159,7 +159,7 @@ def judged_steps(recording: Recording, seen: Forecast, alarm: Alarm, sources: Se
 
 
 def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
-    """Over the window, or what the episode left of it: the sum of costs, and whether there is any.
+    """Judge the whole window, or what the episode left of it: the sum of costs, and whether there is any.
 
     The score of "any" is 1 - prod(1 - c-hat) over the steps.
     """
@@ -178,7 +178,7 @@ def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
 
 @torch.inference_mode()
 def judged_filter(model: SafetyWorldModel, recording: Recording, latents: Latents, images: int) -> Row:
-    """The filtered state itself (k = 0): its cost, and how well it shows its own image."""
+    """Judge the filtered state itself (k = 0): its cost, and how well it shows its own image."""
     index = torch.from_numpy(np.flatnonzero(recording.first == 0))  # nothing can cost before the first decision
     cost = torch.cat([model.cost(latents.at(part)) for part in index.split(CHUNK)]).numpy()
     event = recording.cost[index.numpy()] > 0
@@ -197,7 +197,7 @@ def judged_filter(model: SafetyWorldModel, recording: Recording, latents: Latent
 def imagined_images(
     model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, source: torch.Generator
 ) -> Floats:
-    """Images of one imagined future per start: float32 [K, H, 6, 64, 64] in [0, 1]."""
+    """Imagine images of one future per start: float32 [K, H, 6, 64, 64] in [0, 1]."""
     actions = torch.from_numpy(recording.action[starts[:, None] + 1 + np.arange(horizon)])
     arrived = roll_prior(model, latents.at(torch.from_numpy(starts)), actions, source)
     flat = type(arrived)(arrived.h.flatten(0, 1), arrived.z.flatten(0, 1))
@@ -209,7 +209,7 @@ def imagined_images(
 def judged_images(
     model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
 ) -> list[Row]:
-    """Per imagined step: squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image.
+    """Judge images per imagined step: squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image.
 
     `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of the change that is explained.
     """
@@ -239,7 +239,7 @@ def _correlation(a: Floats, b: Floats) -> float:
 
 
 def unseen_behaviours(skills: int) -> list[Behaviour]:
-    """The kinds of operators; a half-trained one only where there is a checkpoint between the early ones and the last."""
+    """List the kinds of operators; a half-trained one only where there is a checkpoint between the early ones and the last."""
     kinds = [
         Behaviour("sticky noise", sticky=1.0),
         Behaviour("delay with noise", delay=4, gaussian=0.25),
@@ -251,7 +251,7 @@ def unseen_behaviours(skills: int) -> list[Behaviour]:
 
 
 def unseen_episodes(task: VectorTask, skills: Sequence[PrivilegedPolicy], task_name: str, seed: int) -> Recording:
-    """One episode per row of the task, with seeds that no other stage uses.
+    """Record one episode per row of the task, with seeds that no other stage uses.
 
     Args:
         task: with pixels and privileged observations.

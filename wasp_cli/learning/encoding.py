@@ -18,7 +18,16 @@ SIDE_BY_SIDE = 16
 
 @torch.inference_mode()
 def encode(model: SafetyWorldModel, recording: Recording, report: Report) -> Latents:
-    """Filter every recorded row as the closed loop would: episodes side by side, the posterior's mode."""
+    """Filter every recorded row as the closed loop would: episodes side by side, the posterior's mode.
+
+    Args:
+        model: frozen, on the device that is to compute.
+        recording: pixels, action, first and episode of N rows.
+        report: told of the episodes.
+
+    Returns:
+        N rows on the CPU.
+    """
     device = model.mean_image.device
     episodes = [np.flatnonzero(recording.episode == e) for e in np.unique(recording.episode)]
     h = torch.zeros(len(recording.first), model.sizes.deter)

@@ -27,7 +27,7 @@ def train_ensemble(
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[QEnsemble, list[float]]:
-    """Q of acting once and following the expert afterwards: target r + gamma Q'(s', pi_E(s')).
+    """Learn Q of acting once and following the expert afterwards: target r + gamma Q'(s', pi_E(s')).
 
     Every member has a target network of its own and sees the same transitions; a third of each batch comes from uniformly
     random commands being executed ('noisy', 'bursts', 'random'), so that human-like actions are covered.
@@ -72,6 +72,6 @@ def train_ensemble(
 
 @torch.inference_mode()
 def heldout_pairs(ensemble: QEnsemble, heldout: Heldout, gamma: float) -> Pairs:
-    """Q(h, z, a^E), mean over the members, beside the discounted reward that really followed on episodes of the unimpaired expert."""
+    """Pair Q(h, z, a^E), mean over the members, with the discounted reward that really followed on episodes of the unimpaired expert."""
     q = ensemble(heldout.latent.features, heldout.a_h).mean(0).double().numpy()
     return pairs(q, heldout.reward.double().numpy(), heldout.episode.numpy(), heldout.terminal.numpy(), gamma)

@@ -16,7 +16,7 @@ Array = NDArray[Any]
 
 
 def trajectories(loop: Loop) -> tuple[list[Trajectory], list[Array]]:
-    """One trajectory and the decision times [T] of each episode, without the rows after its end."""
+    """Return one trajectory and the decision times [T] in milliseconds of each episode, without the rows after its end."""
     batch = loop.alive.shape[1]
     records = _stacked([decision.record or blank_record(batch) for decision in loop.decisions])
     planned = [decision.planned for decision in loop.decisions if decision.planned is not None]

@@ -82,7 +82,7 @@ def train_expert(
 
 
 def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
-    """The actor of a PPO model and its observation statistics as a plain module."""
+    """Export the actor of a PPO model and its observation statistics as a plain module."""
     layers = actor_layers(model.policy)
     hidden = [layer.out_features for layer in layers[:-1]]
     policy = PrivilegedPolicy(layers[0].in_features, hidden, layers[-1].out_features)
@@ -99,7 +99,7 @@ def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
 
 
 def best_checkpoint(penalised: dict[float, np.ndarray[Any, Any]]) -> float:
-    """The last checkpoint, unless an earlier one does better beyond chance: by two standard errors of the difference on the same seeds.
+    """Choose the last checkpoint, unless an earlier one is better by two standard errors of the difference on the same seeds.
 
     Args:
         penalised: by fraction, the penalised return [episodes] on the same validation seeds.

@@ -39,22 +39,22 @@ CostCritics = Mapping[float, Critics]
 
 
 def critic_alone(gamma: float) -> str:
-    """Name of the signal V_c(h_t, z_t)."""
+    """Name the signal V_c(h_t, z_t)."""
     return f"critic@{gamma:g}"
 
 
 def one_step(gamma: float) -> str:
-    """Name of Eq. 8 after a single imagined step."""
+    """Name Eq. 8 after a single imagined step."""
     return f"step@{gamma:g}"
 
 
 def discounted(gamma: float) -> str:
-    """Name of the discounted sum over H steps, as the gate has it, at another discount than the gate's."""
+    """Name the discounted sum over H steps, as the gate has it, at another discount than the gate's."""
     return f"discounted@{gamma:g}"
 
 
 def bootstrap(gamma: float) -> str:
-    """Name of Eq. 8 over H steps with V_c."""
+    """Name Eq. 8 over H steps with V_c."""
     return f"bootstrap@{gamma:g}"
 
 
@@ -114,7 +114,7 @@ class SignalRecorder:
         return Decision(a_h)
 
     def signals(self, now: Latent, arrived: Latent) -> dict[str, Tensor]:
-        """The signals [B] beside the gate's own, which is sum_k gamma_c^k c-hat_{t+k}.
+        """Compute the signals [B] beside the gate's own, which is sum_k gamma_c^k c-hat_{t+k}.
 
         In all of them c-hat_{t+k} is read at the arrived state k + 1, and counts with the probability that the episode still goes on.
 
@@ -164,7 +164,7 @@ def cost_critics(
     stream: tuple[str, int],
     report: Callable[[float, str], None],
 ) -> tuple[dict[float, Critics], dict[str, Any]]:
-    """V_c at every discount of the configuration, and the curves of those trained here.
+    """Train V_c at every further discount of the configuration; return all of them, and the curves of those trained here.
 
     Args:
         model: the frozen world model.

@@ -47,7 +47,7 @@ class SignalRows(NamedTuple):
 
 
 def signal_rows(loop: Loop, seen: Sequence[Mapping[str, Tensor]], window: int, gamma: float, first: int = 0) -> SignalRows:
-    """The decisions of B episodes beside the costs that followed.
+    """Pair the decisions of B episodes with the costs that followed.
 
     Those after which a time limit cuts the window off are left out. Where an episode ended by the task's own rule nothing follows, and its
     last decisions count.
@@ -65,7 +65,7 @@ def signal_rows(loop: Loop, seen: Sequence[Mapping[str, Tensor]], window: int, g
 
 
 def joined(parts: Sequence[SignalRows]) -> SignalRows:
-    """The decisions of all parts, one part after the other."""
+    """Join the decisions of all parts, one part after the other."""
     signals = {name: np.concatenate([part.signals[name] for part in parts]) for name in parts[0].signals}
     return SignalRows(signals, *(np.concatenate(fields) for fields in zip(*(part[1:] for part in parts), strict=True)))
 
@@ -85,7 +85,7 @@ def _episode(loop: Loop, columns: Mapping[str, Floats], row: int, window: int, g
 
 
 def judged(rows: SignalRows, threshold: float, rival: str) -> Row:
-    """A table of every signal, the gate at its threshold and at others, and its reliability.
+    """Judge every signal, the gate at its threshold and at others, and its reliability.
 
     `base` is the share of the decisions with a cost among the next W, `auprc` that of a signal for it with a 95 % interval over resampled
     episodes, `recall` is read at FALSE_ALARMS. `behind` is by how much the AUPRC is below the gate's own, on the same resampled episodes.
@@ -110,7 +110,7 @@ def judged(rows: SignalRows, threshold: float, rival: str) -> Row:
 
 
 def alarms(rows: SignalRows, name: str, threshold: float) -> Row:
-    """A gate that fires where a signal is above a threshold.
+    """Judge a gate that fires where a signal is above a threshold.
 
     `fires` is the share of all decisions, `precision` how many of these a cost followed, `foreseen` the share of the decisions before a
     cost at which it fires, `false_alarms` the share of the others.
@@ -124,7 +124,7 @@ def alarms(rows: SignalRows, name: str, threshold: float) -> Row:
 
 
 def reliability_groups(predicted: Floats, real: Floats, event: Bools) -> list[Row]:
-    """Ten groups of equally many decisions by prediction: mean prediction, mean of what followed, share of decisions with any cost."""
+    """Form ten groups of equally many decisions by prediction: mean prediction, mean of what followed, share of decisions with any cost."""
     groups = [group for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS) if len(group)]
     return [{"predicted": _mean(predicted[g]), "real": _mean(real[g]), "any": _mean(event[g]), "size": len(g)} for g in groups]
 

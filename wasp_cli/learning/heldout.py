@@ -12,13 +12,17 @@ from wasp_cli.models.weights import read_tensors
 
 
 def save_heldout(heldout: Heldout, folder: Path) -> None:
-    """Write `heldout.safetensors`."""
+    """Write `heldout.safetensors`: h [N, D], z [N, Z], a_h [N, A] and, [N] each, reward, cost, episode and terminal."""
     latent, *rest = heldout
     named = dict(zip(Heldout._fields[1:], rest, strict=True))
     save_file({"h": latent.h, "z": latent.z, **named}, folder / "heldout.safetensors")
 
 
 def load_heldout(folder: Path) -> Heldout:
-    """The rows of a held-out artifact."""
+    """Load the N rows of a held-out artifact.
+
+    Raises:
+        ArtifactError: the file is missing or damaged.
+    """
     t = read_tensors(folder / "heldout.safetensors")
     return Heldout(Latent(t["h"], t["z"]), t["a_h"], t["reward"], t["cost"], t["episode"], t["terminal"])

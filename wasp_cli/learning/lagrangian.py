@@ -43,7 +43,7 @@ class MultiplierRule:
     floor: float = 0.0
 
     def next(self, value: float, cost: float) -> float:
-        """The multiplier after one of `value`, where the latest cost was that per 1000 env steps."""
+        """Return the multiplier after one of `value`, where the latest cost was that per 1000 env steps."""
         excess = cost / max(self.limit, 1e-9) - 1.0
         return min(self.bound, max(self.floor, value + self.rate * excess))
 
@@ -68,7 +68,7 @@ class ReturnRule:
             raise ValueError(f"the least return is {self.least:g}, and only a positive one can be asked for")
 
     def next(self, value: float, measured: float) -> float:
-        """The multiplier after one of `value`, where the latest episodes returned `measured`."""
+        """Return the multiplier after one of `value`, where the latest episodes returned `measured`."""
         return min(self.bound, max(0.0, value + self.rate * (1.0 - measured / self.least)))
 
 

@@ -31,7 +31,7 @@ class FilteredTask(TaskVecEnv):
         return self.features(seen, torch.from_numpy(rows), executed).numpy()
 
     def features(self, seen: Observation, first: Tensor, executed: Array) -> Tensor:
-        """[B, F] after `executed` [B, A]. Where only some rows are `first` [B], the others have been filtered already and stay."""
+        """Return features [B, F] after `executed` [B, A]. Where some rows are `first` [B], the others are filtered already and stay."""
         if first.any() and not first.all():
             old, new = self._filter.latent, self._filter.see(seen, first.float())
             mask = first.unsqueeze(-1)

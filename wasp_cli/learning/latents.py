@@ -23,21 +23,25 @@ class Latents(NamedTuple):
     classes: int
 
     def at(self, index: Tensor) -> Latent:
-        """Latents of some rows, with z one-hot again."""
+        """Return the latents of some rows [B], with z one-hot again: [B, D] and [B, Z]."""
         one_hot = torch.nn.functional.one_hot(self.z[index].long(), self.classes).to(torch.float32)
         return Latent(self.h[index].float(), one_hot.flatten(-2))
 
     def rows(self, mask: Tensor) -> Latents:
-        """The latents of a mask [N]."""
+        """Select the latents of a mask [N]."""
         return Latents(self.h[mask], self.z[mask], self.classes)
 
 
 def save_latents(latents: Latents, folder: Path) -> None:
-    """Write `latents.safetensors`."""
+    """Write `latents.safetensors`: h as float16 [N, D], z as class indices [N, S]."""
     save_file({"h": latents.h.half(), "z": latents.z, "classes": torch.tensor(latents.classes)}, folder / "latents.safetensors")
 
 
 def load_latents(folder: Path) -> Latents:
-    """The latents of a world-model artifact, row for row those of its dataset."""
+    """Load the latents of a latents artifact, row for row those of its dataset.
+
+    Raises:
+        ArtifactError: the file is missing or damaged.
+    """
     tensors = read_tensors(folder / "latents.safetensors")
     return Latents(tensors["h"].float(), tensors["z"], int(tensors["classes"]))

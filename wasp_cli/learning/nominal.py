@@ -18,13 +18,13 @@ from wasp_cli.tasks.base import VectorTask
 
 
 def expert_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, seeds: Sequence[int], *, keep_latents: bool = False) -> Loop:
-    """Episodes of the unimpaired latent expert without assistance."""
+    """Run an episode per seed of the unimpaired latent expert without assistance."""
     operator = Operator.build(1.0, OperatorContext(skills.at, task.action_size, task.decision_seconds), EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds, keep_latents=keep_latents)
 
 
 def heldout_rows(loop: Loop) -> Heldout:
-    """Decisions of a recorded loop, episode after episode, without those after an episode's end."""
+    """Take the decisions of a recorded loop, episode after episode, without those after an episode's end."""
     assert loop.h is not None
     assert loop.z is not None
     alive = torch.from_numpy(loop.alive.T.copy())  # [B, T]

@@ -41,11 +41,11 @@ class Labelled(NamedTuple):
     """[K, N, A] actions of the K checkpoints"""
 
     def rows(self, mask: Tensor) -> Labelled:
-        """The states of a mask [N]."""
+        """Select the states of a mask [N]."""
         return Labelled(self.filtered.rows(mask), self.imagined.rows(mask), self.labels[:, mask])
 
     def at(self, index: Tensor, share: float, source: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Features [B, F] and labels [K, B, A] of some rows; a share of the features is imagined."""
+        """Return features [B, F] and labels [K, B, A] of some rows; a share of the features is imagined."""
         seen, dreamt = self.filtered.at(index).features, self.imagined.at(index).features
         mask = torch.rand(len(index), 1, generator=source) < share
         return torch.where(mask, dreamt, seen), self.labels[:, index]
@@ -73,7 +73,7 @@ def label(
 
 @torch.no_grad()
 def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, first: Tensor, depth: int, seed: int) -> Latents:
-    """For every row, a prior sample of its latent: imagined 1..depth steps, never across an episode's start, under the recorded actions.
+    """Draw a prior sample of every row's latent: imagined 1..depth steps under the recorded actions, never across an episode's start.
 
     Args:
         model: the frozen world model.
@@ -98,7 +98,7 @@ def imagine_arrivals(model: SafetyWorldModel, latents: Latents, action: Tensor, 
 
 
 def new_skills(experts: Sequence[PrivilegedPolicy], fractions: Sequence[float], features: int, config: PoliciesConfig) -> Skills:
-    """Untrained latent policies for the checkpoints of an expert."""
+    """Build untrained latent policies for the checkpoints of an expert."""
     skills = Skills(fractions, features, config.hidden, len(experts[-1].log_std))
     skills.exploration.copy_(experts[-1].log_std.exp())
     return skills
@@ -158,7 +158,7 @@ def _joined(parts: Sequence[Labelled]) -> Labelled | None:
 
 @torch.no_grad()
 def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
-    """Share of the labels' variance that each checkpoint's policy explains, on filtered and on imagined latents."""
+    """Return the share of the labels' variance that each checkpoint's policy explains, on filtered and on imagined latents."""
     found: dict[str, dict[str, float]] = {}
     for name, latents in (("filtered", states.filtered), ("imagined", states.imagined)):
         features = latents.at(torch.arange(states.labels.shape[1])).features
@@ -171,7 +171,7 @@ def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
 
 @torch.no_grad()
 def agreement(skills: Skills, states: Labelled) -> dict[str, float]:
-    """How alike each policy acts on filtered latents and on imagined ones of the same states: the share of its own variance.
+    """Return how alike each policy acts on filtered latents and on imagined ones of the same states: the share of its own variance.
 
     Operators act on both. A reinforced policy has met the filtered ones only, and has left the labels that `explained` compares with.
     """
@@ -185,7 +185,7 @@ def agreement(skills: Skills, states: Labelled) -> dict[str, float]:
 
 
 def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
-    """Who drives each episode of a labelling round.
+    """Choose who drives each episode of a labelling round.
 
     The latent expert drives `1 - share` of them; the others are driven in turn by the expert with the mistakes of impaired operators and by
     the earlier skills, whose states operators reach too.
@@ -250,6 +250,6 @@ def visit(
 
 
 def latent_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, fraction: float, seeds: Sequence[int]) -> Loop:
-    """Episodes of one latent skill without mistakes and without assistance."""
+    """Run an episode per seed of one latent skill without mistakes and without assistance."""
     operator = Operator(skills.at(fraction), task.action_size, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds)

@@ -23,7 +23,7 @@ class EpisodeSums(NamedTuple):
     env_steps: np.ndarray[Any, Any]
 
     def statistics(self, success_goals: int) -> dict[str, float | None]:
-        """Means and standard deviations over the episodes (undefined for one), and the share with at least `success_goals` goals."""
+        """Return means and standard deviations over the episodes (undefined for one), and the share with at least `success_goals` goals."""
         found: dict[str, float | None] = {}
         for name, values in (("return", self.returns), ("cost", self.costs), ("goals", self.goals)):
             found |= {name: float(values.mean()), f"{name}_sd": float(values.std(ddof=1)) if len(values) > 1 else None}
@@ -34,12 +34,12 @@ class EpisodeSums(NamedTuple):
         }
 
     def penalised(self, multiplier: float) -> np.ndarray[Any, Any]:
-        """Return minus `multiplier` per costly decision step, one entry per episode: what training maximises without discount."""
+        """Subtract `multiplier` per costly decision step from the returns [episodes]: what training maximises without discount."""
         return self.returns - multiplier * self.costly
 
 
 def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:
-    """One episode per row under the deterministic policy."""
+    """Run one episode per row under the deterministic policy."""
     seen = task.reset(seeds)
     sums = EpisodeSums(*(np.zeros(task.batch) for _ in EpisodeSums._fields))
     with torch.inference_mode():

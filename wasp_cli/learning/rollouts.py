@@ -24,7 +24,7 @@ from wasp_cli.tasks.base import VectorTask
 
 
 def in_turn(ladder: Mapping[str, Sequence[float]], context: OperatorContext, noise: NoiseSource, batch: int, first: int) -> MixedOperator:
-    """Operators for a batch of episodes: the unimpaired one, then every severity of every variant, then from the beginning.
+    """Build the operators of a batch of episodes: the unimpaired one, then every severity of every variant, then from the beginning.
 
     Args:
         ladder: severities by variant.
@@ -51,7 +51,7 @@ def assisted_episodes(
     number: int,
     progress: Callable[[float, str], None] | None = None,
 ) -> Recording:
-    """One episode per row as a shard, with the actions that the assistant executed.
+    """Record one episode per row as a shard, with the actions that the assistant executed.
 
     Each episode runs twice: the assistant decides, and what it executed is carried out again before the recorder of the dataset. A task
     gives the same for the same actions, and its cameras take a small part of the time that the planner takes.
@@ -78,7 +78,7 @@ class Playback:
         self._action, self._now = action, 0
 
     def command(self, privileged: NDArray[Any]) -> NDArray[np.float32]:
-        """[B, A], whatever is seen."""
+        """Return the next actions [B, A], whatever is seen."""
         now: NDArray[np.float32] = self._action[min(self._now, len(self._action) - 1)]
         self._now += 1
         return now

@@ -74,13 +74,13 @@ class Recording(NamedTuple):
     """[N] str"""
 
     def window_starts(self, length: int) -> NDArray[np.int64]:
-        """Rows from which `length` rows follow within one episode."""
+        """Return the rows [K] from which `length` rows follow within one episode."""
         starts = np.arange(len(self.first) - length + 1)
         whole: NDArray[np.int64] = starts[self.episode[starts] == self.episode[starts + length - 1]]
         return whole
 
     def held_out(self, share: float) -> NDArray[np.bool_]:
-        """[N] rows of the episodes that no training sees: at a share of 0.1 those numbered 9, 19, 29, ...
+        """Return the mask [N] of the episodes that no training sees: at a share of 0.1 those numbered 9, 19, 29, ...
 
         By number and not by place, so that an episode stays on its side when later rounds append others, and these are held out
         too. Where there are too few episodes for that, it is the last one.
@@ -90,13 +90,13 @@ class Recording(NamedTuple):
         return chosen if chosen.any() else self.episode == self.episode.max()
 
     def rows(self, mask: NDArray[np.bool_]) -> Recording:
-        """The rows of a mask (whole episodes). Columns that were not read stay empty."""
+        """Select the rows of a mask [N] (whole episodes). Columns that were not read stay empty."""
         fields: dict[str, Any] = {name: value[mask] if len(value) else value for name, value in self._asdict().items()}
         return Recording(**fields)
 
 
 def held_out_period(share: float) -> int:
-    """Every how many episodes one is held out; see `Recording.held_out`."""
+    """Return every how many episodes one is held out; see `Recording.held_out`."""
     return max(1, round(1 / share))
 
 
@@ -114,7 +114,7 @@ def write_shard(path: Path, recording: Recording, sources: Sequence[str]) -> Non
 
 
 def shard_files(folder: Path) -> list[Path]:
-    """The files of a dataset artifact, in order.
+    """List the files of a dataset artifact, in order.
 
     Raises:
         ArtifactError: there is none.
@@ -126,7 +126,7 @@ def shard_files(folder: Path) -> list[Path]:
 
 
 def read_shards(folder: Path, columns: Sequence[str] | None = None, mask: NDArray[np.bool_] | None = None) -> Recording:
-    """All rows of a dataset artifact, or those of a mask (whole episodes), in order. Columns that are not asked for are empty.
+    """Read all rows of a dataset artifact, or those of a mask (whole episodes), in order. Columns that are not asked for are empty.
 
     Shard after shard into place, so that the images are in memory once (a shard's twice).
 
@@ -155,7 +155,7 @@ def read_shards(folder: Path, columns: Sequence[str] | None = None, mask: NDArra
 
 
 def count_rows(path: Path) -> int:
-    """Rows of a shard."""
+    """Count the rows of a shard."""
     return int(pq.read_metadata(path).num_rows)
 
 
@@ -168,7 +168,7 @@ def hand_over(path: Path, target: Path) -> None:
 
 
 def cost_sources(folder: Path) -> tuple[str, ...]:
-    """Names of the columns of `sources` of a dataset artifact."""
+    """Read the names of the columns of `sources` of a dataset artifact."""
     return tuple(json.loads(pq.read_schema(shard_files(folder)[0]).metadata[_SOURCES]))
 
 

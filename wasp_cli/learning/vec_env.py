@@ -29,7 +29,7 @@ class Curve:
         self.costly_env_steps = 0
 
     def take(self) -> dict[str, float]:
-        """Means of the finished episodes and the cost per 1000 env steps since the last call."""
+        """Return means of the finished episodes and the cost per 1000 env steps since the last call."""
         row = {
             "return": float(np.mean(self.returns)) if self.returns else float("nan"),
             "cost": float(np.mean(self.costs)) if self.costs else float("nan"),
@@ -64,16 +64,16 @@ class TaskVecEnv(VecEnv):
     # -- what a subclass changes --------------------------------------------------------------------------------
 
     def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
-        """[B, size] after `executed` [B, A]; `rows` [B] have just started an episode."""
+        """Return observations [B, size] after `executed` [B, A]; `rows` [B] have just started an episode."""
         assert seen.privileged is not None
         return seen.privileged
 
     def execute(self, action: Array) -> tuple[Array, Array]:
-        """From the policy's action to the executed one and a penalty [B]."""
+        """Return the executed action [B, A] and a penalty [B] for the policy's action."""
         return action, np.zeros(len(action), np.float32)
 
     def objective(self, step: Step, penalty: Array) -> NDArray[Any]:
-        """The reward that is learned from [B]: (r - penalty - multiplier * c_t) / scale."""
+        """Return the reward that is learned from [B]: (r - penalty - multiplier * c_t) / scale."""
         reward: NDArray[Any] = step.reward - penalty - self.multiplier * step.cost
         return reward / (1.0 + self.multiplier) if self.normalise else reward
 
@@ -118,7 +118,7 @@ class TaskVecEnv(VecEnv):
         return observed, reward.astype(np.float32), ended, infos
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """What determines the future of every row, without what a subclass adds; the curve must have been taken.
+        """Return what determines the future of every row, without what a subclass adds; the curve must have been taken.
 
         Raises:
             TaskError: the task has no snapshot.
@@ -168,7 +168,7 @@ class SeedStream:
 
 
 def actor_layers(policy: Any) -> Sequence[Any]:
-    """The linear layers of a stable-baselines3 actor, first to last."""
+    """Return the linear layers of a stable-baselines3 actor, first to last."""
     from torch import nn
 
     return [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)] + [policy.action_net]

@@ -30,12 +30,12 @@ class Drive(NamedTuple):
     """Length of an episode."""
 
     def shown(self) -> dict[str, float]:
-        """By the names that people read."""
+        """Return the means by the names that people read."""
         return {name.rstrip("_"): value for name, value in self._asdict().items()}
 
     @classmethod
     def of(cls, returns: Sums, costs: Sums, goals: Sums, enough: int, env_steps: Sums) -> Drive:
-        """From the sums [B] of whole episodes; `enough` goals are a success."""
+        """Take means over the sums [B] of whole episodes; `enough` goals are a success."""
         means = float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean())
         return cls(*means, float(returns.std()), float(costs.std()), len(returns), float(env_steps.mean()))
 
@@ -72,7 +72,7 @@ def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps:
 
 
 def cost_limit(taught: Sequence[Drive], env_steps: float, config: PoliciesConfig, limit: int) -> float:
-    """What a reinforced policy may cost per 1000 env steps: per episode as much as the privileged one, and half of what `compare` allows.
+    """Return what a reinforced policy may cost per 1000 env steps: per episode the privileged cost, and half of what `compare` allows.
 
     Args:
         taught: batches of episodes of the privileged expert, equally many in each.
@@ -90,7 +90,7 @@ def cost_limit(taught: Sequence[Drive], env_steps: float, config: PoliciesConfig
 
 
 def best_round(verdicts: Sequence[Verdict]) -> int:
-    """The first round that reached both, where none did the one that fell least short.
+    """Choose the first round that reached both; where none did the one that fell least short.
 
     Return and cost weigh alike: by the cost alone a policy that hardly moves would win.
     """

@@ -65,7 +65,7 @@ class Windows:
         )
 
     def sample(self, batch: int, source: torch.Generator) -> Window:
-        """B sequences; episodes may change within one (`first` marks it)."""
+        """Draw B sequences; episodes may change within one (`first` marks it)."""
         device = self._rows.device
         start = torch.randint(self._starts, (batch,), generator=source, device=device)
         wanted = round(self._share * batch)
@@ -84,7 +84,7 @@ class Windows:
         return Window(found, rows, places, mirrored, rows + len(self._first) * mirrored.unsqueeze(1))
 
     def ahead(self, window: Window, starts: int, horizon: int, images: int, noise: int, source: torch.Generator) -> Ahead:
-        """What followed random steps of a batch, in the window or behind it: only `images` of those images are looked up.
+        """Return what followed random steps of a batch, in the window or behind it: only `images` of those images are looked up.
 
         Args:
             window: B sequences of T steps.
@@ -135,7 +135,7 @@ class Context:
         self.known = torch.zeros(rows, dtype=torch.bool, device=device)
 
     def enter(self, window: Window, classes: int) -> tuple[Batch, Latent]:
-        """The batch with `first` set where nothing is known of what came before, and the latents [B, .] before its first step."""
+        """Return the batch with `first` set where nothing is known of what came before, and the latents [B, .] before its first step."""
         before = (window.memory[:, 0] - 1).clamp(min=0)
         first = window.batch.first.clone()
         first[:, 0] = torch.where(self.known[before], first[:, 0], 1.0)
@@ -155,7 +155,7 @@ class Context:
         self.h[:rows], self.z[:rows], self.known[:rows] = latents.h.to(self.h), latents.z.to(self.z), True
 
     def tensors(self) -> dict[str, Tensor]:
-        """For a checkpoint; `load` takes them back."""
+        """Return the state for a checkpoint; `load` takes them back."""
         return {"h": self.h, "z": self.z, "known": self.known.to(torch.uint8)}
 
     def load(self, tensors: dict[str, Tensor]) -> None:

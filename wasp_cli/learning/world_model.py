@@ -32,13 +32,13 @@ REFIT_RATE = 1e-3
 
 
 def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
-    """An untrained model of the configured sizes."""
+    """Build an untrained model of the configured sizes."""
     names = ("deter", "hidden", "variables", "classes", "depth", "head", "unimix", "reward_scale", "cost_weight", "action_scales")
     return SafetyWorldModel(Sizes(action=action, **{name: getattr(config, name) for name in names}))
 
 
 def loss_weights(config: WorldModelConfig) -> dict[str, float]:
-    """The factor of each term of `SafetyWorldModel.losses`: Eq. 6, and the terms on imagined steps."""
+    """Return the factor of each term of `SafetyWorldModel.losses`: Eq. 6, and the terms on imagined steps."""
     weights: dict[str, float] = {name: getattr(config, name) for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")}
     if config.ahead_starts:
         weights |= {f"ahead_{term}": config.ahead * weights[f"beta_{term}"] for term in ("r", "c")}
@@ -47,7 +47,7 @@ def loss_weights(config: WorldModelConfig) -> dict[str, float]:
 
 
 def mean_image(recording: Recording) -> Tensor:
-    """Mean of about 2000 images of the data set, in [0, 1]: [6, 64, 64]."""
+    """Return the mean of about 2000 images of the dataset, in [0, 1]: [6, 64, 64]."""
     images = recording.pixels[:: max(1, len(recording.pixels) // 2000)]
     return torch.from_numpy(images.astype(np.float32).mean(0) / 255.0)
 

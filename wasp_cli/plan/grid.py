@@ -13,11 +13,9 @@ from typing import Any, NamedTuple
 from wasp_cli.config import Config
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.closure import closure_hash
 from wasp_cli.plan.keys import Text, canonical, joined, key_of, recipe_of
-from wasp_cli.plan.node import Node, sort_of, with_upstream
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Cell, Node, Part, sort_of, with_upstream
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Stage

@@ -1,13 +1,62 @@
-"""A node: one unit of work, identified by everything that decides its bytes."""
+"""What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and the waves in which nodes can run."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.plan.keys import canonical
+
+
+@dataclass(frozen=True, order=True, slots=True)
+class Cell:
+    """One point of the evaluation grid: who assists whom, where, with which seed."""
+
+    task: str
+    method: str
+    assistant: str
+    """Ablation of the method; 'full' for the method itself."""
+    operator: str
+    """Operator variant; `UNIMPAIRED` for the reference row."""
+    severity: str | None
+    """Name of the severity in the spec; enters no key."""
+    value: float | None
+    """Value of the severity."""
+    seed: int
+
+    def __str__(self) -> str:
+        assistant = "" if self.assistant == "full" else f"/{self.assistant}"
+        operator = "unimpaired" if self.operator == UNIMPAIRED else f"{self.operator}={self.value:g}"
+        return f"{self.task} {self.method}{assistant} {operator} seed {self.seed}"
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain values, for the plan of a run."""
+        # dataclasses.asdict copies every value deeply, which takes seconds over a large grid.
+        return {name: getattr(self, name) for name in _FIELDS}
+
+
+_FIELDS = tuple(field.name for field in fields(Cell))
+
+
+@dataclass(frozen=True, order=True, slots=True)
+class Part:
+    """What one training stage leaves for a task, a seed and a round."""
+
+    task: str
+    kind: str
+    seed: int
+    """The seed of the training chain."""
+    round: int = 1
+
+    def __str__(self) -> str:
+        return f"{self.task} s{self.seed} {self.kind}" + (f", round {self.round}" if self.round > 1 else "")
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain values, for the plan of a run."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -63,3 +112,29 @@ def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, 
     """What `Node.sort` is; a manifest tells the same four things of a node that was computed."""
     text = canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def waves(nodes: Iterable[Node]) -> list[list[Node]]:
+    """Split nodes into levels, so that what a node needs lies in an earlier one. Stable: within a level, input order stays.
+
+    Only needs among `nodes` count: what is already computed is left out by the caller, and moves its dependents forward.
+    """
+    members = {node.key: node for node in nodes}
+    levels: dict[str, int] = {}
+
+    def place(node: Node) -> int:
+        level = 0
+        for needed in node.needs.values():
+            if needed.key in members:
+                known = levels.get(needed.key)
+                level = max(level, 1 + (place(members[needed.key]) if known is None else known))
+        levels[node.key] = level
+        return level
+
+    result: list[list[Node]] = []
+    for node in members.values():
+        level = place(node)
+        while len(result) <= level:
+            result.append([])
+        result[level].append(node)
+    return result

@@ -9,15 +9,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.plan.cell import Cell
-from wasp_cli.plan.facts import VERSION, facts_of, measured
 from wasp_cli.plan.grid import Grid, uncollected
-from wasp_cli.plan.node import Node
-from wasp_cli.plan.part import Part
-from wasp_cli.plan.reasons import Reasons
-from wasp_cli.plan.waves import waves
+from wasp_cli.plan.node import Cell, Node, Part, waves
+from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.index import take_stock
+from wasp_cli.store.index import scan
 from wasp_cli.store.layout import Layout
 
 State = Literal["cached", "published", "missing", "changed", "failed", "damaged", "unneeded"]
@@ -203,14 +199,14 @@ def plan_against(
     """
     with uncollected():
         kinds = list(dict.fromkeys(node.kind for node in grid.nodes))
-        stock = take_stock(layout, kinds, facts_of, VERSION)
+        index = scan(layout, kinds, facts_of, VERSION)
         nodes = {node.key for node in grid.nodes}
         failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
-        damages = {key: wrong for key, wrong in stock.damaged.items() if key in nodes}
+        damages = {key: wrong for key, wrong in index.damaged.items() if key in nodes}
         if failed_only:
             wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
-        reasons = Reasons(layout, stock, kinds)
-        return make_plan(grid, stock.whole, failures, measured(stock), damages, changed=reasons.of, wanted=wanted)
+        reasons = Reasons(layout, index, kinds)
+        return make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
 
 
 def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:

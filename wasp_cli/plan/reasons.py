@@ -1,22 +1,84 @@
-"""Why a node has to be computed though an earlier version of it is there: what changed since."""
+"""What a plan reads in manifests (how long nodes took, earlier versions of them), and why a node is computed anew."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
+from statistics import median
 from typing import Any
 
 from pydantic import ValidationError
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.closure import source_hashes
-from wasp_cli.plan.facts import versions, who_is
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.keys import libraries
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.keys import canonical, libraries
+from wasp_cli.plan.node import Node, sort_of
 from wasp_cli.store.artifact import read_manifest
-from wasp_cli.store.index import Entry, Stock
+from wasp_cli.store.index import ArtifactIndex, Entry
 from wasp_cli.store.layout import Layout
+
+VERSION = 1
+"""Raised when `facts_of` changes."""
+
+
+def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """What the index of a store keeps of a manifest.
+
+    `who` is the same for all versions of one node; `sort` is `Node.sort`; `signature` is the same for versions which differ from a node in
+    the same way; `seconds` is what it took, `at` when that was.
+    """
+    provenance = manifest["provenance"]
+    axes = manifest["axes"]
+    differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
+    return {
+        "who": who(str(manifest["kind"]), str(manifest["task"]), int(manifest["seed"]), axes),
+        "sort": sort_of(manifest["kind"], manifest["task"], manifest["config"], axes),
+        "signature": _digest([*differing, axes.get("method_config"), provenance.get("versions")]),
+        "seconds": float(provenance["seconds"]),
+        "at": str(provenance.get("started_at", "")),
+    }
+
+
+def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
+    """The identity of a node without its configuration: who assists whom, where, with which seed, in which round."""
+    method = axes.get("method_config")
+    variant = method.get("variant") if isinstance(method, Mapping) else None
+    # By hand: this is asked of every node of a grid.
+    return f"{kind} {task} {seed} {axes.get('round')} {axes.get('method')} {variant} {axes.get('variant')} {axes.get('value')!r}"
+
+
+def who_is(node: Node) -> str:
+    """`who` of a node."""
+    return who(node.kind, node.task, node.seed, node.axes)
+
+
+def measured(index: ArtifactIndex) -> dict[str, float]:
+    """Median seconds by sort of node."""
+    times: dict[str, list[float]] = {}
+    for entries in index.whole.values():
+        for entry in entries.values():
+            if "seconds" in entry.facts:
+                times.setdefault(str(entry.facts["sort"]), []).append(float(entry.facts["seconds"]))
+    return {sort: median(values) for sort, values in times.items()}
+
+
+def versions(index: ArtifactIndex, kinds: Iterable[str]) -> dict[str, list[tuple[str, Entry]]]:
+    """By `who`, the key and the entry of every version in the store, newest first."""
+    found: dict[str, list[tuple[str, Entry]]] = {}
+    for kind in kinds:
+        for key, entry in index.whole.get(kind, {}).items():
+            if "who" in entry.facts:
+                found.setdefault(str(entry.facts["who"]), []).append((key, entry))
+    for entries in found.values():
+        entries.sort(key=lambda item: str(item[1].facts["at"]), reverse=True)
+    return found
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(canonical(value).encode()).hexdigest()[:12]
+
 
 NEWEST = 5
 """Earlier versions that are looked at for the nearest one."""
@@ -28,9 +90,9 @@ _ABSENT = object()
 class Reasons:
     """Finds the nearest earlier version of a node, and says what is different now."""
 
-    def __init__(self, layout: Layout, stock: Stock, kinds: Sequence[str]) -> None:
+    def __init__(self, layout: Layout, index: ArtifactIndex, kinds: Sequence[str]) -> None:
         self._layout = layout
-        self._versions = cache(lambda: versions(stock, kinds))  # a plan in which nothing is missing never asks
+        self._versions = cache(lambda: versions(index, kinds))  # a plan in which nothing is missing never asks
         self._known: dict[tuple[object, ...], tuple[int, str]] = {}
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 

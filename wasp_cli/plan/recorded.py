@@ -1,6 +1,6 @@
 """What a run was to do, from its folder alone: for those who watch it, and for those who clean up.
 
-Read with care: the folder may be of another version, half written, or a stranger's. What has no valid form is left out.
+Read with care: the folder may be of another version, half written, or untrusted. What has no valid form is left out.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.artifact import is_published
+from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import Offer, Reused, commit_of, not_used, offers, why_unusable
 
@@ -82,7 +82,7 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
     usable, notes = [], []
     for offer in offered:
         node = nodes.get(offer.recipe)
-        if node is None or node.kind != offer.kind or (node.key != offer.key and is_published(layout, node.kind, node.key)):
+        if node is None or node.kind != offer.kind or (node.key != offer.key and exists(layout, node.kind, node.key)):
             continue
         if own.recipes.get(offer.key, offer.recipe) != offer.recipe:
             why: str | None = "it has the key of another node"
@@ -115,7 +115,7 @@ def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
         if recipe in by_recipe:
             chosen[recipe] = max(by_recipe[recipe], key=lambda offer: _preference(offer, node.key, keys))
             keys[recipe] = chosen[recipe].key
-    while wrong := set(_at_odds(own, chosen)):
+    while wrong := set(_conflicts(own, chosen)):
         chosen = {recipe: offer for recipe, offer in chosen.items() if recipe not in wrong}
     return chosen
 
@@ -125,7 +125,7 @@ def _preference(offer: Offer, own: str, keys: Mapping[str, str]) -> tuple[bool, 
     return offer.key == own, fits, offer.started_at, offer.key
 
 
-def _at_odds(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
+def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
     """The recipes of results that must not be reused: a node that is computed would read two versions of something through them."""
     keys = _keys_with(own, chosen)
     read = {needed.key for node in own.nodes for needed in node.needs.values()}

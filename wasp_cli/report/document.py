@@ -9,32 +9,43 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.errors import StoreError
-from wasp_cli.report.assumption_list import Assumption, assumptions_markdown
-from wasp_cli.report.figure import ENDINGS
-from wasp_cli.report.figures import CAPTIONS, draw_figures
-from wasp_cli.report.frame import Frame, Missing
+from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.claims.verdict import VerdictReport
+from wasp_cli.report.figures.by_axis import severity_figure
+from wasp_cli.report.figures.methods import cost_return_figure, latency_figure
+from wasp_cli.report.figures.necessity import necessity_figure
+from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of
-from wasp_cli.report.page.markup import Markup
-from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.table import Table, markdown, terminal
-from wasp_cli.report.trained_table import Trained, trained_markdown
-from wasp_cli.report.verdict import VerdictReport
-from wasp_cli.report.verdict_html import verdict_html
-from wasp_cli.report.verdict_text import verdict_markdown, verdict_terminal
+from wasp_cli.report.provenance import Assumption, assumptions_markdown
+from wasp_cli.report.render.files import RENDERERS, make_own, write_pages
+from wasp_cli.report.render.text import markdown, terminal
+from wasp_cli.report.stats.frame import Frame, Missing
+from wasp_cli.report.tables.table import Table
+from wasp_cli.report.trained.artifacts import Trained, trained_markdown
+from wasp_cli.report.trained.figures import learning_figure, reliability_figure
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12
 """Missing cells that the terminal names; the report names all."""
 TABLES = (
-    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity", "ladder",
-    "details", "latency", "thresholds",
+    "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
+    "severity_check", "details", "latency", "thresholds",
 )  # fmt: skip
+FORMER = "ladder"
+"""The name of `severity_check` in reports of earlier versions."""
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
-    {*PAGES, *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings)}
+    {
+        *PAGES,
+        *(
+            f"{name}.{ending}"
+            for names, endings in (((*TABLES, FORMER), RENDERERS), (CAPTIONS, ENDINGS))
+            for name in names
+            for ending in endings
+        ),
+    }
 )
 """Every file that a report can write."""
 
@@ -80,13 +91,16 @@ class Report:
             console.print(Text(f"\n{missing_words(self.frame)}:", style="bold red"))
             name_missing(console, self.missing)
 
-    def write(self, folder: Path, draw: Draw | None = None, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
+    def write(
+        self, folder: Path, draw: Draw | None = None, tell: Callable[[str], None] = lambda text: None, *, evidence: bool = False
+    ) -> list[Path]:
         """Write every table in every format, the figures, `report.md` and `report.html`; returns the files, the pages first.
 
         Args:
             folder: where they go.
             draw: draws the film of an episode; None: without films.
-            tell: told which film is being drawn.
+            tell: told what is being drawn.
+            evidence: also write pictures and pages of each trained part (see `trained.evidence`).
         """
         make_own(folder)
         figures = draw_figures(self.layout, self.frame, self.trained, folder)
@@ -96,10 +110,14 @@ class Report:
         # What an earlier report had and this one has not would pass for a part of it.
         for name in KNOWN - {path.name for path in (*pages, *figures)}:
             (folder / name).unlink(missing_ok=True)
-        return [*pages, *figures]
+        if not evidence:
+            return [*pages, *figures]
+        from wasp_cli.report.trained.evidence import write_evidence  # needs Pillow
+
+        return [*pages, *figures, *write_evidence(self.layout, self.trained, folder, lambda part: tell(f"pictures of {part}"))]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        """The whole report as one page."""
+        """Render the whole report as one Markdown page."""
         parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
         if self.missing:
             lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
@@ -117,8 +135,8 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
-        """The whole report as one page that needs no other file."""
-        verdict = None if self.verdict is None else Markup(verdict_html(self.verdict))
+        """Render the whole report as one self-contained HTML page."""
+        verdict = None if self.verdict is None else verdict_html(self.verdict)
         return build_page(
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
             figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,
@@ -127,7 +145,7 @@ class Report:
 
 
 def missing_words(frame: Frame) -> str:
-    """How much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
+    """Say how much is missing: `2 of 32 cells and 1 of 24 sets of counterfactual branches are missing`."""
     parts = []
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")
@@ -144,24 +162,12 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
         console.print(Text(f"  and {len(missing) - NAMED} more; report.md names all"))
 
 
-def make_own(folder: Path) -> None:
-    """Make the folder of a report, and see that nothing which is written there is written elsewhere.
-
-    Raises:
-        StoreError: the folder is a link.
-    """
-    if folder.is_symlink():
-        raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in folder.iterdir():
-        if path.is_symlink():
-            path.unlink()
-
-
-def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table]) -> list[Path]:
-    """Write pages (name: text) and every table in every format; returns the files, the pages first."""
-    texts = dict(pages)
-    texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
+    """Write every figure that has something to show, as PNG and SVG; returns the files."""
+    files = cost_return_figure(frame, folder)
+    files += necessity_figure(frame, folder)
+    files += severity_figure(frame, folder)
+    files += latency_figure(frame, folder)
+    files += learning_figure(layout, trained, folder)
+    files += reliability_figure(layout, trained, folder)
+    return files

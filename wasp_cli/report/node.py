@@ -1,22 +1,30 @@
-"""What is known of one node from its manifest: what it is, where it came from, what it reads, and whether its files are whole."""
+"""What the manifest of a node says, and the same as text: what it is, where it came from, its inputs, whether its files are undamaged."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from rich.text import Text
+
 from wasp_cli.config import Config
+from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
+from wasp_cli.report.trained.artifacts import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
 from wasp_cli.store.layout import Layout, is_key, is_name
-from wasp_cli.store.plain import open_plain
+from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
+
+HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
+"""Provenance that is told in lines of its own."""
 
 FileState = Literal["whole", "changed", "gone", "not of the artifact"]
 
@@ -33,10 +41,10 @@ class Setting:
 
 @dataclass(frozen=True)
 class Upstream:
-    """An artifact that the node read."""
+    """An input of the node."""
 
     name: str
-    """Under which it read it."""
+    """The name under which the node reads it."""
     kind: str
     key: str
     label: str
@@ -56,7 +64,7 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class NodeFacts:
-    """What is known of a node. Of one that has only failed: its label, its kind and its failure."""
+    """What is known of a node; of one that has only failed, its label, kind and failure."""
 
     key: str
     kind: str
@@ -72,13 +80,15 @@ class NodeFacts:
     """Settings that stages share."""
     upstream: tuple[Upstream, ...] = ()
     files: tuple[StoredFile, ...] = ()
+    pictures: tuple[str, ...] = ()
+    """Folders of reports with pictures and pages of it (see `trained.evidence`)."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     failure: Mapping[str, Any] = field(default_factory=dict)
     """Why it failed last; empty when it succeeded since."""
 
 
 def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
-    """Everything that the manifest of a node says, its files read and compared."""
+    """Collect what the manifest of a node says; its files are read and their SHA-256 compared."""
     provenance = mapping(node.setting("provenance"))
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
     return NodeFacts(
@@ -94,6 +104,7 @@ def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
         settings=mapping(node.setting("settings")),
         upstream=tuple(_upstream(layout, node)),
         files=tuple(_files(layout, node)),
+        pictures=tuple(_pictures(layout, node)),
         provenance=provenance,
         failure=node.failure,
     )
@@ -145,6 +156,11 @@ def _files(layout: Layout, node: FoundNode) -> Iterator[StoredFile]:
         yield StoredFile(name, size if isinstance(size, int) else None, _file_state(layout, node, name, known))
 
 
+def _pictures(layout: Layout, node: FoundNode) -> Iterator[str]:
+    if node.key is not None and is_key(node.key):
+        yield from sorted(printable(str(path)) for path in (layout.root / "reports").glob(f"*/trained/*-{node.key[:8]}"))
+
+
 def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, Any]) -> FileState:
     if not is_file_name(name):
         return "not of the artifact"
@@ -158,5 +174,78 @@ def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, 
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
-    """A value of a manifest that should be a mapping; an empty one where it is none."""
+    """Return a value of a manifest if it is a mapping, else an empty one."""
     return value if isinstance(value, dict) else {}
+
+
+def node_lines(node: NodeFacts) -> Iterator[Text]:
+    """Yield the lines of a node, one section after the other; what is not known is left out."""
+    yield Text(node.label, style="bold")
+    yield _entry("kind", node.kind)
+    yield _entry("key", node.key)
+    if node.started_at:
+        took = f" in {duration(node.seconds)}" if node.seconds is not None else ""
+        yield _entry("computed", f"{node.started_at[:16].replace('T', ' ')} UTC{took}")
+    if node.attempt is not None:
+        yield _entry("attempt", str(node.attempt))
+    yield _entry("folder", node.folder)
+    yield from _failure(node.failure)
+    yield from _section("Numbers", [(name, short(value)) for name, value in scalars(node.summary)])
+    changes = [(each.name, _change(each)) for each in node.changed]
+    yield from _section("Configuration (without defaults)", changes)
+    yield from _section("Shared settings", [(name, short(value)) for name, value in scalars(node.settings)])
+    yield from _section(
+        "Inputs", [(each.name, f"{each.key[:8]}  {each.label}  {_unless('present', each.state)}") for each in node.upstream]
+    )
+    files = [(each.name, f"{size(each.size)}  {_unless('whole', each.state)}") for each in node.files]
+    yield from _section("Files (SHA-256 checked)", files)
+    yield from _section("Drawn by wasp report", [("in", folder) for folder in node.pictures])
+    yield from _section("Provenance", list(_provenance(node.provenance)))
+
+
+def _change(setting: Setting) -> str:
+    default = f"  (default {_value(setting.default)})" if setting.default is not None else ""
+    return _value(setting.value) + default
+
+
+def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:
+    if not failure:
+        return
+    yield Text()
+    yield Text("Last failure", style="bold red")
+    for name in ("message", "hint", "log", "run", "attempt"):
+        if failure.get(name) is not None:
+            yield _entry(name, str(failure[name]))
+
+
+def _provenance(provenance: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    git = provenance.get("git")
+    if isinstance(git, dict):
+        state = f"with uncommitted changes ({git.get('changes') or 'outside of the package'})" if git.get("dirty") else "as committed"
+        yield "git", f"{git.get('sha')}, {state}"
+    for name, value in provenance.items():
+        if name not in HIDDEN:
+            yield name, value if isinstance(value, str) else _value(value)
+    versions = provenance.get("versions")
+    if isinstance(versions, dict):
+        yield "versions", ", ".join(f"{name} {version}" for name, version in versions.items() if version)
+
+
+def _section(heading: str, entries: list[tuple[str, str]]) -> Iterator[Text]:
+    if entries:
+        yield Text()
+        yield Text(heading, style="bold")
+        width = max(len(name) for name, _ in entries)
+        yield from (_entry(name, text, width) for name, text in entries)
+
+
+def _entry(name: str, text: str, width: int = 8) -> Text:
+    return Text(f"  {name:<{width}}  {text}".rstrip())
+
+
+def _value(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _unless(expected: str, state: str) -> str:
+    return "" if state == expected else state.upper()

@@ -6,29 +6,26 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import COUNTERFACTUAL
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
-from wasp_cli.report.ablation_table import ablation_table
-from wasp_cli.report.assumption_list import assumptions_in_force
-from wasp_cli.report.branches import with_branches
-from wasp_cli.report.comparison_table import comparison_tables
+from wasp_cli.report.claims.table import numbers_table
+from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
-from wasp_cli.report.frame import Frame, Wanted, read_frame
-from wasp_cli.report.ladder_cells import ladders_of
-from wasp_cli.report.ladder_table import judged, ladder_table
-from wasp_cli.report.latency_table import latency_table
-from wasp_cli.report.main_table import detail_table, main_table, operator_table
-from wasp_cli.report.necessity_table import necessity_table
-from wasp_cli.report.reused import Origins, absent_fact, absent_parts
-from wasp_cli.report.severity_table import severity_table
-from wasp_cli.report.table import Table
-from wasp_cli.report.threshold_table import threshold_table
-from wasp_cli.report.trained_table import trained_artifacts
-from wasp_cli.report.training_table import training_tables
-from wasp_cli.report.verdict import judge
-from wasp_cli.report.verdict_table import numbers_table
+from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
+from wasp_cli.report.stats.branches import with_branches
+from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.stats.severity_check import checks_of
+from wasp_cli.report.tables.by_axis import operator_table, severity_table
+from wasp_cli.report.tables.comparison import comparison_tables
+from wasp_cli.report.tables.details import detail_table, latency_table, threshold_table
+from wasp_cli.report.tables.main import ablation_table, main_table
+from wasp_cli.report.tables.necessity import necessity_table
+from wasp_cli.report.tables.severity_check import check_table, judged
+from wasp_cli.report.tables.table import Table
+from wasp_cli.report.trained.artifacts import trained_artifacts
+from wasp_cli.report.trained.pages import with_warnings
+from wasp_cli.report.trained.table import training_tables
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
@@ -67,6 +64,7 @@ def report_run(
     ]
     origins = Origins()
     trained, unreadable = trained_artifacts(layout, roots, origins)
+    trained = with_warnings(layout, trained)
     published = list(origins.facts())
     # What nothing needs is no gap in a run that took published results; in any other one it once was there.
     absent = absent_parts(layout, parts, spec.stages) if published and not frame.missing else []
@@ -87,7 +85,7 @@ def report_run(
         *comparison_tables(frame),
         operator_table(frame),
         severity_table(frame),
-        _ladder(spec, frame),
+        _severity_check(spec, frame),
         detail_table(frame),
         latency_table(frame),
         threshold_table(frame),
@@ -110,18 +108,18 @@ def report_run(
     )
 
 
-def _ladder(spec: Spec, frame: Frame) -> Table | None:
+def _severity_check(spec: Spec, frame: Frame) -> Table | None:
     """The operators alone, where cells without assistance stand beside the expert's."""
     if not {"human", "expert"} <= {identity.method for identity in frame.order}:
         return None
-    ladders = ladders_of(spec, frame)
-    return judged(ladder_table(ladders, frame), ladders)
+    checks = checks_of(spec, frame)
+    return judged(check_table(checks, frame), checks)
 
 
 def wanted_cells(
     layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]], branched: Sequence[tuple[Cell, str]] = ()
 ) -> tuple[list[Wanted], list[str]]:
-    """The cells of a run with their places, and with what is known of why they are not there; and which records do not read.
+    """List the cells of a run with their places, and with what is known of why they are not there; and which records do not read.
 
     Args:
         layout: the results folder.
@@ -164,7 +162,7 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
     """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
 
-    Not as the spec would be laid out now: that imports the environments that it names, and these results may be a stranger's.
+    Not as the spec would be laid out now: that imports the environments that it names, and these results may be untrusted.
     """
     failed = _failed(layout)
     if not failed:
@@ -180,7 +178,7 @@ def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
 
 
 def identity_of(cell: Cell) -> CellIdentity:
-    """A cell of a plan as its rows name it."""
+    """Return a cell of a plan as its rows name it."""
     return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
 
 

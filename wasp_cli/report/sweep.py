@@ -11,13 +11,24 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.plan.cell import Cell
-from wasp_cli.report.document import make_own, name_missing, write_pages
-from wasp_cli.report.frame import Missing
+from wasp_cli.plan.node import Cell
+from wasp_cli.report.document import name_missing
+from wasp_cli.report.figures.by_axis import sweep_figures
+from wasp_cli.report.render.files import make_own, write_pages
+from wasp_cli.report.render.text import markdown, terminal
+from wasp_cli.report.stats.frame import Missing
 from wasp_cli.report.summarize import identity_of, report_run
-from wasp_cli.report.sweep_figure import sweep_figures
-from wasp_cli.report.sweep_table import COLUMNS, OPERATOR_COLUMNS, Swept, combined, lines, operator_lines, sweep_operator_table, sweep_table
-from wasp_cli.report.table import Table, markdown, terminal
+from wasp_cli.report.tables.by_axis import (
+    SWEEP_COLUMNS,
+    SWEEP_OPERATOR_COLUMNS,
+    Swept,
+    combined,
+    lines,
+    operator_lines,
+    sweep_operator_table,
+    sweep_table,
+)
+from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.sweep import Sweep
 
 
@@ -41,7 +52,7 @@ class SweepReport:
 
     @cached_property
     def tables(self) -> tuple[Table, Table]:
-        """Over all operators, and for each of them."""
+        """The table over all operators, and the one for each of them."""
         return sweep_table(self.key, self.swept), sweep_operator_table(self.key, self.swept)
 
     def terminal(self, console: Console) -> None:
@@ -63,7 +74,7 @@ class SweepReport:
         return [*pages, *figures]
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
-        """The whole report as one page."""
+        """Render the whole report as one page."""
         frame = combined(self.key, self.swept)
         values = ", ".join(f"`{each.text}`" for each in self.swept)
         facts = [
@@ -82,15 +93,15 @@ class SweepReport:
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        """As plain values, unscaled."""
+        """Return plain values, unscaled."""
         found = lines(self.swept)
         return {
             "name": self.name,
             "spec": self.spec,
             "setting": self.key,
             "values": [each.value for each in self.swept],
-            "rows": [line.as_json(COLUMNS) for line in found],
-            "operators": [line.as_json(OPERATOR_COLUMNS) for line in operator_lines(self.swept, found)],
+            "rows": [line.as_json(SWEEP_COLUMNS) for line in found],
+            "operators": [line.as_json(SWEEP_OPERATOR_COLUMNS) for line in operator_lines(self.swept, found)],
             "missing": [{"cell": gap.label, "reason": gap.reason} for gap in self.missing],
         }
 

@@ -1,4 +1,4 @@
-"""Workers on other machines, through joblib's own backends: dask and ray. Only orders travel, which are keys, paths and plain values.
+"""Workers on other machines, through joblib's own backends: dask and ray. Only node_jobs travel, which are keys, paths and plain values.
 
 The results folder has to be seen by every machine under the same path, and every worker has to run the same source: a worker that does not
 refuses to publish. The machines' own schedulers decide where a node runs.
@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
-from wasp_cli.run.order import Order, Outcome
-from wasp_cli.run.pool import Pool, WorkersDied
+from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.worker import execute
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
@@ -58,9 +57,9 @@ def cluster_pool(backend: str, scheduler: str | None) -> Pool:
     return pool
 
 
-def execute_here(order: Order) -> Outcome:
+def execute_here(job: NodeJob) -> NodeResult:
     """Compute a node in a process that belongs to somebody else."""
-    return execute(order, own_process=False)
+    return execute(job, own_process=False)
 
 
 class DaskPool:
@@ -86,12 +85,12 @@ class DaskPool:
             )
         self.jobs = sum(threads.values())
 
-    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
         from distributed import KilledWorker
 
         # In a thread of its own: joblib waits for ever for a scheduler that is gone, and Ctrl-C has to come through.
-        sent: queue.SimpleQueue[Outcome | Exception | None] = queue.SimpleQueue()
-        threading.Thread(target=self._send, args=(orders, sent), daemon=True, name="dask-sender").start()
+        sent: queue.SimpleQueue[NodeResult | Exception | None] = queue.SimpleQueue()
+        threading.Thread(target=self._send, args=(node_jobs, sent), daemon=True, name="dask-sender").start()
         while True:
             try:
                 found = sent.get(timeout=POLL_SECONDS)
@@ -107,20 +106,20 @@ class DaskPool:
                 raise _lost(self.name, f"{type(found).__name__}: {found}") from found
             yield found
 
-    def _send(self, orders: Iterable[Order], sent: queue.SimpleQueue[Outcome | Exception | None]) -> None:
+    def _send(self, node_jobs: Iterable[NodeJob], sent: queue.SimpleQueue[NodeResult | Exception | None]) -> None:
         from joblib import Parallel, delayed, parallel_config
 
         try:
             with parallel_config(backend="dask", client=self._client, pure=False):
                 parallel = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-                for outcome in parallel(delayed(execute_here)(order) for order in orders):
-                    sent.put(outcome)
+                for result in parallel(delayed(execute_here)(job) for job in node_jobs):
+                    sent.put(result)
             sent.put(None)
-        except Exception as error:  # whatever it is, it is told where outcomes are waited for
+        except Exception as error:  # whatever it is, it is told where results are waited for
             sent.put(error)
 
-    def alone(self, order: Order) -> Outcome:
-        return next(self.run([order]))
+    def alone(self, job: NodeJob) -> NodeResult:
+        return next(self.run([job]))
 
     def close(self, *, kill: bool = False) -> None:
         with suppress(OSError, TimeoutError):
@@ -150,7 +149,7 @@ def _no_answer(backend: str, address: str, error: Exception) -> UsageError:
 class RayPool:
     """The workers of a ray cluster, through joblib's ray backend.
 
-    That backend gives results when the last one is there; so workers leave each outcome in a file, as soon as there is one.
+    That backend gives results when the last one is there; so workers leave each result in a file, as soon as there is one.
     """
 
     name = "ray"
@@ -167,50 +166,50 @@ class RayPool:
         self._ray = ray
         self.jobs = max(int(ray.cluster_resources().get("CPU", 1)), 1)
 
-    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
-        orders = list(orders)
-        if not orders:
+    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
+        node_jobs = list(node_jobs)
+        if not node_jobs:
             return
-        folder = _outcomes(orders[0])
+        folder = _results(node_jobs[0])
         folder.mkdir(exist_ok=True)
-        left = {order.key: order for order in orders}
+        left = {job.key: job for job in node_jobs}
         errors: list[Exception] = []
-        sender = threading.Thread(target=_reported(self._send, errors), args=(orders,), daemon=True, name="ray-sender")
+        sender = threading.Thread(target=_reported(self._send, errors), args=(node_jobs,), daemon=True, name="ray-sender")
         sender.start()
         while left:
             last = not sender.is_alive()  # asked first: what it left before its end is still read
-            for outcome in _taken(folder, left):
-                del left[outcome.key]
-                yield outcome
+            for result in _taken(folder, left):
+                del left[result.key]
+                yield result
             if last and left:
                 raise WorkersDied(str(errors[0]) if errors else "ray lost workers") from (errors[0] if errors else None)
             time.sleep(POLL_SECONDS)
         sender.join()
 
-    def _send(self, orders: list[Order]) -> None:
+    def _send(self, node_jobs: list[NodeJob]) -> None:
         from joblib import Parallel, delayed, parallel_config
 
         with parallel_config(backend="ray"):
-            Parallel(n_jobs=self.jobs, batch_size=1)(delayed(execute_and_tell)(order) for order in orders)
+            Parallel(n_jobs=self.jobs, batch_size=1)(delayed(execute_and_tell)(job) for job in node_jobs)
 
-    def alone(self, order: Order) -> Outcome:
-        return next(self.run([order]))
+    def alone(self, job: NodeJob) -> NodeResult:
+        return next(self.run([job]))
 
     def close(self, *, kill: bool = False) -> None:
         self._ray.shutdown()
 
 
-def execute_and_tell(order: Order) -> None:
-    """Compute a node, and leave its outcome where the run looks for it."""
-    outcome = execute_here(order)
-    write_record(_outcomes(order) / f"{order.key}.json", asdict(outcome))
+def execute_and_tell(job: NodeJob) -> None:
+    """Compute a node, and leave its result where the run looks for it."""
+    result = execute_here(job)
+    write_record(_results(job) / f"{job.key}.json", asdict(result))
 
 
-def _outcomes(order: Order) -> Path:
-    return Layout(Path(order.root)).run(order.run_id) / "outcomes"
+def _results(job: NodeJob) -> Path:
+    return Layout(Path(job.root)).run(job.run_id) / "outcomes"
 
 
-def _taken(folder: Path, left: dict[str, Order]) -> Iterator[Outcome]:
+def _taken(folder: Path, left: dict[str, NodeJob]) -> Iterator[NodeResult]:
     for path in sorted(folder.glob("*.json")):
         if path.stem not in left:
             continue
@@ -220,7 +219,7 @@ def _taken(folder: Path, left: dict[str, Order]) -> Iterator[Outcome]:
             record = None
         if record is not None:
             path.unlink()
-            yield Outcome(**record)
+            yield NodeResult(**record)
 
 
 def _reported(work: Callable[..., None], errors: list[Exception]) -> Callable[..., None]:

@@ -1,4 +1,4 @@
-"""Where orders are carried out: in loky's worker processes, or in this one. Everything about joblib stays in this module."""
+"""The workers of a run: processes of loky, or this process. Those of other machines are in `run.cluster`."""
 
 from __future__ import annotations
 
@@ -9,58 +9,26 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator
 from concurrent.futures import BrokenExecutor
-from typing import Any, Protocol
+from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.run.order import Order, Outcome
-from wasp_cli.run.signals import SIGNALS
+from wasp_cli.run.interrupt import SIGNALS
+from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.worker import execute
 
 
-class WorkersDied(Exception):
-    """A worker process was killed; the outcomes that were not yet given are lost, artifacts are not."""
-
-
-class Pool(Protocol):
-    """Carries out the orders of one wave, side by side."""
-
-    jobs: int
-    name: str
-    """As the journal has it."""
-
-    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
-        """Outcomes in the order of their end. Orders are taken as workers come free, not all at once.
-
-        Raises:
-            WorkersDied: a worker was killed. The pool can be used again.
-        """
-        ...
-
-    def alone(self, order: Order) -> Outcome:
-        """Carry out one order in a process of its own.
-
-        Raises:
-            WorkersDied: that process was killed.
-        """
-        ...
-
-    def close(self, *, kill: bool = False) -> None:
-        """End the workers; with `kill`, at once."""
-        ...
-
-
 class InlinePool:
-    """This process, one order after the other: for tests and debuggers."""
+    """This process, one node after the other: for tests and debuggers."""
 
     jobs = 1
     name = "inline"
 
-    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
-        for order in orders:
-            yield execute(order, own_process=False)
+    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
+        for job in node_jobs:
+            yield execute(job, own_process=False)
 
-    def alone(self, order: Order) -> Outcome:
-        return execute(order, own_process=False)
+    def alone(self, job: NodeJob) -> NodeResult:
+        return execute(job, own_process=False)
 
     def close(self, *, kill: bool = False) -> None:
         pass
@@ -75,15 +43,15 @@ class LokyPool:
         self.jobs = jobs
         self._single: Any = None
 
-    def run(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
         try:
             # joblib takes n_jobs=1 as "in this process", where a killed node would take the run along.
-            yield from self._one_by_one(orders) if self.jobs == 1 else self._side_by_side(orders)
+            yield from self._one_by_one(node_jobs) if self.jobs == 1 else self._side_by_side(node_jobs)
         except BrokenExecutor as error:
             self._single = None
             raise WorkersDied(str(error)) from error
 
-    def _side_by_side(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def _side_by_side(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
         from joblib import Parallel, delayed
 
         workers = Parallel(
@@ -97,24 +65,24 @@ class LokyPool:
         with warnings.catch_warnings():
             # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
-            yield from workers(delayed(execute)(order) for order in orders)
+            yield from workers(delayed(execute)(job) for job in node_jobs)
 
-    def _one_by_one(self, orders: Iterable[Order]) -> Iterator[Outcome]:
+    def _one_by_one(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
         if self._single is None:
             self._single = _new_worker()
-        for order in orders:
-            outcome: Outcome = self._single.submit(execute, order).result()
-            yield outcome
+        for job in node_jobs:
+            result: NodeResult = self._single.submit(execute, job).result()
+            yield result
 
-    def alone(self, order: Order) -> Outcome:
+    def alone(self, job: NodeJob) -> NodeResult:
         worker = _new_worker()
         try:
-            outcome: Outcome = worker.submit(execute, order).result()
+            result: NodeResult = worker.submit(execute, job).result()
         except BrokenExecutor as error:
             raise WorkersDied(str(error)) from error
         finally:
             worker.shutdown(wait=False, kill_workers=True)
-        return outcome
+        return result
 
     def close(self, *, kill: bool = False) -> None:
         from joblib.externals.loky import reusable_executor
@@ -147,7 +115,7 @@ def require_backend(backend: str, scheduler: str | None) -> None:
 
 
 def pool_of(backend: str, jobs: int, scheduler: str | None = None) -> Pool:
-    """The workers of a backend.
+    """Return the workers of a backend.
 
     Args:
         backend: one of `BACKENDS`.

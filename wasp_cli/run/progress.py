@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import ArtifactError
-from wasp_cli.run.journal import Tail
+from wasp_cli.run.record import Tail
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 
@@ -124,7 +124,7 @@ class Live(Lines):
         super().__exit__(kind, error, trace)
 
     def _draw(self) -> RenderableType:
-        from wasp_cli.run.show_status import progress_of
+        from wasp_cli.run.show import progress_of
         from wasp_cli.run.watch import state_of
 
         now = time.monotonic()

@@ -1,4 +1,4 @@
-"""`wasp publish`: from a results folder to the published layer, which lies in git and is read by strangers.
+"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone may read.
 
 What is copied is whole, small, and says where it came from without naming a person's machine.
 """
@@ -24,7 +24,18 @@ from wasp_cli.plan.plan import Step, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.select import select
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.artifact import condemn, corruption, damage, discard, dumps, listed_files, publish, read_manifest, staging_folder, sweep
+from wasp_cli.store.artifact import (
+    commit,
+    corruption,
+    damage,
+    discard,
+    dumps,
+    invalidate,
+    listed_files,
+    read_manifest,
+    staging_folder,
+    sweep,
+)
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
 
@@ -205,11 +216,11 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
 def _copy(item: Item, layout: Layout, target: Layout) -> None:
     kind, key = item.node.kind, item.node.key
     if damage(target, kind, key) is None:  # of the right sizes, and with other bytes
-        condemn(target, kind, key, "its bytes were not those that were published")
+        invalidate(target, kind, key, "its bytes were not those that were published")
     staging = staging_folder(target, key)
     try:
         copy_files(layout, kind, key, item.manifest, staging)
-        publish(target, kind, key, staging, item.manifest)
+        commit(target, kind, key, staging, item.manifest)
     except BaseException:
         discard(staging)
         raise

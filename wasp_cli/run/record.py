@@ -1,11 +1,12 @@
-"""The folder of one run: what was asked for, as a later report or a curious person needs it."""
+"""What a run writes of itself: its folder with the plan, and the journal of its events."""
 
 from __future__ import annotations
 
+import json
 import os
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,9 +15,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.cell import Cell
 from wasp_cli.plan.grid import Grid
-from wasp_cli.plan.part import Part
+from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
@@ -24,7 +24,7 @@ from wasp_cli.spec.names import RECORDED
 from wasp_cli.spec.sweep import Sweep
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.plain import read_plain
+from wasp_cli.store.plain import read_json_lines, read_plain
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
 """A cell and a part of a plan; its values have the types of its fields, whoever wrote it."""
@@ -132,3 +132,47 @@ def results_of(folder: Path) -> Layout:
     except OSError as error:
         raise StoreError(f"cannot read the results in '{folder}': {(error.strerror or str(error)).lower()}") from error
     return layout
+
+
+class Journal:
+    """Appends events to `journal.jsonl`. Each is one write, so that a signal handler may write one too, and lines never mix."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+
+    def write(self, event: str, **facts: Any) -> None:
+        """Append one event with its time. A full disk must not end the run that it keeps from telling."""
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        with suppress(OSError):
+            os.write(self._file, (json.dumps({"at": now, "event": event, **facts}) + "\n").encode())
+
+    def close(self) -> None:
+        """Close the file; what is written afterwards goes nowhere."""
+        file, self._file = self._file, -1
+        os.close(file)
+
+
+def read_journal(path: Path) -> list[dict[str, Any]]:
+    """The events of a journal; a last line that a kill cut short is left out."""
+    return read_json_lines(path)
+
+
+class Tail:
+    """The events that came to a journal since it was last asked."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._position = path, 0
+
+    def new(self) -> Iterator[dict[str, Any]]:
+        """Whole new lines; the beginning of one is left for later."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._position)
+                text = file.read()
+        except FileNotFoundError:
+            return
+        whole, newline, _ = text.rpartition(b"\n")
+        self._position += len(whole) + len(newline)
+        for line in whole.splitlines():
+            with suppress(ValueError):
+                yield json.loads(line)

@@ -11,18 +11,15 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.closure import source_hashes
-from wasp_cli.plan.node import Node
+from wasp_cli.plan.node import Node, waves
 from wasp_cli.plan.plan import Plan
-from wasp_cli.plan.waves import waves
-from wasp_cli.run.journal import Journal
-from wasp_cli.run.limit import HINT, was_ended
-from wasp_cli.run.order import Order, Outcome
-from wasp_cli.run.pool import Pool, WorkersDied
+from wasp_cli.run.interrupt import HINT, Stop, was_ended
+from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
-from wasp_cli.run.signals import Stop
+from wasp_cli.run.record import Journal
 from wasp_cli.run.worker import KILLED, attempts, record_failure
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import is_published, read_manifest, read_record
+from wasp_cli.store.artifact import exists, read_manifest, read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import boot_id, provenance
 
@@ -35,7 +32,7 @@ class Failure:
     """A node that failed, and why."""
 
     node: Node
-    outcome: Outcome
+    result: NodeResult
 
 
 @dataclass
@@ -107,85 +104,85 @@ class Runner:
         ready.sort(key=lambda node: _rank(node, plan))
         threads = max(1, self._cores // max(1, min(self._pool.jobs, len(ready))))
         nodes = {node.key: node for node in ready}
-        for outcome in self._outcomes([self._order(node, threads) for node in ready]):
-            self._ended(nodes[outcome.key], outcome)
+        for result in self._results([self._job(node, threads) for node in ready]):
+            self._ended(nodes[result.key], result)
 
-    def _outcomes(self, orders: list[Order]) -> Iterator[Outcome]:
-        """Outcomes of all orders, over busy nodes, further attempts and the deaths of workers.
+    def _results(self, node_jobs: list[NodeJob]) -> Iterator[NodeResult]:
+        """Give the results of all nodes, over busy ones, further attempts and the deaths of workers.
 
         A killed worker takes its pool along. What was in flight then runs again, each node alone in a process, so that the one
         that kills is named and the others finish.
         """
-        left = {order.key: order for order in orders}
+        left = {job.key: job for job in node_jobs}
         tries = dict.fromkeys(left, self._retries)
         while left and not self.stop.asked:
-            again: dict[str, Order] = {}
+            again: dict[str, NodeJob] = {}
             try:
-                for outcome in self._pool.run(self._until_stopped(list(left.values()))):
-                    order = left.pop(outcome.key)
-                    if outcome.state == "busy":
+                for result in self._pool.run(self._until_stopped(list(left.values()))):
+                    job = left.pop(result.key)
+                    if result.state == "busy":
                         # Another run computes it. It is waited for when nothing else of the wave is left to do.
-                        again[order.key] = replace(order, wait=True)
-                    elif outcome.state == "failed" and outcome.by_chance and tries[order.key]:
-                        tries[order.key] -= 1
-                        again[order.key] = self._another(order, outcome)
-                    elif outcome.state != "skipped":
-                        yield outcome
+                        again[job.key] = replace(job, wait=True)
+                    elif result.state == "failed" and result.by_chance and tries[job.key]:
+                        tries[job.key] -= 1
+                        again[job.key] = self._another(job, result)
+                    elif result.state != "skipped":
+                        yield result
             except WorkersDied:
                 if not self.stop.asked:
                     yield from self._after_death(left)
             left |= again
 
-    def _until_stopped(self, orders: list[Order]) -> Iterator[Order]:
-        for order in orders:
+    def _until_stopped(self, node_jobs: list[NodeJob]) -> Iterator[NodeJob]:
+        for job in node_jobs:
             if self.stop.asked:
                 return
-            yield order
+            yield job
 
-    def _after_death(self, left: dict[str, Order]) -> Iterator[Outcome]:
-        """The outcomes of what was in flight when a worker died; taken out of `left`."""
+    def _after_death(self, left: dict[str, NodeJob]) -> Iterator[NodeResult]:
+        """The results of what was in flight when a worker died; taken out of `left`."""
         # Asked before anything else runs: a killed worker leaves its running file behind.
         in_flight = self._in_flight()
-        for order in [order for order in left.values() if is_published(self._layout, order.kind, order.key)]:
-            del left[order.key]
-            yield self._stored(order)
-        suspects = [order for order in left.values() if order.key in in_flight]
+        for job in [job for job in left.values() if exists(self._layout, job.kind, job.key)]:
+            del left[job.key]
+            yield self._stored(job)
+        suspects = [job for job in left.values() if job.key in in_flight]
         if not suspects:
             # It died between two nodes. Where that goes on, the one that kills before it can say that it runs is found one by one.
             self._unexplained += 1
             if self._unexplained > UNEXPLAINED:
                 suspects = list(left.values())
         self._journal.write(
-            "worker killed", suspects=[order.key for order in suspects], labels=[order.label for order in suspects], memory_mb=in_flight
+            "worker killed", suspects=[job.key for job in suspects], labels=[job.label for job in suspects], memory_mb=in_flight
         )
-        for order in suspects:
+        for job in suspects:
             if self.stop.asked:
                 return
-            del left[order.key]
-            yield self._alone(order, in_flight.get(order.key))
+            del left[job.key]
+            yield self._alone(job, in_flight.get(job.key))
 
-    def _alone(self, order: Order, memory: float | None) -> Outcome:
-        """The outcome of a node that may have killed its worker."""
+    def _alone(self, job: NodeJob, memory: float | None) -> NodeResult:
+        """The result of a node that may have killed its worker."""
         started = time.monotonic()
-        log = str(self._layout.log(order.run_id, order.label, order.key))
-        overdue = self._layout.overdue(self._run_id, order.key)
+        log = str(self._layout.log(job.run_id, job.label, job.key))
+        overdue = self._layout.overdue(self._run_id, job.key)
         try:
             if not was_ended(overdue):
-                return self._pool.alone(replace(order, wait=True))
+                return self._pool.alone(replace(job, wait=True))
             message, hint = "it did not react to its time limit, so its process was ended", HINT
         except WorkersDied:
-            if is_published(self._layout, order.kind, order.key):
-                return self._stored(order)
-            memory = self._in_flight().get(order.key, memory)
+            if exists(self._layout, job.kind, job.key):
+                return self._stored(job)
+            memory = self._in_flight().get(job.key, memory)
             message, hint = KILLED + (f"; it last held {memory:.0f} MB" if memory else ""), None
-        outcome = Outcome(order.key, "failed", time.monotonic() - started, message=message, hint=hint, log=log)
-        record_failure(self._layout, order, outcome)
+        result = NodeResult(job.key, "failed", time.monotonic() - started, message=message, hint=hint, log=log)
+        record_failure(self._layout, job, result)
         overdue.unlink(missing_ok=True)
-        return outcome
+        return result
 
-    def _another(self, order: Order, outcome: Outcome) -> Order:
-        self._journal.write("retry", key=order.key, label=order.label, message=outcome.message, attempt=order.attempt + 1)
-        return replace(order, attempt=order.attempt + 1)
+    def _another(self, job: NodeJob, result: NodeResult) -> NodeJob:
+        self._journal.write("retry", key=job.key, label=job.label, message=result.message, attempt=job.attempt + 1)
+        return replace(job, attempt=job.attempt + 1)
 
     def _in_flight(self) -> dict[str, float | None]:
         """The memory that each node last held which was running when its worker died, in MB."""
@@ -194,21 +191,21 @@ class Runner:
             self._layout.running(self._run_id, key).unlink(missing_ok=True)
         return found
 
-    def _stored(self, order: Order) -> Outcome:
-        manifest = read_manifest(self._layout, order.kind, order.key)
-        log = str(self._layout.log(order.run_id, order.label, order.key))
-        return Outcome(order.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"], log=log)
+    def _stored(self, job: NodeJob) -> NodeResult:
+        manifest = read_manifest(self._layout, job.kind, job.key)
+        log = str(self._layout.log(job.run_id, job.label, job.key))
+        return NodeResult(job.key, "done", float(manifest["provenance"]["seconds"]), manifest["summary"], log=log)
 
-    def _ended(self, node: Node, outcome: Outcome) -> None:
-        facts = {"key": node.key, "label": node.label, "seconds": round(outcome.seconds, 3)}
-        if outcome.state == "failed":
+    def _ended(self, node: Node, result: NodeResult) -> None:
+        facts = {"key": node.key, "label": node.label, "seconds": round(result.seconds, 3)}
+        if result.state == "failed":
             self._broken[node.key] = node
-            self.summary.failed.append(Failure(node, outcome))
-            self._journal.write("failed", **facts, message=outcome.message, log=outcome.log)
+            self.summary.failed.append(Failure(node, result))
+            self._journal.write("failed", **facts, message=result.message, log=result.log)
         else:
-            self.summary.done += outcome.state == "done"
-            self.summary.shared += outcome.state == "shared"
-            self._journal.write(outcome.state, **facts, numbers=numbers(outcome.summary))
+            self.summary.done += result.state == "done"
+            self.summary.shared += result.state == "shared"
+            self._journal.write(result.state, **facts, numbers=numbers(result.summary))
 
     def _blocked(self, node: Node) -> bool:
         cause = next((self._broken[needed.key] for needed in node.needs.values() if needed.key in self._broken), None)
@@ -219,8 +216,8 @@ class Runner:
         self._journal.write("blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label)
         return True
 
-    def _order(self, node: Node, threads: int) -> Order:
-        return Order(
+    def _job(self, node: Node, threads: int) -> NodeJob:
+        return NodeJob(
             root=str(self._layout.root),
             run_id=self._run_id,
             kind=node.kind,
@@ -259,10 +256,10 @@ def failures_text(failures: Iterable[Failure], names: Mapping[str, str] = NAMES)
     """Failed nodes with their causes and logs, for people; `names` are by key, where a label does not say enough."""
     parts = []
     for failure in failures:
-        outcome = failure.outcome
-        parts.append(f"  {names.get(outcome.key, failure.node.label)}: {outcome.message}")
-        if outcome.hint:
-            parts.append(f"      {outcome.hint}")
-        if outcome.log:
-            parts.append(f"      log: {outcome.log}")
+        result = failure.result
+        parts.append(f"  {names.get(result.key, failure.node.label)}: {result.message}")
+        if result.hint:
+            parts.append(f"      {result.hint}")
+        if result.log:
+            parts.append(f"      log: {result.log}")
     return "\n".join(parts)

@@ -11,21 +11,22 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName
+from wasp_cli.plan.node import waves
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
-from wasp_cli.plan.waves import waves
-from wasp_cli.run.pool import Pool, pool_of, require_backend
+from wasp_cli.run.interrupt import SIGNALS, listening
+from wasp_cli.run.job import Pool
+from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.progress import NAMES, board
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary, failures_text
-from wasp_cli.run.signals import SIGNALS, listening
 from wasp_cli.spec.load import Loaded
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
-from wasp_cli.store.published import bring_in
+from wasp_cli.store.published import import_artifact
 
 
 def cores() -> int:
@@ -69,7 +70,7 @@ class Session:
 
 
 @dataclass(frozen=True)
-class Way:
+class RunOptions:
     """How a run is carried out. None of it changes a result."""
 
     jobs: int
@@ -97,13 +98,13 @@ class Selection:
 WHOLE = Selection()
 
 
-def run_spec(loaded: Loaded, results: Path, way: Way, selection: Selection = WHOLE, reuse: str | None = None) -> Session:
+def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Selection = WHOLE, reuse: str | None = None) -> Session:
     """Compute what is missing of a spec.
 
     Args:
         loaded: the spec.
         results: the results folder.
-        way: how it is carried out.
+        options: how it is carried out.
         selection: which part of the spec is meant.
         reuse: what of published results may be used, instead of what the spec says.
 
@@ -114,11 +115,11 @@ def run_spec(loaded: Loaded, results: Path, way: Way, selection: Selection = WHO
     """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
     wanted = select(grid, selection.select)
-    layout = prepared(results, way)
+    layout = prepared(results, options)
     with planning(layout):
         plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
         run_id = new_run(layout, loaded, plan)
-    return carry_out(plan, layout, run_id, way)
+    return carry_out(plan, layout, run_id, options)
 
 
 def planning(layout: Layout) -> AbstractContextManager[None]:
@@ -126,50 +127,50 @@ def planning(layout: Layout) -> AbstractContextManager[None]:
     return held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True)
 
 
-def prepared(results: Path, way: Way) -> Layout:
+def prepared(results: Path, options: RunOptions) -> Layout:
     """A results folder that can be written, without what killed runs have left, for workers that are there."""
-    require_backend(way.backend, way.scheduler)
+    require_backend(options.backend, options.scheduler)
     layout = Layout(results.absolute())
     layout.prepare()
     sweep(layout)
     return layout
 
 
-def carry_out(plan: Plan, layout: Layout, run_id: str, way: Way, names: Mapping[str, str] = NAMES) -> Session:
+def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str] = NAMES) -> Session:
     """Compute what a plan says, and say how it ended.
 
     Args:
         plan: what to compute.
         layout: the results folder.
         run_id: the run whose folder has the logs.
-        way: how it is carried out.
+        options: how it is carried out.
         names: what people call a node, by its key, where that is not its label.
     """
-    _bring_in(plan, layout)
-    summary = _compute(plan, layout, run_id, way, names) if plan.to_run() else Summary()
+    _import_published(plan, layout)
+    summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
     plain(_summary_line(plan, summary))
     return Session(layout, plan, summary, names)
 
 
-def _bring_in(plan: Plan, layout: Layout) -> None:
+def _import_published(plan: Plan, layout: Layout) -> None:
     """Copy the published results that are needed into the store, so that no worker has to know of them."""
     for note in plan.grid.notes:
         plain(note)
     found = [plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"]
     for offer in found:
-        bring_in(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
+        import_artifact(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
     if found:
         lines = reason_lines(plan, "published")
         plain("\n  ".join([f"{len(found)} published results are used:", *lines]))
 
 
-def _compute(plan: Plan, layout: Layout, run_id: str, way: Way, names: Mapping[str, str]) -> Summary:
+def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Summary:
     nodes = len(plan.to_run())
-    pool = pool_of(way.backend, useful_jobs(plan, way.jobs), way.scheduler)
+    pool = pool_of(options.backend, useful_jobs(plan, options.jobs), options.scheduler)
     seconds, unknown = plan.estimate(max(pool.jobs, 1))
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
-    runner = Runner(layout, run_id, pool, cores=cores(), limit=way.limit, retries=way.retries)
+    runner = Runner(layout, run_id, pool, cores=cores(), limit=options.limit, retries=options.retries)
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)

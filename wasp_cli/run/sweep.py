@@ -12,7 +12,7 @@ from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_sweep
-from wasp_cli.run.session import Session, Way, carry_out, planning, prepared, restricted
+from wasp_cli.run.session import RunOptions, Session, carry_out, planning, prepared, restricted
 from wasp_cli.spec.sweep import Sweep
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.layout import Layout
@@ -37,13 +37,13 @@ def on_task(sweep: Sweep, task: str | None) -> Sweep:
     return replace(sweep, points=tuple(replace(point, loaded=restricted(point.loaded, task)) for point in sweep.points))
 
 
-def run_sweep(sweep: Sweep, results: Path, way: Way) -> SweepSession:
+def run_sweep(sweep: Sweep, results: Path, options: RunOptions) -> SweepSession:
     """Compute what is missing of a spec under every value of a setting.
 
     Args:
         sweep: the setting and its values.
         results: the results folder.
-        way: how it is carried out.
+        options: how it is carried out.
 
     Raises:
         UsageError: there are no cells, or they are the same under every value.
@@ -52,14 +52,14 @@ def run_sweep(sweep: Sweep, results: Path, way: Way) -> SweepSession:
     """
     grids = tuple(lay_out_over(point.loaded.spec, Layout(results.absolute())) for point in sweep.points)
     _require_effect(sweep, grids)
-    layout = prepared(results, way)
+    layout = prepared(results, options)
     with planning(layout):
         plan = plan_against(together(grids), layout)
         run_id = new_sweep(layout, sweep, plan, grids)
     users = _users(grids)
     plain(_shares(sweep, grids, users))
     names = {node.key: _name(sweep, node.label, users[node.key]) for node in plan.grid.nodes}
-    return SweepSession(carry_out(plan, layout, run_id, way, names), grids)
+    return SweepSession(carry_out(plan, layout, run_id, options, names), grids)
 
 
 def _require_effect(sweep: Sweep, grids: Sequence[Grid]) -> None:

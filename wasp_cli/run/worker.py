@@ -1,4 +1,4 @@
-"""The envelope around one node: lock, threads, log, folders, outcome. It never raises; what it returns says how the node ended."""
+"""The envelope around one node: lock, threads, log, folders, result. It never raises; what it returns says how the node ended."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingEr
 from wasp_cli.memory import keep_memory
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.registry import load_target
-from wasp_cli.run.limit import limited
-from wasp_cli.run.order import Order, Outcome
-from wasp_cli.run.pulse import Pulse
+from wasp_cli.run.heartbeat import Heartbeat
+from wasp_cli.run.interrupt import limited
+from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store.artifact import (
-    condemn,
+    commit,
     corruption,
     discard,
-    is_published,
-    publish,
+    exists,
+    invalidate,
     read_manifest,
     read_record,
     staging_folder,
@@ -43,120 +43,120 @@ DEATHS = 2
 KILLED = "its process was killed, twice (out of memory, or by a signal)"
 
 
-def execute(order: Order, *, own_process: bool = True) -> Outcome:
+def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
     """Compute one node, or find that another run has.
 
     Args:
-        order: the node.
+        job: the node.
         own_process: whether this process does nothing else, so that its file descriptors may go to the log.
     """
     started = time.monotonic()
-    layout = Layout(Path(order.root))
-    log = layout.log(order.run_id, order.label, order.key)
-    if layout.stop(order.run_id).exists():
-        return Outcome(order.key, "skipped", 0.0)
+    layout = Layout(Path(job.root))
+    log = layout.log(job.run_id, job.label, job.key)
+    if layout.stop(job.run_id).exists():
+        return NodeResult(job.key, "skipped", 0.0)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             stream = stack.enter_context(log.open("a", encoding="utf-8", errors="replace", buffering=1))
             stack.enter_context(_logged(stream, own_process))
-            return _locked(order, layout, log, started, own_process)
+            return _locked(job, layout, log, started, own_process)
     except OSError as error:  # the results folder itself is in the way: full, gone, read-only
-        return _failed(order, started, log, f"{type(error).__name__}: {error}", None, by_chance=True)
+        return _failed(job, started, log, f"{type(error).__name__}: {error}", None, by_chance=True)
     except Exception as error:
-        return _failed(order, started, log, f"{type(error).__name__}: {error}", None)
+        return _failed(job, started, log, f"{type(error).__name__}: {error}", None)
 
 
-def _locked(order: Order, layout: Layout, log: Path, started: float, own_process: bool) -> Outcome:
-    with Pulse(layout.running(order.run_id, order.key), order) as pulse:
-        if pulse.deaths >= DEATHS:
-            outcome = _failed(order, started, log, KILLED, None)
-            record_failure(layout, order, outcome)
-            return outcome
+def _locked(job: NodeJob, layout: Layout, log: Path, started: float, own_process: bool) -> NodeResult:
+    with Heartbeat(layout.running(job.run_id, job.key), job) as heartbeat:
+        if heartbeat.deaths >= DEATHS:
+            result = _failed(job, started, log, KILLED, None)
+            record_failure(layout, job, result)
+            return result
 
         def waiting() -> bool:
-            pulse.tell(0.0, "another run computes it; waiting")
-            return order.wait and not layout.stop(order.run_id).exists()
+            heartbeat.tell(0.0, "another run computes it; waiting")
+            return job.wait and not layout.stop(job.run_id).exists()
 
         try:
-            with held(layout.lock(order.key), waiting, pulse.fixed):
-                if not is_published(layout, order.kind, order.key):
-                    return _computed(order, layout, log, started, pulse, own_process)
-                summary = read_manifest(layout, order.kind, order.key).get("summary", {})
-                return Outcome(order.key, "shared", time.monotonic() - started, summary, log=str(log))
+            with held(layout.lock(job.key), waiting, heartbeat.fixed):
+                if not exists(layout, job.kind, job.key):
+                    return _computed(job, layout, log, started, heartbeat, own_process)
+                summary = read_manifest(layout, job.kind, job.key).get("summary", {})
+                return NodeResult(job.key, "shared", time.monotonic() - started, summary, log=str(log))
         except Busy:
-            return Outcome(order.key, "skipped" if order.wait else "busy", time.monotonic() - started)
+            return NodeResult(job.key, "skipped" if job.wait else "busy", time.monotonic() - started)
 
 
-def _computed(order: Order, layout: Layout, log: Path, started: float, pulse: Pulse, own_process: bool) -> Outcome:
-    staging = staging_folder(layout, order.key)
+def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat: Heartbeat, own_process: bool) -> NodeResult:
+    staging = staging_folder(layout, job.key)
     started_at = datetime.now(UTC).isoformat(timespec="seconds")
     began = time.monotonic()
     try:
-        with limited(order.limit, layout.overdue(order.run_id, order.key), own_process):
-            _require_inputs(order, layout)
-            stage: Stage = load_target(order.stage)()
+        with limited(job.limit, layout.overdue(job.run_id, job.key), own_process):
+            _require_inputs(job, layout)
+            stage: Stage = load_target(job.stage)()
             keep_memory()
             _set_threads(getattr(stage, "torch_threads", 1))
-            summary = _finite(stage.run(_job(order, layout, stage, staging, pulse.tell)))
-        _require_planned_source(order)
+            summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
+        _require_planned_source(job)
         seconds = time.monotonic() - began
-        publish(layout, order.kind, order.key, staging, _manifest(order, summary, seconds, started_at))
+        commit(layout, job.kind, job.key, staging, _manifest(job, summary, seconds, started_at))
     except (Exception, SystemExit) as error:
         discard(staging)
-        return _recorded_failure(order, layout, log, started, _cause_in_source(order, error) or error)
+        return _recorded_failure(job, layout, log, started, _cause_in_source(job, error) or error)
     except BaseException:  # Ctrl-C in the process that runs nodes itself
         discard(staging)
         raise
-    layout.failure(order.key).unlink(missing_ok=True)
-    discard(layout.work(order.key))
-    return Outcome(order.key, "done", time.monotonic() - started, summary, log=str(log))
+    layout.failure(job.key).unlink(missing_ok=True)
+    discard(layout.work(job.key))
+    return NodeResult(job.key, "done", time.monotonic() - started, summary, log=str(log))
 
 
-def _require_inputs(order: Order, layout: Layout) -> None:
+def _require_inputs(job: NodeJob, layout: Layout) -> None:
     """See that what the node reads has the bytes that were published; what has not is computed again by the next run."""
-    for kind, key in order.inputs.values():
+    for kind, key in job.inputs.values():
         wrong = corruption(layout, kind, key)
         if wrong is not None:
-            condemn(layout, kind, key, wrong)
+            invalidate(layout, kind, key, wrong)
             raise ArtifactError(f"what it reads is damaged: {wrong}", "run again: what is damaged is computed again")
 
 
-def _require_planned_source(order: Order) -> None:
+def _require_planned_source(job: NodeJob) -> None:
     """See that what ran is what the key says: a module may have been saved between planning and its import here."""
-    if changed := changed_since(order.sources):
+    if changed := changed_since(job.sources):
         raise SourceChanged(
             f"the source changed while the run was going: {', '.join(changed)}", "run again; what the change does not touch is kept"
         )
 
 
-def _cause_in_source(order: Order, error: BaseException) -> SourceChanged | None:
+def _cause_in_source(job: NodeJob, error: BaseException) -> SourceChanged | None:
     """A module that was saved meanwhile explains any error, and better than the error does; the log keeps both."""
     if isinstance(error, SourceChanged):
         return None
     try:
-        _require_planned_source(order)
+        _require_planned_source(job)
     except SourceChanged as changed:
         traceback.print_exception(error)
         return changed
     return None
 
 
-def _job(order: Order, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
-    work = layout.work(order.key)
+def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
+    work = layout.work(job.key)
     work.mkdir(parents=True, exist_ok=True)
     return Job(
-        kind=order.kind,
-        task=order.task,
-        seed=order.seed,
-        config=stage.config.model_validate(order.config),
-        settings=_settings(order.settings),
-        axes=order.axes,
-        inputs={name: layout.artifact(kind, key) for name, (kind, key) in order.inputs.items()},
+        kind=job.kind,
+        task=job.task,
+        seed=job.seed,
+        config=stage.config.model_validate(job.config),
+        settings=_settings(job.settings),
+        axes=job.axes,
+        inputs={name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()},
         out_dir=staging,
         work_dir=work,
         progress=progress,
-        threads=order.threads,
+        threads=job.threads,
     )
 
 
@@ -170,33 +170,33 @@ def _settings(values: Mapping[str, Any]) -> dict[str, Any]:
     return settings
 
 
-def _manifest(order: Order, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
+def _manifest(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
     return {
-        "kind": order.kind,
-        "key": order.key,
-        "label": order.label,
-        "task": order.task,
-        "seed": order.seed,
-        "axes": order.axes,
-        "config": order.config,
-        "settings": order.settings,
-        "upstream": {name: key for name, (_, key) in order.inputs.items()},
-        "upstream_kinds": {name: kind for name, (kind, _) in order.inputs.items()},
-        "sources": order.sources,
+        "kind": job.kind,
+        "key": job.key,
+        "label": job.label,
+        "task": job.task,
+        "seed": job.seed,
+        "axes": job.axes,
+        "config": job.config,
+        "settings": job.settings,
+        "upstream": {name: key for name, (_, key) in job.inputs.items()},
+        "upstream_kinds": {name: kind for name, (kind, _) in job.inputs.items()},
+        "sources": job.sources,
         "summary": summary,
         "provenance": {
-            **order.provenance,
+            **job.provenance,
             **({"cuda": devices} if (devices := cuda_devices()) else {}),
-            "run": order.run_id,
-            "attempt": order.attempt,
-            "threads": order.threads,
+            "run": job.run_id,
+            "attempt": job.attempt,
+            "threads": job.threads,
             "started_at": started_at,
             "seconds": round(seconds, 3),
         },
     }
 
 
-def _recorded_failure(order: Order, layout: Layout, log: Path, started: float, error: BaseException) -> Outcome:
+def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, error: BaseException) -> NodeResult:
     if isinstance(error, WaspError):
         message, hint = error.message, error.hint
         print(f"error: {message}" + (f"\n{hint}" if hint else ""), file=sys.stderr)
@@ -204,16 +204,16 @@ def _recorded_failure(order: Order, layout: Layout, log: Path, started: float, e
         message, hint = _cause(error), None
         traceback.print_exception(error)
     by_chance = not isinstance(error, WaspError) or isinstance(error, StoreError)
-    outcome = _failed(order, started, log, message, hint, by_chance=by_chance)
-    record_failure(layout, order, outcome)
-    return outcome
+    result = _failed(job, started, log, message, hint, by_chance=by_chance)
+    record_failure(layout, job, result)
+    return result
 
 
-def record_failure(layout: Layout, order: Order, outcome: Outcome) -> None:
+def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
     """Keep why a node failed, so that the next plan can say so."""
-    record = {"kind": order.kind, "label": order.label, "message": outcome.message, "hint": outcome.hint, "log": outcome.log}
-    with suppress(OSError):  # a full disk: the outcome and the journal of a living run tell it
-        write_record(layout.failure(order.key), {**record, "attempt": order.attempt, "run": order.run_id})
+    record = {"kind": job.kind, "label": job.label, "message": result.message, "hint": result.hint, "log": result.log}
+    with suppress(OSError):  # a full disk: the result and the journal of a living run tell it
+        write_record(layout.failure(job.key), {**record, "attempt": job.attempt, "run": job.run_id})
 
 
 def attempts(layout: Layout, key: str) -> int:
@@ -226,9 +226,9 @@ def attempts(layout: Layout, key: str) -> int:
     return attempt if isinstance(attempt, int) else 1
 
 
-def _failed(order: Order, started: float, log: Path, message: str, hint: str | None, *, by_chance: bool = False) -> Outcome:
+def _failed(job: NodeJob, started: float, log: Path, message: str, hint: str | None, *, by_chance: bool = False) -> NodeResult:
     seconds = time.monotonic() - started
-    return Outcome(order.key, "failed", seconds, message=message, hint=hint, log=str(log), by_chance=by_chance)
+    return NodeResult(job.key, "failed", seconds, message=message, hint=hint, log=str(log), by_chance=by_chance)
 
 
 def _cause(error: BaseException) -> str:

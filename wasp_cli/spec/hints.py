@@ -1,16 +1,60 @@
-"""How a mistake in a spec is put right: keys that are called nearly so, and values written with the right type."""
+"""The settings of a spec by their dotted names, and what is said where a file has another one: wordings and suggestions."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
 from wasp_cli.errors import did_you_mean
-from wasp_cli.spec.model import spec_type
+from wasp_cli.spec.model import method_sections, spec_type
 from wasp_cli.spec.names import EXTENDS, TOP
-from wasp_cli.spec.settings import model_at, settings
-from wasp_cli.spec.where import Loc
+from wasp_cli.spec.places import KEY, Loc
+
+
+def model_at(loc: Loc) -> type[BaseModel] | None:
+    """The model of a section; that of the whole spec for an empty place."""
+    model: type[BaseModel] = spec_type()
+    for part in loc:
+        below = _section(model.model_fields.get(str(part)))
+        if below is None:
+            return None
+        model = below
+    return model
+
+
+def description(loc: Loc) -> str | None:
+    """What the models say of a setting."""
+    model = model_at(loc[:-1])
+    field = model.model_fields.get(str(loc[-1])) if model is not None and loc else None
+    return field.description if field is not None else None
+
+
+@cache
+def settings() -> tuple[str, ...]:
+    """Every setting as `--set` names it, sections before what is in them: `wasp`, `wasp.candidates`."""
+    return tuple(_below(spec_type(), ""))
+
+
+def _below(model: type[BaseModel], prefix: str) -> list[str]:
+    found: list[str] = []
+    for name, field in model.model_fields.items():
+        found.append(prefix + name)
+        if (section := _section(field)) is not None:
+            found += _below(section, f"{prefix}{name}.")
+    return found
+
+
+def _section(field: FieldInfo | None) -> type[BaseModel] | None:
+    if field is None or not (isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)):
+        return None
+    return field.annotation
+
 
 CLOSE = "did you mean"
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -65,3 +109,132 @@ def value_hint(value: Any, types: Sequence[str]) -> str | None:
 def _written(value: Any) -> str:
     """A scalar as YAML has it."""
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One mistake in a document."""
+
+    loc: Loc
+    message: str
+    hint: str | None = None
+    at_key: bool = False
+    """The key is wrong (or its whole section), not its value."""
+
+
+def misplaced(document: Mapping[str, Any]) -> list[Finding]:
+    """What sections have as fields, and specs say at the top."""
+    found: list[Finding] = []
+    for name, (field, example) in not_set_in_sections().items():
+        section, model = document.get(name), model_at((name,))
+        if isinstance(section, Mapping) and field in section and model is not None and field in model.model_fields:
+            found.append(Finding((name, field, KEY), f"'{field}' is not set here", f"write `{example}` at the top, outside every section"))
+    return found
+
+
+def not_set_in_sections() -> dict[str, tuple[str, str]]:
+    """By section: the field that only the top of a spec may set, and how."""
+    return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(method_sections(), ("variant", "variants: [full]"))
+
+
+Hint = Callable[[Loc], str | None]
+
+
+def findings(
+    error: ValidationError, document: Mapping[str, Any], key_hint: Hint = key_hint, description: Hint = description
+) -> list[Finding]:
+    """One finding for each place: what pydantic says of the members of a union belongs together.
+
+    Args:
+        error: what pydantic found.
+        document: the plain values.
+        key_hint: what is said of an unknown key.
+        description: what is said of a missing or an empty one.
+    """
+    found: dict[Loc, list[dict[str, Any]]] = {}
+    for entry in error.errors(include_url=False):
+        loc = _without_tags(entry["loc"], document)
+        found.setdefault(loc, []).append({**entry, "loc": loc})
+    # pydantic counts the valid entries of a list only; that the others are wrong is said where they stand.
+    hollow = {loc for loc, entries in found.items() if entries[0]["type"] == "too_short" and any(_within(other, loc) for other in found)}
+    return [_worded(loc, entries, key_hint, description) for loc, entries in found.items() if loc not in hollow]
+
+
+def _within(loc: Loc, section: Loc) -> bool:
+    return len(loc) > len(section) and loc[: len(section)] == section
+
+
+def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
+    node: Any = document
+    for index, part in enumerate(loc):
+        if isinstance(node, Mapping) and str(part) in node:
+            node = node[str(part)]
+        elif isinstance(node, list) and isinstance(part, int) and part < len(node):
+            node = node[part]
+        elif not isinstance(node, Mapping | list):
+            return loc[:index]  # what follows a scalar can only be the tag of a union
+        else:
+            return loc
+    return loc
+
+
+_WORDS = {
+    "an object": "a mapping of keys to values",
+    "a valid dictionary": "a mapping of keys to values",
+    "a valid array": "a list",
+    "a valid integer": "an integer",
+    "a valid ": "a ",
+}
+"""pydantic's words for what a YAML file holds, and ours."""
+
+
+def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description: Hint) -> Finding:
+    first = entries[0]
+    context = first.get("ctx") or {}
+    name = str(loc[-1]) if loc else ""
+    if first["type"] == "extra_forbidden":
+        return Finding(loc, f"unknown key '{name}'", key_hint(loc), at_key=True)
+    if first["type"] == "missing":
+        return Finding(loc, f"missing key '{name}'" if loc[-1:] != (KEY,) else first["msg"], description(loc))
+    if "hint" in context or first["type"] in ("repeated", "no_operator", "severity_range"):
+        value = "" if first["type"] != "severity_range" else f", not {_shown(first['input'])}"
+        return Finding(loc, first["msg"] + value, context.get("hint"))
+    if first["type"] == "value_error":
+        return Finding(loc, str(context["error"]), at_key=True)
+    if first["type"] in ("too_short", "string_too_short"):
+        return Finding(loc, "should not be empty", description(loc))
+    shown = _shown(first["input"])
+    if any(entry["type"] == "string_pattern_mismatch" for entry in entries):
+        return Finding(
+            loc, f"{shown} is not a usable name", "letters, digits, dot, dash and underscore, beginning with a letter or a digit"
+        )
+    message = _expected(entries)
+    return Finding(loc, f"{message}, not {shown}" if shown not in message else message, _hint(entries))
+
+
+def _expected(entries: list[dict[str, Any]]) -> str:
+    message = " or ".join(dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)).replace(" or be ", " or ")
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
+    return f"should {message}" if message.startswith(("be ", "have ", "match ")) else message
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, list | tuple):
+        return "a list"
+    if value is None:
+        return "nothing (null)"
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)  # as it is written
+    text = repr(value) if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else str(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _hint(entries: list[dict[str, Any]]) -> str | None:
+    """The closest allowed word where a word was written; else how the same value is written so that it has the right type."""
+    value, types = entries[0]["input"], [entry["type"] for entry in entries]
+    allowed = [name for entry in entries if entry["type"] == "literal_error" for name in re.findall(r"'([^']*)'", entry["ctx"]["expected"])]
+    rewritten = value_hint(value, types)
+    return did_you_mean(value, allowed) if rewritten is None and allowed and isinstance(value, str) else rewritten

@@ -23,13 +23,12 @@ from wasp_cli.config import Config
 from wasp_cli.errors import did_you_mean
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.episode import WEIGHTS
+from wasp_cli.spec.hints import findings
 from wasp_cli.spec.model import refuse
 from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
+from wasp_cli.spec.places import InvalidSpec, Loc
 from wasp_cli.spec.plain import plain
-from wasp_cli.spec.problem import InvalidSpec
 from wasp_cli.spec.read import Source, read
-from wasp_cli.spec.where import Loc
-from wasp_cli.spec.wording import findings
 
 PACKAGED = Path(__file__).parents[1] / "paper.yaml"
 """Where a wheel has the file; pyproject.toml puts it there."""

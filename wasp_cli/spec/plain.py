@@ -10,9 +10,8 @@ from typing import Any
 
 from ruamel.yaml.comments import CommentedMap, CommentedOrderedMap, CommentedSeq
 
-from wasp_cli.spec.problem import InvalidSpec, Problem
+from wasp_cli.spec.places import LARGEST, START, InvalidSpec, Loc, Problem, key_position
 from wasp_cli.spec.read import Source, kind_of
-from wasp_cli.spec.where import LARGEST, START, Loc, key_position
 
 MAX_VALUES = 100_000
 """Aliases of aliases can stand for more values than any memory holds."""

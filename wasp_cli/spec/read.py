@@ -1,23 +1,23 @@
-"""A YAML file to a document with positions."""
+"""From the text of a spec file to its sections: reading, and values that stand at a wrong place."""
 
 from __future__ import annotations
 
 import datetime
 import re
 import warnings
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning, YAMLError
+from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
 from wasp_cli.errors import did_you_mean
-from wasp_cli.spec.problem import InvalidSpec, Problem
-from wasp_cli.spec.unplaced import unplaced
-from wasp_cli.spec.where import KEY, START, Loc, Position, locate
+from wasp_cli.spec.places import KEY, START, InvalidSpec, Loc, Position, Problem, locate
 
 MAX_BYTES = 1_000_000
 
@@ -160,3 +160,58 @@ def kind_of(node: Any) -> str:
 def dotted(loc: Loc) -> str:
     """A place as `--set` names it."""
     return ".".join(str(part) for part in loc if part != KEY)
+
+
+_TAG = "tag:yaml.org,2002:"
+_MERGE = f"{_TAG}merge"
+_NO_SCALAR = {"int": "no integer", "float": "no number", "timestamp": "no date", "bool": "no boolean", "omap": "no ordered mapping"}
+"""By tag: what is said of a scalar that cannot be built. Those of other tags always can, or have an error with a position."""
+_LONGEST = 40
+Fault = tuple[Position, str]
+
+
+def unplaced(text: str) -> Fault | None:
+    """The place and the reason of the first value in a text that cannot be built, or None when every one can."""
+    reader = YAML(typ="rt")
+    with suppress(RecursionError):
+        return _Search(reader).within(reader.compose(text), ())
+    return None
+
+
+@dataclass
+class _Search:
+    reader: YAML
+    seen: set[int] = field(default_factory=set)
+    """Aliases lead to a node many times."""
+
+    def within(self, node: Any, above: tuple[int, ...]) -> Fault | None:
+        if id(node) in self.seen:
+            return None
+        self.seen.add(id(node))
+        above = (*above, id(node))
+        below: list[Any] = []
+        if isinstance(node, ScalarNode):
+            return self.built(node, str(node.tag).removeprefix(_TAG))
+        if isinstance(node, SequenceNode):
+            below = node.value
+        elif isinstance(node, MappingNode):
+            for key, value in node.value:
+                merged = value.value if isinstance(value, SequenceNode) else [value]
+                if key.tag == _MERGE and any(id(each) in above for each in merged):
+                    return _at(key), "a merge (<<) brings a mapping into itself"
+                below += [key, value]
+        return next((fault for each in below if (fault := self.within(each, above)) is not None), None)
+
+    def built(self, node: ScalarNode, tag: str) -> Fault | None:
+        if tag not in _NO_SCALAR:
+            return None
+        try:
+            self.reader.constructor.construct_object(node)
+        except Exception:  # whatever Python says of a text that is no number
+            value = node.value if len(node.value) <= _LONGEST else node.value[: _LONGEST - 3] + "..."
+            return _at(node), f"'{value}' is {_NO_SCALAR[tag]}"
+        return None
+
+
+def _at(node: Any) -> Position:
+    return Position(node.start_mark.line + 1, node.start_mark.column + 1)

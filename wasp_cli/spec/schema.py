@@ -15,11 +15,11 @@ from pydantic.json_schema import GenerateJsonSchema
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import Registry
-from wasp_cli.spec.extend import SUFFIX
+from wasp_cli.spec.hints import not_set_in_sections
+from wasp_cli.spec.load import SUFFIX
 from wasp_cli.spec.model import method_sections, mixing_stages, spec_type
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, training_stages
 from wasp_cli.spec.presets import PRESETS, preset_values
-from wasp_cli.spec.wording import not_set_in_sections
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.tasks.registry import TASKS
 

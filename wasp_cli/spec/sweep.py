@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.spec.extend import Chain, chain_of
-from wasp_cli.spec.load import Loaded, loaded
+from wasp_cli.spec.load import Chain, Loaded, Override, chain_of, loaded, override, path_of, value_of
 from wasp_cli.spec.model import Spec, method_sections
 from wasp_cli.spec.names import spec_name
-from wasp_cli.spec.overrides import Override, override, path_of, value_of
-from wasp_cli.spec.problem import InvalidSpec, Problem
+from wasp_cli.spec.places import InvalidSpec, Problem
 from wasp_cli.spec.read import read
 
 OPTION = "--vary"

@@ -14,7 +14,7 @@ Progress = Callable[[float, str], None]
 
 
 def no_progress(share: float, text: str) -> None:
-    """A progress callback for callers that do not show any."""
+    """Ignore progress: the callback of callers that show none."""
 
 
 @dataclass(frozen=True)

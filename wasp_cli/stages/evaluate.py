@@ -59,7 +59,7 @@ class EvaluateStage:
 
 
 def thresholds_of(assistant: object) -> Any:
-    """The thresholds in force, for every row of the cell."""
+    """Return the thresholds in force, for every row of the cell."""
     from wasp_cli.store.tables import Thresholds
 
     return Thresholds(*(getattr(assistant, name, None) for name in ("tau_c", "tau_r", "tau_q")))

@@ -40,7 +40,6 @@ class WorldModelStage:
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.shards import HELD_OUT, read_shards
-        from wasp_cli.learning.world_model import refit_heads
         from wasp_cli.models.world_model import load_world_model, save_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.registry import TASKS
@@ -69,7 +68,7 @@ class WorldModelStage:
         )
         model.requires_grad_(False)
         latents = encode(model, recording, during(0.85, 0.95))
-        refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
+        learning.refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
         model.cpu()
         save_world_model(model, job.out_dir)
         (job.out_dir / "curves.json").write_text(json.dumps(curves))

@@ -29,7 +29,7 @@ def staging_folder(layout: Layout, key: str) -> Path:
     return folder
 
 
-def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping[str, Any]) -> Path:
+def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping[str, Any]) -> Path:
     """Complete an artifact with its manifest and move it to its place.
 
     Everything is on disk before the move, and the move is one rename, so that a reader sees the whole artifact or none.
@@ -56,7 +56,7 @@ def publish(layout: Layout, kind: str, key: str, staging: Path, manifest: Mappin
     return place
 
 
-def published(layout: Layout, kind: str) -> set[str]:
+def stored_keys(layout: Layout, kind: str) -> set[str]:
     """The keys of all artifacts of a kind, damaged ones too."""
     try:
         with os.scandir(layout.within(layout.kind(kind))) as entries:
@@ -80,7 +80,7 @@ def _holds_manifest(entry: os.DirEntry[str]) -> bool:
     return entry.is_dir(follow_symlinks=False) and os.path.isfile(f"{entry.path}/{MANIFEST}")
 
 
-def is_published(layout: Layout, kind: str, key: str) -> bool:
+def exists(layout: Layout, kind: str, key: str) -> bool:
     """Whether an artifact is there, with every file that it was published with."""
     return damage(layout, kind, key) is None
 
@@ -157,19 +157,19 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
     return None
 
 
-def condemn(layout: Layout, kind: str, key: str, why: str) -> None:
+def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:
     """Take an artifact out of use, so that it is computed again; its files stay until then.
 
     Another process may have done so before.
     """
     manifest = layout.manifest(kind, key)
     with suppress(FileNotFoundError):
-        os.replace(manifest, manifest.with_suffix(".condemned"))
+        os.replace(manifest, manifest.with_suffix(".invalid"))
     with suppress(OSError):
         (layout.artifact(kind, key) / WHY).write_text(why + "\n", encoding="utf-8")
 
 
-def why_condemned(layout: Layout, kind: str, key: str) -> str | None:
+def why_invalid(layout: Layout, kind: str, key: str) -> str | None:
     """Why an artifact was taken out of use; None of others."""
     try:
         return " ".join(printable(read_plain(layout.artifact(kind, key) / WHY)).split())[:500] or None

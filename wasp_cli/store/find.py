@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-from wasp_cli.store.artifact import published, read_manifest, read_record, stored_kinds
+from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.tables import CELL_FILE
 
@@ -99,7 +99,7 @@ def find_cell(layout: Layout, text: str) -> FoundCell:
         ArtifactError: the manifest of the cell is damaged.
     """
     wanted = " ".join(text.split())
-    keys = sorted(filter(is_key, published(layout, KIND)))
+    keys = sorted(filter(is_key, stored_keys(layout, KIND)))
     found = [_of_key(layout, key) for key in keys if begins(key, wanted)]
     named: list[str] = []
     if not found:
@@ -121,7 +121,7 @@ def find_node(layout: Layout, text: str) -> FoundNode:
         ArtifactError: the manifest of the node is damaged.
     """
     wanted = " ".join(text.split())
-    places = [(kind, key) for kind in stored_kinds(layout) for key in sorted(filter(is_key, published(layout, kind)))]
+    places = [(kind, key) for kind in stored_kinds(layout) for key in sorted(filter(is_key, stored_keys(layout, kind)))]
     failures = _failures(layout)
     found = [_node(layout, kind, key, failures) for kind, key in places if begins(key, wanted)]
     there = {key for _, key in places}

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.store.artifact import is_file_name, listed_files, missing_file, read_manifest, replace_file, why_condemned
+from wasp_cli.store.artifact import is_file_name, listed_files, missing_file, read_manifest, replace_file, why_invalid
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import read_plain
 
@@ -39,7 +39,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Stock:
+class ArtifactIndex:
     """The artifacts of some kinds."""
 
     whole: Mapping[str, Mapping[str, Entry]] = field(default_factory=dict)
@@ -48,7 +48,7 @@ class Stock:
     """What is wrong with each other one, by key."""
 
 
-def take_stock(layout: Layout, kinds: Iterable[str], facts: Facts, version: int) -> Stock:
+def scan(layout: Layout, kinds: Iterable[str], facts: Facts, version: int) -> ArtifactIndex:
     """Look at every artifact of some kinds.
 
     Args:
@@ -72,7 +72,7 @@ def take_stock(layout: Layout, kinds: Iterable[str], facts: Facts, version: int)
             try:
                 state = os.stat(f"{place}/{MANIFEST}")
             except OSError:
-                damaged[key] = why_condemned(layout, kind, key) or f"'{place}/{MANIFEST}' is gone"
+                damaged[key] = why_invalid(layout, kind, key) or f"'{place}/{MANIFEST}' is gone"
                 continue
             entry = before.get(key)
             if entry is None or entry.stamp != (state.st_mtime_ns, state.st_size):
@@ -89,7 +89,7 @@ def take_stock(layout: Layout, kinds: Iterable[str], facts: Facts, version: int)
                 damaged[key] = wrong
     if fresh >= LEAST_GAIN:
         _write(layout, {**known, **whole}, version)
-    return Stock(whole, damaged)
+    return ArtifactIndex(whole, damaged)
 
 
 def _keys(layout: Layout, kind: str) -> list[str]:

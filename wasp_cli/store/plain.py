@@ -1,4 +1,4 @@
-"""Reading small files of a results folder, which may come from a stranger.
+"""Reading small files of a results folder, which may be untrusted.
 
 What is read is a plain file, no link, pipe or device, and fits into memory. What it says is text that a terminal shows as it is, nested no
 deeper than whoever walks over it can follow.

@@ -15,15 +15,15 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.store.artifact import (
+    commit,
     corruption,
     discard,
+    exists,
     file_digest,
-    is_published,
     listed_files,
-    publish,
-    published,
     read_manifest,
     staging_folder,
+    stored_keys,
     stored_kinds,
 )
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
@@ -85,7 +85,7 @@ def offers(source: Layout) -> tuple[list[Offer], list[str]]:
     notes: list[str] = []
     twice: set[str] = set()
     for kind in stored_kinds(source):
-        for key in sorted(filter(is_key, published(source, kind))):
+        for key in sorted(filter(is_key, stored_keys(source, kind))):
             try:
                 offer = _offer(source, kind, key)
             except ArtifactError as error:
@@ -124,7 +124,7 @@ def _are_keys(value: object) -> bool:
 
 def why_unusable(offer: Offer, layout: Layout) -> str | None:
     """What is wrong with the bytes of a published artifact; None when they are whole, or when the store has them already."""
-    if is_published(layout, offer.kind, offer.key):
+    if exists(layout, offer.kind, offer.key):
         return None
     try:
         return corruption(offer.source, offer.kind, offer.key)
@@ -132,7 +132,7 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
         return str(error)
 
 
-def bring_in(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
+def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
     """Copy a published artifact into the store; whether it was not there.
 
     Args:
@@ -145,13 +145,13 @@ def bring_in(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
         OSError: they cannot be read or written.
     """
     with held(layout.lock(offer.key), waiting):
-        if is_published(layout, offer.kind, offer.key):
+        if exists(layout, offer.kind, offer.key):
             return False
         staging = staging_folder(layout, offer.key)
         try:
             copy_files(offer.source, offer.kind, offer.key, offer.manifest, staging)
             provenance = {**offer.manifest["provenance"], FROM_PUBLISHED: True}
-            publish(layout, offer.kind, offer.key, staging, {**offer.manifest, "provenance": provenance})
+            commit(layout, offer.kind, offer.key, staging, {**offer.manifest, "provenance": provenance})
         except BaseException:
             discard(staging)
             raise

@@ -1,4 +1,4 @@
-"""The ceiling: the same planner on the true simulator, which separates what the world model gets wrong from what the planner does.
+"""Oracle dynamics: the same planner on the true simulator, which separates errors of the world model from those of the planner.
 
 Worlds and the operator's mistakes are those of the evaluation of the same cell, and the same for every assistant. Operator and
 imagination read the privileged observation; the planner sees nothing beyond its horizon.

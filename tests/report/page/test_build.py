@@ -9,14 +9,15 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from markupsafe import Markup
 
-from wasp_cli.report.condition_figures import latency_figure
-from wasp_cli.report.frame import Frame, Missing
-from wasp_cli.report.main_table import detail_table, main_table
+from wasp_cli.report.figures.methods import latency_figure
 from wasp_cli.report.page.build import build_page
-from wasp_cli.report.page.markup import Markup, element
-from wasp_cli.report.table import Table
-from wasp_cli.report.trained_table import Trained
+from wasp_cli.report.stats.frame import Frame, Missing
+from wasp_cli.report.tables.details import detail_table
+from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.tables.table import Table
+from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.store.tables import CellIdentity
 
 EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"
@@ -63,7 +64,7 @@ def page_of(frame: Frame, folder: Path, *, verdict: Markup | None = None, word: 
 
 
 def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path) -> None:
-    page = page_of(frame, tmp_path, verdict=element("p", "the verdict"))
+    page = page_of(frame, tmp_path, verdict=Markup("<p>the verdict</p>"))
     outline = Outline(page)
     assert outline.open == []
     assert {link.removeprefix("#") for link in outline.links} == {"results", "trained", "assumptions"}

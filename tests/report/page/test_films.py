@@ -11,14 +11,13 @@ import pytest
 from PIL import Image
 
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
-from wasp_cli.report.frame import Frame, Wanted, read_frame
-from wasp_cli.report.page.film_pages import film_page
-from wasp_cli.report.page.films import SIZE, TaskFilms, films_of
-from wasp_cli.store.artifact import publish, staging_folder
+from wasp_cli.report.page.films import SIZE, TaskFilms, film_page, films_of
+from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.sprite import sprite_of
+from wasp_cli.video.film import sprite_of
 
 REPEAT = 100
 """Ten decisions an episode."""
@@ -55,7 +54,7 @@ def store(folder: Path, costs: dict[tuple[str, str, float | None], tuple[int, ..
         identity = CellIdentity("goal1", method, "full", operator, value, 0)
         staging = staging_folder(layout, key)
         write_cell(staging / "cell.parquet", identity, trajectories, rows, Thresholds(), [np.ones(10)] * len(own), list(range(len(own))))
-        publish(layout, "evaluate", key, staging, {"kind": "evaluate", "key": key, "settings": {"action_repeat": REPEAT}})
+        commit(layout, "evaluate", key, staging, {"kind": "evaluate", "key": key, "settings": {"action_repeat": REPEAT}})
         path = layout.artifact("evaluate", key) / "cell.parquet"
         wanted.append(Wanted(identity, key, path, severity="moderate" if value == 0.4 else "mild"))
         keys[identity] = key

@@ -9,11 +9,14 @@ import numpy as np
 
 from tests.report.explained import Invented
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
+from wasp_cli.report.explain.stored import Episode
 from wasp_cli.report.page.timeline import CURVE, timeline
+from wasp_cli.report.render.html import rendered
 from wasp_cli.store.tables import Thresholds
 
 
-def lanes(drawn: str) -> dict[str, str]:
+def lanes(episode: Episode) -> dict[str, str]:
+    drawn = rendered("timeline.html", lanes=timeline(episode), decisions=episode.decisions)
     return dict(re.findall(r'<div class="lane"><span>(.*?)</span>(<svg.*?</svg>)</div>', drawn))
 
 
@@ -33,7 +36,7 @@ def test_gates_interventions_and_costs(tmp_path: Path) -> None:
     it.fire(3, GATE_SAFETY)
     it.fire(5, GATE_TASK)
     it.pay(0, 6, 7)
-    drawn = lanes(timeline(it.read(tmp_path)))
+    drawn = lanes(it.read(tmp_path))
     assert list(drawn) == ["Ḡᶜ", "ΔG", "acts", "cost"]
     assert marks(drawn["acts"]) == [("safety", 2, 2), ("task", 5, 1)]
     assert marks(drawn["cost"]) == [("cost", 0, 1), ("cost", 6, 2)]
@@ -43,7 +46,7 @@ def test_gates_interventions_and_costs(tmp_path: Path) -> None:
 def test_a_curve_is_above_its_threshold_exactly_where_the_gate_fired(tmp_path: Path) -> None:
     it = Invented()
     it.fire(4, GATE_SAFETY)
-    svg = lanes(timeline(it.read(tmp_path)))["Ḡᶜ"]
+    svg = lanes(it.read(tmp_path))["Ḡᶜ"]
     (limit,) = re.findall(r'class="limit" x1="0" x2="8" y1="([\d.]+)"', svg)
     assert [t for t, y in heights(svg) if y < float(limit)] == [4]
     assert all(0 <= y <= CURVE for _, y in heights(svg))
@@ -52,7 +55,7 @@ def test_a_curve_is_above_its_threshold_exactly_where_the_gate_fired(tmp_path: P
 def test_what_is_undefined_is_a_gap(tmp_path: Path) -> None:
     it = Invented()
     it.fire(1, GATE_SAFETY)  # the task gate is not asked then
-    svg = lanes(timeline(it.read(tmp_path)))["ΔG"]
+    svg = lanes(it.read(tmp_path))["ΔG"]
     assert [t for t, _ in heights(svg)] == [0, 2, 3, 4, 5, 6, 7]
     assert svg.count("<polyline") == 2
 
@@ -62,7 +65,7 @@ def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
     it.signal = np.linspace(-1, 1, it.steps)
     it.gate[6:] = GATE_METHOD
     it.a[6:] += 0.25
-    drawn = lanes(timeline(it.read(tmp_path)))
+    drawn = lanes(it.read(tmp_path))
     assert list(drawn) == ["vote", "acts", "cost"]
     assert marks(drawn["acts"]) == [("method", 6, 2)]
     (limit,) = re.findall(r'class="limit" x1="0" x2="8" y1="([\d.]+)"', drawn["vote"])
@@ -73,7 +76,7 @@ def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
 def test_a_signal_that_is_a_cost_is_held_against_tau_c(tmp_path: Path) -> None:
     it = Invented(method="filter", thresholds=Thresholds(tau_c=0.3), config={})
     it.signal = np.array([0.0, 0.1, 0.2, 0.25, 0.3, 0.4, 0.1, 0.5])
-    drawn = lanes(timeline(it.read(tmp_path)))
+    drawn = lanes(it.read(tmp_path))
     (limit,) = re.findall(r'class="limit" x1="0" x2="8" y1="([\d.]+)"', drawn["Q_c"])
     assert [t for t, y in heights(drawn["Q_c"]) if y < float(limit)] == [5, 7]
 
@@ -82,6 +85,6 @@ def test_a_method_that_blends_shows_its_deviation_and_nobody_shows_nothing(tmp_p
     it = Invented(method="diffusion", thresholds=Thresholds())
     it.gate[:] = GATE_METHOD
     it.a = it.a_h + 0.1
-    assert list(lanes(timeline(it.read(tmp_path)))) == ["|a−aᴴ|", "acts", "cost"]
+    assert list(lanes(it.read(tmp_path))) == ["|a−aᴴ|", "acts", "cost"]
     alone = Invented(method="human", thresholds=Thresholds())
-    assert list(lanes(timeline(alone.read(tmp_path)))) == ["cost"]
+    assert list(lanes(alone.read(tmp_path))) == ["cost"]

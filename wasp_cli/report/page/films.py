@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,13 +18,19 @@ from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.frame import CellNumbers, Frame
-from wasp_cli.report.ladder import MODERATE
+from wasp_cli.report.page.timeline import timeline
+from wasp_cli.report.render.html import rendered
+from wasp_cli.report.stats.frame import CellNumbers, Frame
+from wasp_cli.report.stats.severity_check import MODERATE
+from wasp_cli.report.tables.titles import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.registry import TASKS
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 FRAMES, SIZE = 90, 176
 """Frames of a film at most (about), and their side in px."""
@@ -43,7 +49,7 @@ class Sprite(NamedTuple):
 
 
 Draw = Callable[..., Sprite]
-"""Draws an episode: `video.sprite.sprite_of`, which needs MuJoCo and is handed over by who has it."""
+"""Draws an episode: `video.film.sprite_of`, which needs MuJoCo and is handed over by who has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +92,7 @@ class TaskFilms:
 
 
 def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]) -> Iterator[TaskFilms]:
-    """The films of every task of which a map can be drawn.
+    """Yield the films of every task of which a map can be drawn.
 
     Args:
         layout: the results folder.
@@ -96,7 +102,7 @@ def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: 
         tell: told what is being drawn.
     """
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
-        # Nothing else is drawn: its environment would be imported, and the results may be a stranger's.
+        # Nothing else is drawn: its environment would be imported, and the results may be untrusted.
         if task in TASKS and (found := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:
             yield found
 
@@ -141,7 +147,7 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
         return None
     every = max(1, math.ceil(episode.decisions / FRAMES))
     repeat = episode.constants.action_repeat
-    if repeat is None or repeat > TASKS[identity.task].env_steps:  # a stranger's decision might last for hours here
+    if repeat is None or repeat > TASKS[identity.task].env_steps:  # an untrusted decision might last for hours here
         return MethodFilm(identity.method, episode, None, every, "its manifest does not say how long a decision is")
     seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
     try:
@@ -149,3 +155,16 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
     except WaspError as error:
         return MethodFilm(identity.method, episode, None, every, error.message)
     return MethodFilm(identity.method, episode, sprite, every)
+
+
+def film_page(films: TaskFilms) -> Markup:
+    """Return the content of a task's page (`templates/films.html`)."""
+    operator = operator_title(films.operator) + ("" if films.value is None else f" {films.value:g}")
+    how = "the one whose cost is the median under Human-only" if films.chosen_by_cost else "the one of median cost"
+    told = (
+        f"Episode {films.number} of seed {films.seed} under the operator {operator}: {how}. Every method meets the same world and the same "
+        "mistakes; the Expert is the unimpaired operator."
+    )
+    seconds = films.decision_seconds
+    shown = "" if seconds is None or not math.isfinite(seconds) else f"{seconds:g}"
+    return rendered("films.html", films=films, told=told, seconds=shown, methods=METHODS, timeline=timeline)

@@ -5,13 +5,14 @@ One unit of width is one decision, so that a cursor can be set to any of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.stored import Episode, Floats, signal_of
-from wasp_cli.report.page.markup import Markup, element
 
 CURVE, STRIP = 36, 8
 """Heights in px of a curve and of a row of marks."""
@@ -20,28 +21,28 @@ HEADROOM = 2.0
 """Thresholds up to which a curve is drawn; what is higher is cut off there."""
 Span = tuple[str, int, int]
 """Kind of a mark, its first decision, and how many it covers."""
+BASE = (("base", STRIP),)
 
 
-def timeline(episode: Episode) -> Markup:
-    """A row for each gate's curve, with its threshold dashed, one for the interventions and one for the costs.
+class Lane(NamedTuple):
+    """A row of a timeline, `height` px high; x counts decisions."""
 
-    The lines of class `cursor` mark a decision.
-    """
-    rows = [_lane(name, _curve(values, limit, episode.decisions), CURVE, episode) for name, values, limit in _curves(episode)]
+    name: str
+    height: int
+    levels: Sequence[tuple[str, float | str]]
+    """Horizontal lines: their class and height from above in px."""
+    curves: Sequence[str] = ()
+    """Points of polylines, `x,y x,y ...`."""
+    marks: Sequence[Span] = ()
+
+
+def timeline(episode: Episode) -> list[Lane]:
+    """Return a row for each gate's curve, with its threshold, one for the interventions and one for the costs."""
+    lanes = [_curve(name, values, limit) for name, values, limit in _curves(episode)]
     if episode.intervened.any():
         kinds = [KINDS.get(gate, "method") if here else "" for gate, here in zip(episode.gate.tolist(), episode.intervened, strict=True)]
-        rows.append(_lane("acts", _marks(_spans(kinds), episode.decisions), STRIP, episode))
-    rows.append(_lane("cost", _marks(_spans(["cost" if here else "" for here in episode.costly]), episode.decisions), STRIP, episode))
-    return element("div", *rows, class_="timeline")
-
-
-def _lane(name: str, parts: list[Markup], height: int, episode: Episode) -> Markup:
-    cursor = element("line", class_="cursor", x1=0.5, x2=0.5, y1=0, y2=height)
-    drawing = element(
-        "svg", *parts, cursor, viewBox=f"0 0 {episode.decisions} {height}", height=height, preserveAspectRatio="none", role="img",
-        aria_label=f"{name} over {episode.decisions} decisions",
-    )  # fmt: skip
-    return element("div", element("span", name), drawing, class_="lane")
+        lanes.append(Lane("acts", STRIP, BASE, marks=_spans(kinds)))
+    return [*lanes, Lane("cost", STRIP, BASE, marks=_spans(["cost" if here else "" for here in episode.costly]))]
 
 
 def _curves(episode: Episode) -> list[tuple[str, Floats, float | None]]:
@@ -66,13 +67,8 @@ def _spans(kinds: list[str]) -> list[Span]:
     return spans
 
 
-def _marks(spans: list[Span], decisions: int) -> list[Markup]:
-    base = element("line", class_="base", x1=0, x2=decisions, y1=STRIP, y2=STRIP)
-    return [base, *(element("rect", class_=kind, x=first, y=0, width=length, height=STRIP) for kind, first, length in spans)]
-
-
-def _curve(values: Floats, limit: float | None, decisions: int) -> list[Markup]:
-    """From 0, or the least value, to the greatest one, at most a multiple of the threshold."""
+def _curve(name: str, values: Floats, limit: float | None) -> Lane:
+    """Draw from 0, or the least value, to the greatest one, at most a multiple of the threshold; NaN is a gap."""
     defined = values[np.isfinite(values)]
     low, high = (min(0.0, float(defined.min())), max(0.0, float(defined.max()))) if len(defined) else (0.0, 0.0)
     if limit is not None and limit > 0:
@@ -83,9 +79,9 @@ def _curve(values: Floats, limit: float | None, decisions: int) -> list[Markup]:
         return f"{CURVE * (1.0 - (min(max(value, low), high) - low) / span):.4g}"
 
     levels = [("base", 0.0), *([("limit", limit)] if limit is not None else [])]
-    parts = [element("line", class_=kind, x1=0, x2=decisions, y1=y(level), y2=y(level)) for kind, level in levels]
-    for _, first, length in _spans(["known" if known else "" for known in np.isfinite(values)]):
-        # From the left to the right border of each decision, so that a single value shows as well.
-        points = " ".join(f"{t},{y(float(values[t]))} {t + 1},{y(float(values[t]))}" for t in range(first, first + length))
-        parts.append(element("polyline", class_="curve", points=points))
-    return parts
+    # From the left to the right border of each decision, so that a single value shows as well.
+    curves = [
+        " ".join(f"{t},{y(float(values[t]))} {t + 1},{y(float(values[t]))}" for t in range(first, first + length))
+        for _, first, length in _spans(["known" if known else "" for known in np.isfinite(values)])
+    ]
+    return Lane(name, CURVE, [(kind, y(level)) for kind, level in levels], curves)

@@ -1,0 +1,67 @@
+"""Whole results folders of invented cells, to be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from tests.report.invented import invent
+from tests.report.invented import write as write_cell
+from tests.store.untrusted import write_run_of
+from wasp_cli.compare.runs import Side
+from wasp_cli.metrics.episode import Trajectory
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.plan import plan_against
+from wasp_cli.report.summarize import identity_of
+from wasp_cli.run.record import read_run
+from wasp_cli.spec.model import validate
+from wasp_cli.store.artifact import commit, staging_folder
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CELL_FILE, CellIdentity
+
+SPEC: Mapping[str, Any] = {
+    "name": "tiny",
+    "preset": "smoke",
+    "rounds": 1,
+    "tasks": ["goal1"],
+    "methods": ["human", "wasp"],
+    "operators": {"noisy": {"mild": 0.2}, "laggy": {"mild": 0.5}},
+    "seeds": [0, 1],
+}
+Make = Callable[[CellIdentity], list[Trajectory]]
+
+
+def episodes(identity: CellIdentity, count: int = 8, risk: float = 0.1) -> list[Trajectory]:
+    """So many episodes, each with another number of goals."""
+    return [invent(3 * e + 17 * identity.seed, e % 5, 0.2, risk) for e in range(count)]
+
+
+def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, Any] | None = None, **changes: Any) -> Side:
+    """The results of a run whose every node was computed, as a worker would leave them."""
+    layout = Layout(folder)
+    layout.prepare()
+    spec = validate({**SPEC, **changes})
+    grid = lay_out(spec)
+    write_run_of(layout, spec.model_dump(mode="json"), plan_against(grid, layout).as_json())
+    cells = {node.key: identity_of(cell) for cell, node in grid.cells}
+    for node in grid.nodes:
+        staging = staging_folder(layout, node.key)
+        if node.key in cells:
+            identity = cells[node.key]
+            write_cell(staging, identity, make(identity)).path.rename(staging / CELL_FILE)
+        commit(layout, node.kind, node.key, staging, manifest_of(node, provenance or {}))
+    (run,) = layout.runs.iterdir()
+    recorded = read_run(layout, run.name)
+    return Side(layout, run.name, recorded.spec, recorded.cells)
+
+
+def manifest_of(node: Node, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "kind": node.kind, "key": node.key, "label": node.label, "task": node.task, "seed": node.seed, "axes": dict(node.axes),
+        "config": dict(node.config), "settings": dict(node.settings), "sources": {"wasp_cli.tasks.base": "same"},
+        "upstream": {name: needed.key for name, needed in node.needs.items()},
+        "upstream_kinds": {name: needed.kind for name, needed in node.needs.items()},
+        "summary": {}, "provenance": {"versions": {"torch": "2.13.0"}, "processor": "one", **provenance},
+    }  # fmt: skip

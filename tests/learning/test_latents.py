@@ -1,0 +1,67 @@
+"""What the world model infers at every recorded row: the same before and after it was stored, and whoever asks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from tests.learning.recordings import SOURCES, TINY, recording
+from wasp_cli.config import Config
+from wasp_cli.learning import world_model as training
+from wasp_cli.learning.configs import LatentsConfig
+from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.latents import load_latents, save_latents
+from wasp_cli.learning.shards import write_shard
+from wasp_cli.stages.base import Job, no_progress
+from wasp_cli.stages.latents import LatentsStage
+from wasp_cli.stages.world_model import WorldModelStage
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("chain")
+    folders = {name: root / name for name in ("dataset", "world_model", "latents", "work")}
+    for folder in folders.values():
+        folder.mkdir()
+    write_shard(folders["dataset"] / "shard-0000.parquet", recording(), SOURCES)
+    return folders
+
+
+def job(kind: str, config: Config, inputs: dict[str, Path]) -> Job:
+    needed = {name: inputs[name] for name in ("dataset", "world_model") if name != kind}
+    return Job(kind, "goal1", 0, config, {"action_repeat": 4}, {}, needed, inputs[kind], inputs["work"])
+
+
+def test_the_stored_latents_are_those_that_the_heads_were_refitted_on(inputs: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    met: list[Any] = []
+
+    def refit(model: Any, rows: Any, latents: Any, *rest: Any) -> None:
+        met.append(latents)
+        refit_heads(model, rows, latents, *rest)
+
+    refit_heads = training.refit_heads
+    monkeypatch.setattr(training, "refit_heads", refit)
+    WorldModelStage().run(job("world_model", TINY, inputs))
+    assert not list(inputs["world_model"].glob("latents*"))
+    shown = LatentsStage().run(job("latents", LatentsConfig(), inputs))
+    assert shown["rows"] == 36
+    save_latents(met[0], inputs["work"])
+    before, after = (load_file(inputs[name] / "latents.safetensors") for name in ("work", "latents"))
+    assert before.keys() == after.keys() == {"h", "z", "classes"}
+    assert all(torch.equal(before[name], after[name]) for name in before)
+    assert after["h"].dtype == torch.float16
+
+
+def test_latents_come_back_row_for_row(tmp_path: Path) -> None:
+    model, data = training.build(TINY, 2).requires_grad_(False), recording((7, 5))
+    latents = encode(model, data, no_progress)
+    save_latents(latents, tmp_path)
+    again = load_latents(tmp_path)
+    assert torch.equal(again.z, latents.z)
+    assert torch.equal(again.h, latents.h.half().float())
+    one_hot = again.at(torch.tensor([11])).z.unflatten(-1, (-1, latents.classes))
+    assert torch.equal(one_hot.argmax(-1)[0], latents.z[11].long())

@@ -1,0 +1,238 @@
+"""The verdict: the rule for a comparison, what a claim makes of its comparisons, and what stands beside the paper's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.spec.good import GOOD
+from wasp_cli.report.claims.text import verdict_markdown
+from wasp_cli.report.claims.verdict import Answer, Judged, Outcome, all_of, any_of, decide, judge
+from wasp_cli.report.stats.bootstrap import difference_of, mean_of
+from wasp_cli.report.stats.frame import CellNumbers, Frame, Missing
+from wasp_cli.report.stats.summary import Interval
+from wasp_cli.spec.load import load
+from wasp_cli.spec.model import Spec
+from wasp_cli.spec.paper import Comparison, Paper, Relation, Who, paper_of
+from wasp_cli.spec.read import parse
+from wasp_cli.store.tables import CellIdentity
+
+RELATIONS: tuple[Relation, ...] = ("lower", "higher", "not_lower", "not_higher")
+
+
+def cell(method: str, numbers: Sequence[float], seed: int = 0, task: str = "goal1", variant: str = "full", **more: Any) -> CellNumbers:
+    """A cell with one column, `cost`, and whatever else is given; one decision in each episode."""
+    episodes = {name: np.asarray(values, np.float64) for name, values in {"cost": numbers, **more}.items()}
+    pooled = {name: float(np.mean(values)) for name, values in episodes.items()}
+    episodes |= {"world": np.arange(len(numbers)) + 100.0, "decisions": np.ones(len(numbers))}
+    return CellNumbers(CellIdentity(task, method, variant, "laggy", 0.5, seed), None, pooled, episodes)
+
+
+def frame_of(*cells: CellNumbers, missing: Sequence[Missing] = ()) -> Frame:
+    identities = [*(one.identity for one in cells), *(gap.identity for gap in missing)]
+    return Frame(cells, tuple(missing), tuple(identities))
+
+
+def paper_with(*statements: str, says: str = "It is so.", tables: str = "[]") -> Paper:
+    lines = "".join(f"      - {{{statement}}}\n" for statement in statements)
+    text = f"title: A paper\ntables: {tables}\nclaims:\n  - id: claim\n    section: '1'\n    says: {says}\n    statements:\n{lines}"
+    return paper_of(parse(text, "paper.yaml"))
+
+
+def asked(relation: str, more: str = "right: [human]", columns: str = "columns: [cost]", left: str = "wasp", task: str = "goal1") -> str:
+    return f"tasks: [{task}], {columns}, left: [{left}], relation: {relation}, {more}"
+
+
+def judged(frame: Frame, *statements: str) -> Judged:
+    (found,) = judge(frame, paper_with(*statements)).claims
+    return found
+
+
+def in_the_open(low: float, high: float, threshold: float, relation: Relation) -> Outcome:
+    """The rule, written out."""
+    if relation == "lower":
+        return "holds" if high < threshold else "fails" if low > threshold else "undecided"
+    if relation == "higher":
+        return "holds" if low > threshold else "fails" if high < threshold else "undecided"
+    if relation in ("not_higher", "at_most"):
+        return "holds" if high <= threshold else "fails" if low > threshold else "undecided"
+    return "holds" if low >= threshold else "fails" if high < threshold else "undecided"
+
+
+@pytest.mark.parametrize("relation", [*RELATIONS, "at_least", "at_most"])
+def test_the_rule_for_every_place_of_an_interval(relation: Relation) -> None:
+    reached = set()
+    for low, high, threshold in product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=3):
+        if low <= high:
+            found = decide(Interval(low, high, "seed", 3), threshold, relation)
+            assert found == in_the_open(low, high, threshold, relation), (low, high, threshold)
+            reached.add(found)
+    assert reached == {"holds", "fails", "undecided"}
+    assert decide(None, 0.0, relation) == "undecided"
+
+
+def test_what_a_claim_makes_of_its_comparisons() -> None:
+    outcomes: tuple[Outcome, ...] = ("holds", "fails", "undecided", "untested")
+    comparison = Comparison("goal1", "cost", Who("wasp"), "lower", Who("human"))
+    for found in product(outcomes, repeat=3):
+        answers = [Answer(comparison, outcome) for outcome in found]
+        assert any_of(answers) == (
+            "holds" if "holds" in found else "untested" if "untested" in found else "undecided" if "undecided" in found else "fails"
+        )
+        assert all_of(found) == (
+            "fails" if "fails" in found else "untested" if "untested" in found else "undecided" if "undecided" in found else "holds"
+        )
+    assert all_of([]) == "untested"
+
+
+HUMAN = [cell("human", [40.0 + seed, 44.0, 48.0], seed) for seed in range(4)]
+
+
+def against(*means: float) -> Frame:
+    """WASP with these mean costs, a seed each, beside an operator with 43 to 46."""
+    return frame_of(*HUMAN[: len(means)], *(cell("wasp", [mean - 1, mean, mean + 1], seed) for seed, mean in enumerate(means)))
+
+
+@pytest.mark.parametrize(
+    ("means", "statement", "outcome"),
+    [
+        ((10, 12, 11, 13), asked("lower"), "holds"),
+        ((10, 12, 11, 13), asked("higher"), "fails"),
+        ((10, 80, 11, 90), asked("lower"), "undecided"),
+        ((10, 12, 11, 13), asked("lower", "right: [human], margin: 0.5"), "holds"),
+        ((40, 41, 42, 41), asked("lower"), "holds"),
+        ((40, 41, 42, 41), asked("lower", "right: [human], margin: 0.5"), "fails"),
+        ((46, 47, 46, 47), asked("not_higher", "right: [human], margin: 0.1"), "holds"),
+        ((46, 47, 46, 47), asked("lower"), "fails"),
+        ((60, 61, 62, 61), asked("not_higher", "right: [human], margin: 0.1"), "fails"),
+        ((40, 42, 41, 42), asked("not_lower", "right: [human], margin: 0.1"), "holds"),
+        ((30, 32, 31, 32), asked("not_lower", "right: [human], margin: 0.1"), "fails"),
+        ((30, 60, 31, 62), asked("not_lower", "right: [human], margin: 0.1"), "undecided"),
+        ((50, 51, 52, 53), asked("at_least", "bound: 50"), "holds"),
+        ((50, 51, 52, 53), asked("at_most", "bound: 49.5"), "fails"),
+        ((48, 51, 52, 53), asked("at_least", "bound: 50"), "undecided"),
+        ((10, 12, 11, 13), asked("lower", "right: [ida]"), "untested"),
+        ((10, 12, 11, 13), asked("lower", columns="columns: [uir]"), "untested"),
+        ((10, 12, 11, 13), asked("lower", task="race1"), "untested"),
+    ],
+)  # fmt: skip
+def test_outcomes(means: tuple[float, ...], statement: str, outcome: Outcome) -> None:
+    assert judged(against(*means), statement).outcome == outcome
+
+
+def test_every_comparison_against_the_rule_written_out() -> None:
+    draws = np.random.default_rng(7)
+    paper = paper_with(*(asked(one, f"right: [human], margin: {margin}") for one in RELATIONS for margin in (0.1, 0.5)))
+    reached = set()
+    for _ in range(40):
+        frame = against(*(43 + draws.normal(draws.choice([-25, -6, 0, 6]), draws.choice([1, 8]), 3)))
+        own, other = ([one for one in frame.cells if one.identity.method == name] for name in ("wasp", "human"))
+        estimate, reference = difference_of(own, other, "cost"), mean_of(other, "cost")
+        assert estimate is not None
+        assert estimate.interval is not None
+        assert reference is not None
+        for (answer,) in judge(frame, paper).claims[0].answers:
+            sign = 1 if answer.asked.relation in ("higher", "not_higher") else -1
+            threshold = sign * answer.asked.margin * reference.value
+            assert answer.threshold == pytest.approx(threshold)
+            low, high = estimate.interval.low, estimate.interval.high
+            assert answer.outcome == in_the_open(low, high, threshold, answer.asked.relation)
+            assert answer.estimate == estimate
+            reached.add((answer.asked.relation, answer.outcome))
+    assert reached == set(product(RELATIONS, ("holds", "fails", "undecided")))
+
+
+def test_what_is_not_there_is_named() -> None:
+    gap = Missing(CellIdentity("goal1", "wasp", "full", "laggy", 0.7, 0), "goal1 wasp laggy=0.7 seed 0", "failed")
+    reasons = {
+        statement: judged(frame, statement).answers[0][0].reason
+        for frame, statement in (
+            (against(10, 12, 11), asked("lower", "right: [ida]")),
+            (against(10, 12, 11), asked("lower", columns="columns: [uir]")),
+            (frame_of(*HUMAN, cell("wasp", [1.0, 2.0]), missing=[gap]), asked("lower")),
+            (frame_of(*HUMAN[:1], cell("wasp", [1.0, 2.0], seed=5)), asked("higher")),
+        )
+    }
+    assert list(reasons.values()) == [
+        "Goal1 has no ida", "Goal1 wasp has no `uir`; Goal1 human has no `uir`", "Goal1 wasp has 1 of 2 cells",
+        "Goal1 wasp and human have no operator and seed in common",
+    ]  # fmt: skip
+
+
+def test_one_comparison_that_fails_settles_a_claim_that_is_not_tested_as_a_whole() -> None:
+    frame = against(10, 12, 11)
+    elsewhere = asked("lower", task="race1")
+    assert judged(frame, asked("higher"), elsewhere).outcome == "fails"
+    partly = judged(frame, asked("lower"), elsewhere)
+    assert (partly.outcome, partly.part) == ("untested", "holds")
+    assert (judged(frame, elsewhere).outcome, judged(frame, elsewhere).part) == ("untested", "untested")
+
+
+def test_one_of_two_columns_is_enough() -> None:
+    seeds = range(3)
+    cells = [cell("wasp", [1.0, 2.0], seed, mag=[5.0, 6.0]) for seed in seeds]
+    cells += [cell("human", [9.0 + seed, 9.0], seed, mag=[1.0, 1.0 + seed]) for seed in seeds]
+    either = judged(frame_of(*cells), asked("lower", columns="either: [cost, mag]"))
+    assert [answer.outcome for answer in either.answers[0]] == ["holds", "fails"]
+    assert either.outcome == "holds"
+    assert judged(frame_of(*cells), asked("lower", columns="columns: [cost, mag]")).outcome == "fails"
+    assert judged(frame_of(*cells), asked("higher", columns="either: [cost, mag]")).outcome == "holds"
+
+
+def test_claims_about_the_counterfactual_evaluation_are_answered_where_it_ran() -> None:
+    """Its means weigh an episode by its branched interventions, and cells without any say nothing."""
+    low, high, branches = [0.1, 0.2, 0.1], [0.6, 0.7, 0.5], [2.0, 4.0, 3.0]
+    cells = [cell("wasp", [1.0, 2.0, 3.0], task="race1", uir=low, branches=branches)]
+    cells += [cell("ida", [1.0, 2.0, 3.0], task="race1", uir=high, branches=branches)]
+    (answer,) = judged(frame_of(*cells), asked("lower", "right: [ida]", "columns: [uir]", task="race1")).answers[0]
+    assert (answer.outcome, answer.reason) == ("holds", "")
+    cells[1] = cell("ida", [1.0, 2.0, 3.0], task="race1", uir=[np.nan] * 3, branches=[0.0] * 3)
+    (answer,) = judged(frame_of(*cells), asked("lower", "right: [ida]", "columns: [uir]", task="race1")).answers[0]
+    assert (answer.outcome, answer.reason) == ("untested", "Race1 ida has no `uir`")
+
+
+def test_one_world_of_one_seed_has_no_interval() -> None:
+    (answer,) = judged(frame_of(cell("human", [40.0]), cell("wasp", [1.0])), asked("lower")).answers[0]
+    assert (answer.outcome, answer.estimate.interval if answer.estimate else 0) == ("undecided", None)
+
+
+def spec(tmp_path: Any, more: str = "") -> Spec:
+    path = tmp_path / "spec.yaml"
+    path.write_text(GOOD + more, encoding="utf-8")
+    return load(path).spec
+
+
+@pytest.mark.parametrize(
+    ("seeds", "more", "words", "note"),
+    [
+        (1, "", "holds for these models", "One seed: intervals resample its worlds"),
+        (3, "", "holds", "lets 3 seeds agree once in 4 times"),
+        (2, "", "holds", "lets 2 seeds agree once in 2 times"),
+        (4, "", "holds", "smaller models and budgets"),
+        (4, "training_seed: 0\n", "holds for these models", "share the models of training seed 0"),
+    ],
+)
+def test_a_verdict_says_what_it_is_about(seeds: int, more: str, words: str, note: str, tmp_path: Any) -> None:
+    frame = against(*(10.0 + seed for seed in range(seeds)))
+    verdict = judge(frame, paper_with(asked("lower")), spec(tmp_path, more))
+    text = verdict_markdown(verdict)
+    assert f"- **{words}**: It is so. (`claim`, section 1)" in text
+    assert any(note in each for each in verdict.notes)
+    assert all(each in text for each in verdict.notes)
+    assert any("seeds agree" in each for each in verdict.notes) == (seeds in (2, 3))
+
+
+def test_with_three_seeds_a_comparison_is_decided_when_all_agree() -> None:
+    """What the note says of few seeds, and why it does not say it of four."""
+    assert judged(against(42.9, 10, 10), asked("lower")).outcome == "holds"
+    assert judged(against(44.1, 10, 10), asked("lower")).outcome == "undecided"
+    assert judged(against(45.0, 10, 10, 10), asked("lower")).outcome == "holds"
+
+
+def test_the_preset_of_the_paper_is_no_note(tmp_path: Any) -> None:
+    found = spec(tmp_path).model_copy(update={"preset": "paper"})
+    assert not any("smaller" in note for note in judge(against(1, 2, 3), paper_with(asked("lower")), found).notes)

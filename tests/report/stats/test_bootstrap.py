@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, drawn, improvement_over, iqm_of, mean_of
+from wasp_cli.report.stats.frame import WEIGHT_OF, CellNumbers
+from wasp_cli.report.stats.summary import paired_difference, summarise
+from wasp_cli.store.tables import CellIdentity
+
+RNG = np.random.default_rng(3)
+
+
+def cell(seed: int, value: float, method: str = "ida", worlds: Sequence[float] = (1, 2), **columns: Any) -> CellNumbers:
+    """A cell whose pooled columns are what its episodes say."""
+    episodes = {"world": np.array(worlds, np.float64), **{name: np.array(column, np.float64) for name, column in columns.items()}}
+    bare = CellNumbers(CellIdentity("goal1", method, "full", "noisy", value, seed), "mild", {}, episodes)
+    pooled = {}
+    for name in columns:
+        if name in WEIGHT_OF:
+            total, mass = bare.weighted(name)
+            pooled[name] = total.sum() / mass.sum() if mass.sum() > 0 else math.nan
+    return CellNumbers(bare.identity, "mild", pooled, episodes)
+
+
+def made(seeds: Sequence[int], method: str = "ida", values: Sequence[float] = (0.2, 0.4, 0.6), worlds: int = 7) -> list[CellNumbers]:
+    """Cells with random episodes of several lengths, some of which intervene nowhere."""
+    found = []
+    for seed in seeds:
+        for value in values:
+            decisions = RNG.integers(5, 50, worlds)
+            intervened = np.minimum(decisions, RNG.integers(0, 3, worlds) * RNG.integers(0, 20, worlds))
+            columns: dict[str, Any] = {"decisions": decisions, "intervened": intervened, "cost": RNG.integers(0, 9, worlds) + 10 * value}
+            columns |= {"return": RNG.normal(seed, 1, worlds), "int_rate": intervened / decisions}
+            columns["mag_int"] = np.where(intervened > 0, RNG.random(worlds), np.nan)
+            found.append(cell(seed, value, method, 1000 * seed + np.arange(worlds), **columns))
+    return found
+
+
+def limits(numbers: Sequence[float]) -> list[float]:
+    return list(np.percentile([number for number in numbers if not math.isnan(number)], [2.5, 97.5]))
+
+
+def interval(estimate: Estimate | None) -> list[float]:
+    assert estimate is not None
+    assert estimate.interval is not None
+    return [estimate.interval.low, estimate.interval.high]
+
+
+def ratio(cell: CellNumbers, key: str, times: dict[float, float]) -> float:
+    """The pooled column with every episode as often as its world was drawn, step by step."""
+    total = mass = 0.0
+    weight = WEIGHT_OF[key]
+    for e, world in enumerate(cell.episodes["world"]):
+        value = cell.episodes[key][e]
+        if not math.isnan(value):
+            share = times[world] * (1.0 if weight is None else cell.episodes[weight][e])
+            total, mass = total + share * value, mass + share
+    return total / mass if mass else math.nan
+
+
+def mean(numbers: Sequence[float]) -> float:
+    defined = [number for number in numbers if not math.isnan(number)]
+    return sum(defined) / len(defined) if defined else math.nan
+
+
+def middle_mean(numbers: Sequence[float]) -> float:
+    """The integral over the quantiles from 1/4 to 3/4: every number four times, and a quarter of that list cut off on either side."""
+    defined = sorted(number for number in numbers if not math.isnan(number))
+    each = [number for number in defined for _ in range(4)]
+    return mean(each[len(defined) : 3 * len(defined)])
+
+
+def better(one: CellNumbers, two: CellNumbers, key: str, times: dict[float, float] | None = None) -> float:
+    won = pairs = 0.0
+    for x, here in zip(one.episodes[key], one.episodes["world"], strict=True):
+        for y, there in zip(two.episodes[key], two.episodes["world"], strict=True):
+            if not math.isnan(x - y):
+                many = 1.0 if times is None else times[here] * times[there]
+                won, pairs = won + many * ((x > y) + 0.5 * (x == y)), pairs + many
+    return won / pairs if pairs else math.nan
+
+
+def world_draws(cells: Sequence[CellNumbers]) -> list[dict[float, float]]:
+    worlds = sorted({world for cell in cells for world in cell.episodes["world"]})
+    return [dict(zip(worlds, counts, strict=True)) for counts in drawn(len(worlds))]
+
+
+def seed_draws(cells: Sequence[CellNumbers]) -> list[list[int]]:
+    seeds = sorted({cell.identity.seed for cell in cells})
+    return [[seed for seed, times in zip(seeds, counts, strict=True) for _ in range(int(times))] for counts in drawn(len(seeds))]
+
+
+@pytest.mark.parametrize("clusters", [1, 2, 3, 30])
+def test_draws(clusters: int) -> None:
+    counts = drawn(clusters)
+    assert counts.shape == (RESAMPLES, clusters)
+    assert (counts.sum(1) == clusters).all()
+    assert counts.mean(0) == pytest.approx(np.ones(clusters), abs=0.1)  # none is preferred
+
+
+def test_draws_are_the_same_everywhere() -> None:
+    assert drawn(3)[:4].tolist() == [[3, 0, 0], [3, 0, 0], [0, 2, 1], [1, 0, 2]]
+
+
+@pytest.mark.parametrize("key", ["return", "int_rate", "mag_int"])
+def test_one_seed_resamples_worlds(key: str) -> None:
+    own, other = made([4]), made([4], "human")
+    draws = world_draws(own)
+    every = [[ratio(cell, key, times) for cell in own] for times in draws]
+    assert interval(mean_of(own, key)) == pytest.approx(limits([mean(numbers) for numbers in every]))
+    assert interval(iqm_of(own, key)) == pytest.approx(limits([middle_mean(numbers) for numbers in every]))
+    changes = [mean([ratio(x, key, times) - ratio(y, key, times) for x, y in zip(own, other, strict=True)]) for times in draws]
+    assert interval(difference_of(own, other, key)) == pytest.approx(limits(changes))
+    found = mean_of(own, key)
+    assert found is not None
+    assert found.interval is not None
+    assert (found.interval.unit, found.interval.clusters) == ("world", 7)
+
+
+def test_one_seed_resamples_worlds_of_all_pairs() -> None:
+    own, other = made([4], worlds=4), made([4], "human", worlds=4)
+    wins = [mean([better(x, y, "mag_int", times) for x, y in zip(own, other, strict=True)]) for times in world_draws(own)]
+    assert interval(improvement_over(own, other, "mag_int", "up")) == pytest.approx(limits(wins))
+
+
+@pytest.mark.parametrize("key", ["return", "int_rate", "mag_int"])
+def test_several_seeds_resample_seeds(key: str) -> None:
+    own, other = made([0, 1, 5])[:-1], made([0, 1, 5], "human")[1:]  # the conditions differ
+    means = {seed: mean([cell.pooled[key] for cell in own if cell.identity.seed == seed]) for seed in (0, 1, 5)}
+    draws = seed_draws(own)
+    assert interval(mean_of(own, key)) == pytest.approx(limits([mean([means[seed] for seed in draw]) for draw in draws]))
+    middle = [middle_mean([cell.pooled[key] for seed in draw for cell in own if cell.identity.seed == seed]) for draw in draws]
+    assert interval(iqm_of(own, key)) == pytest.approx(limits(middle))
+    pairs = [(x, y) for x in own for y in other if (x.identity.seed, x.identity.value) == (y.identity.seed, y.identity.value)]
+    assert len(pairs) == 7
+    changes = {seed: mean([x.pooled[key] - y.pooled[key] for x, y in pairs if x.identity.seed == seed]) for seed in (0, 1, 5)}
+    assert interval(difference_of(own, other, key)) == pytest.approx(limits([mean([changes[seed] for seed in draw]) for draw in draws]))
+    wins = {seed: mean([better(x, y, key) for x, y in pairs if x.identity.seed == seed]) for seed in (0, 1, 5)}
+    found = improvement_over(own, other, key, "up")
+    assert interval(found) == pytest.approx(limits([mean([wins[seed] for seed in draw]) for draw in draws]))
+    assert found is not None
+    assert found.value == pytest.approx(mean(list(wins.values())))
+    assert found.interval is not None
+    assert (found.interval.unit, found.interval.clusters) == ("seed", 3)
+
+
+@pytest.mark.parametrize("seeds", [[2], [0, 1, 2, 3]])
+def test_the_number_is_the_one_of_the_tables(seeds: list[int]) -> None:
+    own, other = made(seeds), made(seeds, "human")
+    for key in ("return", "int_rate", "mag_int"):
+        middle, change = mean_of(own, key), difference_of(own, other, key)
+        assert middle is not None
+        assert change is not None
+        assert (middle.value, change.value) == (summarise(own, key).mean, paired_difference(own, other, key))
+
+
+def test_agrees_with_scipy() -> None:
+    own = [cell(0, 0.2, worlds=range(40), **{"return": RNG.gamma(2, 3, 40)})]
+    other = [cell(0, 0.2, "human", range(40), **{"return": RNG.gamma(2, 2, 40)})]
+    x, y = own[0].episodes["return"], other[0].episodes["return"]
+    theirs = stats.bootstrap((x,), np.mean, n_resamples=20000, method="percentile", rng=np.random.default_rng(1)).confidence_interval
+    assert interval(mean_of(own, "return")) == pytest.approx([theirs.low, theirs.high], abs=0.1 * (theirs.high - theirs.low))
+    paired = stats.ttest_rel(x, y).confidence_interval()
+    change = difference_of(own, other, "return")
+    assert change is not None
+    assert change.value == pytest.approx((paired.low + paired.high) / 2)
+    assert interval(change) == pytest.approx([paired.low, paired.high], abs=0.1 * (paired.high - paired.low))
+    wins = improvement_over(own, other, "return", "up")
+    assert wins is not None
+    assert wins.value == pytest.approx(stats.mannwhitneyu(x, y).statistic / 1600)
+
+
+@pytest.mark.parametrize("many", [4, 8, 12])
+def test_interquartile_mean_is_a_trimmed_one(many: int) -> None:
+    numbers = RNG.normal(size=many)
+    found = iqm_of([cell(0, i / many, **{"return": [number, number]}) for i, number in enumerate(numbers)], "return")
+    assert found is not None
+    assert found.value == pytest.approx(stats.trim_mean(numbers, 0.25))
+
+
+@pytest.mark.parametrize(("numbers", "wanted"), [([5.0], 5.0), ([1.0, 2.0], 1.5), ([0.0, 1.0, 9.0], 13 / 6), ([0, 1, 2, 3, 99], 2.0)])
+def test_interquartile_mean_in_part(numbers: list[float], wanted: float) -> None:
+    found = iqm_of([cell(0, i / 9, **{"return": [number, number]}) for i, number in enumerate(numbers)], "return")
+    assert found is not None
+    assert found.value == pytest.approx(wanted)
+
+
+def test_ties_count_half_and_direction_matters() -> None:
+    own, other = cell(0, 0.2, cost=[1, 2]), cell(0, 0.2, "human", cost=[2, 2])
+    up, down = (improvement_over([own], [other], "cost", way) for way in ("up", "down"))
+    assert up is not None
+    assert down is not None
+    assert (up.value, down.value) == (0.25, 0.75)
+
+
+def test_nothing_to_say() -> None:
+    lonely, other = [cell(0, 0.2, worlds=[1], cost=[3])], [cell(0, 0.4, "human", cost=[1, 2])]
+    assert mean_of(lonely, "cost") == Estimate(3.0, None)  # one cluster
+    assert mean_of(lonely, "uir") is None  # not a column of this cell
+    assert mean_of([cell(0, 0.2, cost=[math.nan, math.nan])], "cost") is None
+    assert iqm_of([], "cost") is None
+    assert difference_of(lonely, other, "cost") is None  # no common condition
+    assert improvement_over(lonely, other, "cost", "down") is None
+
+
+cost_lists = st.lists(st.lists(st.integers(0, 60), min_size=5, max_size=5), min_size=1, max_size=6)
+
+
+@settings(max_examples=50, deadline=None)
+@given(costs=cost_lists, shift=st.integers(-50, 50), seeds=st.integers(1, 3), order=st.randoms(use_true_random=False))
+def test_properties(costs: list[list[int]], shift: int, seeds: int, order: Any) -> None:
+    def cells(by: int = 0) -> list[CellNumbers]:
+        return [cell(i % seeds, i / 9, worlds=range(5), cost=[cost + by for cost in row]) for i, row in enumerate(costs)]
+
+    own, shuffled = cells(), cells()
+    order.shuffle(shuffled)
+    for estimate in (mean_of, iqm_of):
+        found, mixed, moved = estimate(own, "cost"), estimate(shuffled, "cost"), estimate(cells(shift), "cost")
+        assert found is not None
+        assert mixed is not None
+        assert moved is not None
+        assert mixed.value == pytest.approx(found.value)
+        assert moved.value == pytest.approx(found.value + shift)
+        low, high = interval(found)
+        assert interval(mixed) == pytest.approx([low, high])
+        assert interval(moved) == pytest.approx([low + shift, high + shift])
+        means = [cell.pooled["cost"] for cell in own]
+        bounds = (min(means), max(means)) if seeds > 1 and len(costs) > 1 else (min(map(min, costs)), max(map(max, costs)))
+        assert all(a <= b + 1e-9 for a, b in pairwise((bounds[0], low, high, bounds[1])))
+    apart = difference_of(cells(shift), own, "cost")
+    assert interval(apart) == pytest.approx([shift, shift])  # pairing takes out what both share

@@ -1,0 +1,136 @@
+"""Pictures and pages of trained parts: all that there are, the same each time, and nothing from what is damaged or leads elsewhere."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.report.trained.parts import artifact
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.evidence import EVIDENCE, write_evidence
+from wasp_cli.store.layout import Layout
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> tuple[Layout, list[Trained]]:
+    layout = Layout(tmp_path_factory.mktemp("store"))
+    return layout, [artifact(layout, kind) for kind in EVIDENCE]
+
+
+def names(files: list[Path], report: Path) -> set[tuple[str, str]]:
+    """Stage and file of what was written."""
+    found = set()
+    for path in files:
+        place, folder, file = path.relative_to(report).parts
+        assert place == "trained"
+        task, seed, kind, _ = folder.split("-")
+        assert (task, seed) == ("goal1", "s0")
+        found.add((kind, file))
+    return found
+
+
+def test_every_part_has_its_files_and_the_same_again(store: tuple[Layout, list[Trained]], tmp_path: Path) -> None:
+    layout, trained = store
+    told: list[str] = []
+    written = {}
+    for name in ("first", "again"):
+        (tmp_path / name).mkdir()
+        files = write_evidence(layout, trained, tmp_path / name, told.append)
+        assert names(files, tmp_path / name) == {(kind, file) for kind, made in EVIDENCE.items() for file, _ in made}
+        written[name] = [path.read_bytes() for path in files]
+    assert written["first"] == written["again"]
+    assert len(told) == 2 * len(EVIDENCE)
+
+
+def test_what_an_earlier_report_drew_goes_and_what_others_left_stays(store: tuple[Layout, list[Trained]], tmp_path: Path) -> None:
+    layout, trained = store
+    critics = next(each for each in trained if each.kind == "critics")
+    denoiser = next(each for each in trained if each.kind == "denoiser")
+    write_evidence(layout, [critics, denoiser], tmp_path)
+    mine = tmp_path / "trained" / "notes.txt"
+    mine.write_text("mine")
+    kept, gone = (next((tmp_path / "trained").glob(f"*{kind}*")) for kind in ("denoiser", "critics"))
+    (kept / "curve.png").write_bytes(b"of an earlier one")
+    files = write_evidence(layout, [denoiser], tmp_path)
+    assert [path.name for path in files] == ["quality.md"]
+    assert sorted(path.name for path in kept.iterdir()) == ["quality.md"]
+    assert not gone.exists()
+    assert mine.read_text() == "mine"
+
+
+def test_a_report_without_trained_parts_has_no_such_folder(tmp_path: Path) -> None:
+    assert write_evidence(Layout(tmp_path), [], tmp_path) == []
+    assert not (tmp_path / "trained").exists()
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def other(path: Path) -> None:
+    path.write_text('{"sets": [1], "held_out": {"steps": {}}, "all": null, "config": []}')
+
+
+def a_list(path: Path) -> None:
+    path.write_text('[{"interactions": "x", "return": []}, 7]')
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+@pytest.mark.parametrize("harm", [cut, other, a_list, pipe, folder, Path.unlink])
+@pytest.mark.parametrize("kind", sorted(EVIDENCE))
+def test_a_damaged_artifact_breaks_nothing(kind: str, harm: Callable[[Path], None], tmp_path: Path) -> None:
+    layout = Layout(tmp_path / "results")
+    one = artifact(layout, kind)
+    for path in sorted(layout.artifact(kind, one.key).iterdir()):
+        harm(path)
+    (tmp_path / "report").mkdir()
+    # Of a curve, whatever is a list has rows.
+    left = {path.name for path in write_evidence(layout, [one], tmp_path / "report")}
+    assert not left
+
+
+def test_links_are_not_followed_to_read(tmp_path: Path) -> None:
+    layout = Layout(tmp_path / "results")
+    trained = [artifact(layout, kind) for kind in EVIDENCE]
+    (tmp_path / "outside").mkdir()
+    for one in trained:
+        for path in sorted(layout.artifact(one.kind, one.key).iterdir()):
+            if path.name != "manifest.json":
+                path.rename(tmp_path / "outside" / f"{one.kind}-{path.name}")
+                path.symlink_to(tmp_path / "outside" / f"{one.kind}-{path.name}")
+    (tmp_path / "report").mkdir()
+    assert write_evidence(layout, trained, tmp_path / "report") == []
+
+
+def test_links_are_not_followed_to_write(store: tuple[Layout, list[Trained]], tmp_path: Path) -> None:
+    layout, trained = store
+    denoiser = next(each for each in trained if each.kind == "denoiser")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "quality.md").write_text("mine")
+    report = tmp_path / "report"
+    report.mkdir()
+    (report / "trained").symlink_to(outside)
+    (page,) = write_evidence(layout, [denoiser], report)
+    page.unlink()
+    page.symlink_to(outside / "quality.md")
+    write_evidence(layout, [denoiser], report)
+    assert not page.is_symlink()
+    page.unlink()
+    page.parent.rmdir()
+    page.parent.symlink_to(outside)
+    write_evidence(layout, [denoiser], report)
+    assert page.read_text() != (outside / "quality.md").read_text() == "mine"
+    assert [path.name for path in outside.iterdir()] == ["quality.md"]

@@ -1,0 +1,69 @@
+"""An untrusted results folder: it executes nothing, and makes wasp neither read nor write outside of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.store.attacks import ATTACKS
+from tests.store.attacks_on_pictures import SCRIPT
+from tests.store.untrusted import LABEL, UntrustedStore
+from wasp_cli.store.tables import CELL_FILE
+
+SECRET = "the-secret-of-the-reader"
+COMMANDS: tuple[tuple[str, ...], ...] = (
+    ("report", "{results}"), ("status", "{results}"), ("status", "{results}", "--json"), ("status", "{results}", "--run", "0000"),
+    ("logs", "{label}", "--results", "{results}"), ("logs", "{key}", "--path", "--results", "{results}"),
+    ("show", "{label}", "--results", "{results}"), ("show", "{key}", "--json", "--results", "{results}"),
+    ("explain", "{key}", "-e", "0", "--results", "{results}"), ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"),
+    ("compare", "{results}", "{results}"), ("compare", "{results}", "{results}", "--json"),
+    ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"),
+    ("replay", "{key}", "-e", "0", "-s", "0", "--json", "--results", "{results}", "--out", "{results}/made.png"),
+    ("gc", "{results}", "--dry-run"), ("gc", "{results}", "--runs", "--yes"),
+)  # fmt: skip
+
+
+@pytest.fixture
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """What belongs to the reader, and a module that tells when it is imported."""
+    folder = tmp_path / "outside"
+    (folder / "inner").mkdir(parents=True)
+    for name in ("secret.json", "inner/secret.json", "manifest.json", "report.md", CELL_FILE):
+        (folder / name).write_text(json.dumps({"label": SECRET, "message": SECRET, "spec": SECRET}))
+    (folder / "evil_module.py").write_text(f"open({str(folder / 'imported')!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.chdir(tmp_path)
+    before = snapshot(folder)
+    yield folder
+    assert snapshot(folder) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["outside", "results"]
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_nothing_is_obeyed(name: str, outside: Path, tmp_path: Path) -> None:
+    it = UntrustedStore(tmp_path)
+    ATTACKS[name](it, outside)
+    codes = {}
+    for command in COMMANDS:
+        arguments = [part.format(results=it.layout.root, label=LABEL, key=it.key[:8]) for part in command]
+        done = run_here(*arguments, columns=100)
+        assert done.exception is None or isinstance(done.exception, SystemExit), (arguments, done.exc_info)
+        assert done.exit_code in (0, 1, 2), (arguments, done.output)
+        assert "Traceback" not in done.output
+        assert "\x1b" not in done.output, arguments
+        assert SECRET not in done.output, arguments
+        codes[command[:2]] = done.exit_code
+    assert not (outside / "imported").exists()
+    for page in it.layout.root.glob("reports/*/report.html"):
+        assert SCRIPT not in page.read_text(encoding="utf-8")
+    if name == "nothing_at_all":
+        # There are rows, and no models to play them again with.
+        assert codes == {command[:2]: 2 if command[0] == "replay" else 0 for command in COMMANDS}

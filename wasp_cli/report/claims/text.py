@@ -1,0 +1,223 @@
+"""The claims of a paper in words: for the terminal, as a section of Markdown, and as one of HTML (`page/templates/claims.html`)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Group
+from rich.text import Text
+
+from wasp_cli.plan.reasons import few
+from wasp_cli.report.claims.table import COLUMN_OF, title_of
+from wasp_cli.report.claims.verdict import Answer, Judged, Outcome, VerdictReport, any_of
+from wasp_cli.report.render.html import rendered
+from wasp_cli.report.tables.titles import task_title
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+TITLE = "The paper's claims"
+STYLES: dict[Outcome, str] = {"holds": "bold green", "fails": "bold red", "undecided": "bold yellow", "untested": "dim"}
+PLAIN: dict[Outcome, str] = {"holds": "holds", "fails": "does not hold", "undecided": "undecided", "untested": "not tested"}
+SIDES = {
+    "lower": "below", "not_higher": "at most", "at_most": "at most",
+    "higher": "above", "not_lower": "at least", "at_least": "at least",
+}  # fmt: skip
+HEADINGS = ("Task", "Measure", "Left", "Right", "Difference (95 %)", "Needed", "Outcome", "In the paper")
+Cell = tuple[str, float | None]
+"""A text, and the number that it prints without rounding."""
+
+
+def outcome_words(verdict: VerdictReport, outcome: Outcome) -> str:
+    """Return an outcome, with what it is about."""
+    return PLAIN[outcome] + _about(verdict, outcome)
+
+
+def label(verdict: VerdictReport, judged: Judged) -> str:
+    """Return the outcome of a claim; of one that is tested in part, the outcome of that part."""
+    if judged.outcome != "untested" or judged.part == "untested":
+        return outcome_words(verdict, judged.outcome)
+    return f"in part: {outcome_words(verdict, judged.part)}"
+
+
+def headline(verdict: VerdictReport) -> str:
+    """Count the claims by their outcome, in a sentence."""
+    parts = [_counted(len(found), outcome, verdict) for outcome in ("holds", "fails", "undecided") if (found := verdict.having(outcome))]
+    rest = Counter(judged.part for judged in verdict.having("untested"))
+    partly = [_counted(rest[outcome], outcome, verdict) for outcome in ("holds", "undecided") if rest[outcome]]
+    if partly:
+        tested = rest["holds"] + rest["undecided"]
+        parts.append(f"{tested} {'is' if tested == 1 else 'are'} tested in part ({', '.join(partly)})")
+    if rest["untested"]:
+        parts.append(_counted(rest["untested"], "untested", verdict))
+    total = f"{len(verdict.claims)} claim{'s' if len(verdict.claims) != 1 else ''}"
+    return f"Of {total} {'; '.join(parts)}."
+
+
+def _counted(count: int, outcome: Outcome, verdict: VerdictReport) -> str:
+    one, many = {
+        "holds": ("holds", "hold"), "fails": ("does not hold", "do not hold"),
+        "undecided": ("is undecided", "are undecided"), "untested": ("is not tested", "are not tested"),
+    }[outcome]  # fmt: skip
+    return f"{count} {one if count == 1 else many}{_about(verdict, outcome)}"
+
+
+def _about(verdict: VerdictReport, outcome: Outcome) -> str:
+    if outcome == "undecided":
+        return f" with {verdict.seeds} seed{'s' if verdict.seeds != 1 else ''}"
+    return " for these models" if verdict.one_training and outcome in ("holds", "fails") else ""
+
+
+def untested(verdict: VerdictReport) -> str:
+    """Return one line about the claims of which nothing could be asked; empty when there are none."""
+    found = [judged for judged in verdict.claims if judged.outcome == judged.part == "untested"]
+    if not found:
+        return ""
+    reasons = few(lacking(found))
+    what = "1 claim is" if len(found) == 1 else f"{len(found)} claims are"
+    return f"{what} not tested by this spec{f' ({reasons})' if reasons else ''}: {', '.join(judged.claim.id for judged in found)}."
+
+
+def lacking(claims: Sequence[Judged]) -> list[str]:
+    """List what is not there for some claims to be tested."""
+    return list(dict.fromkeys(answer.reason for judged in claims for answers in judged.answers for answer in answers if answer.reason))
+
+
+def sentence(answer: Answer) -> str:
+    """Put a tested comparison into words, with its numbers."""
+    asked, column = answer.asked, COLUMN_OF[answer.asked.column]
+    sides = [f"{title_of(asked.left)} {column.number(answer.left)}"]
+    what = f"{task_title(asked.task)} {column.title}"
+    if asked.right is not None:
+        sides.append(f"{title_of(asked.right)} {column.number(answer.right)}")
+    found = "" if asked.right is None else f"; difference {column.number(answer.estimate.value if answer.estimate else None, True)}"
+    return f"{what}: {', '.join(sides)}{found}{interval_text(answer)}, needed: {needed(answer)}"
+
+
+def interval_text(answer: Answer) -> str:
+    """Print the interval of what is held against the threshold, in brackets."""
+    column, signed = COLUMN_OF[answer.asked.column], answer.asked.right is not None
+    interval = answer.estimate.interval if answer.estimate else None
+    return " (no interval)" if interval is None else f" ({column.number(interval.low, signed)} to {column.number(interval.high, signed)})"
+
+
+def needed(answer: Answer) -> str:
+    """Say where the interval has to lie."""
+    shown = COLUMN_OF[answer.asked.column].number(answer.threshold, answer.asked.right is not None) if answer.threshold else "0"
+    return f"{SIDES[answer.asked.relation]} {shown}"
+
+
+def answered(answer: Answer) -> str:
+    """Put a tested comparison into words, with its outcome and what the paper prints of it."""
+    theirs = printed(answer)
+    return f"{sentence(answer)}: {PLAIN[answer.outcome]}{f' (paper: {theirs})' if theirs else ''}"
+
+
+def printed(answer: Answer) -> str:
+    """Return the numbers of a comparison as the paper prints them; empty where it prints none."""
+    found = [f"{number.mean:g}" for number in answer.printed if number is not None]
+    return " and ".join(found) if answer.shown_in_print is not None else ""
+
+
+def beyond_print(judged: Judged) -> str:
+    """Say where a claim says more than the paper's own numbers; empty where it does not."""
+    found = [answer for answers in judged.beyond_print for answer in answers]
+    shown = [f"{task_title(one.asked.task)} {COLUMN_OF[one.asked.column].title} {printed(one)}" for one in found]
+    return f"The paper's own means do not show it: {few(shown)}." if shown else ""
+
+
+def deciding(judged: Judged) -> list[Answer]:
+    """Return the answers that made the outcome, of a claim in part that of the part."""
+    outcome = judged.part if judged.outcome == "untested" else judged.outcome
+    return [answer for answers in judged.answers if any_of(answers) == outcome for answer in answers if answer.outcome == outcome]
+
+
+def verdict_terminal(verdict: VerdictReport) -> Group:
+    """Render the claims that were tested, each with the comparisons that decided it, and what the others lack."""
+    return Group(*(Text(line) if isinstance(line, str) else line for line in _terminal(verdict)))
+
+
+def _terminal(verdict: VerdictReport) -> Iterator[Text | str]:
+    yield Text(f"\n{TITLE}", style="bold")
+    yield headline(verdict)
+    for judged in verdict.claims:
+        if judged.outcome == judged.part == "untested":
+            continue
+        outcome = judged.part if judged.outcome == "untested" else judged.outcome
+        yield Text.assemble("  ", (label(verdict, judged), STYLES[outcome]), f"  {judged.claim.says} ({judged.claim.section})")
+        first, *more = deciding(judged)
+        yield Text(f"      {sentence(first)}{f', and {len(more)} more' if more else ''}", style="dim")
+    if text := untested(verdict):
+        yield text
+    for note in verdict.notes:
+        yield Text(f"- {note}", style="dim")
+
+
+def verdict_markdown(verdict: VerdictReport) -> str:
+    """Render a section: every claim with every comparison."""
+    lines = [f"## {TITLE}", "", f"*{verdict.paper.title}*. {headline(verdict)}", "", *(f"- {note}" for note in verdict.notes), ""]
+    for judged in verdict.claims:
+        if judged.outcome != "untested" or judged.part != "untested":
+            lines += _claim(verdict, judged)
+    if text := untested(verdict):
+        lines += ["", text]
+    return "\n".join(lines) + "\n"
+
+
+def _claim(verdict: VerdictReport, judged: Judged) -> Iterator[str]:
+    claim = judged.claim
+    yield f"- **{label(verdict, judged)}**: {claim.says} (`{claim.id}`, section {claim.section})"
+    if claim.reading:
+        yield f"  - Read as: {claim.reading}"
+    for answers in judged.answers:
+        asked = [answer for answer in answers if answer.outcome != "untested"]
+        if asked:
+            yield f"  - {'one is enough: ' * (len(answers) > 1)}{'; or '.join(map(answered, asked))}"
+    for text in (f"Not tested: {few(lacking([judged]))}." if lacking([judged]) else "", beyond_print(judged)):
+        if text:
+            yield f"  - {text}"
+
+
+def verdict_html(verdict: VerdictReport) -> Markup:
+    """Return every claim with every comparison; those of which nothing could be asked in one line."""
+    claims = [_claim_html(verdict, judged) for judged in verdict.claims if judged.part != "untested"]
+    told = {"title": TITLE, "headline": headline(verdict), "untested": untested(verdict)}
+    return rendered("claims.html", verdict=verdict, headings=HEADINGS, claims=claims, **told)
+
+
+def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
+    claim, absent = judged.claim, few(lacking([judged]))
+    remarks = (
+        ("reading", claim.reading and f"Read as: {claim.reading}"),
+        ("beyond", beyond_print(judged)),
+        ("lacking", absent and f"Not tested: {absent}"),
+    )
+    shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
+    found = {"id": claim.id, "shade": shade, "label": label(verdict, judged), "says": claim.says, "section": claim.section}
+    return {**found, "remarks": remarks, "rows": list(_rows(judged))}
+
+
+def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
+    """Yield the class and the cells of every comparison that was asked."""
+    for answers in judged.answers:
+        for number, answer in enumerate(answers):
+            if answer.outcome != "untested":
+                aside = "" if any_of(answers) == answer.outcome else " aside"
+                yield answer.outcome + aside, _cells(answer, "or " if number else "")
+
+
+def _cells(answer: Answer, before: str) -> list[Cell]:
+    asked, column = answer.asked, COLUMN_OF[answer.asked.column]
+    found = answer.estimate.value if answer.estimate else None
+    return [
+        (before + task_title(asked.task), None),
+        (column.title, None),
+        (f"{title_of(asked.left)} {column.number(answer.left)}", answer.left),
+        ("" if asked.right is None else f"{title_of(asked.right)} {column.number(answer.right)}", answer.right),
+        (f"{column.number(found, asked.right is not None)}{interval_text(answer)}", found),
+        (needed(answer), answer.threshold),
+        (PLAIN[answer.outcome], None),
+        (printed(answer), None),
+    ]

@@ -1,0 +1,284 @@
+"""What a report says of a paper: each printed number beside ours, and whether each claim holds.
+
+A comparison holds when the 95 % interval of its paired difference (`stats.bootstrap`) lies on the right side of a threshold, does not
+hold when the interval lies on the wrong side, and is undecided when the threshold is within:
+
+    lower, higher              threshold 0, or the margin times the right side's mean; strictly beyond it
+    not_lower, not_higher      the same on the other side, up to and with the threshold
+    at_least, at_most          the interval of the left side against the bound
+
+A claim holds when all of its questions do, and does not hold when one does not. One whose rows are not all there is not tested; what
+the others say is kept beside it. With the models of a single training a verdict is about these models, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from wasp_cli.report.stats.bootstrap import Estimate, difference_of, mean_of
+from wasp_cli.report.stats.frame import Frame, Group, groups
+from wasp_cli.report.stats.summary import Interval
+from wasp_cli.report.tables.titles import task_title
+from wasp_cli.spec.model import Spec
+from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
+
+Outcome = Literal["holds", "fails", "undecided", "untested"]
+COARSE = 3
+"""Seeds up to which an interval reaches from the least seed to the largest: one resample in 27 draws the same of three every time."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A comparison, asked of the rows."""
+
+    asked: Comparison
+    outcome: Outcome
+    left: float | None = None
+    right: float | None = None
+    """Our means."""
+    estimate: Estimate | None = None
+    """left - right over the conditions that both have; the left side itself where it is held against a bound."""
+    threshold: float | None = None
+    """What the interval is held against."""
+    reason: str = ""
+    """Why it is not tested; empty where its task is not here at all."""
+    printed: tuple[Printed | None, Printed | None] = (None, None)
+    shown_in_print: bool | None = None
+    """Whether the paper's own means stand so; None where it prints none."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A claim and its outcome."""
+
+    claim: Claim
+    outcome: Outcome
+    answers: tuple[tuple[Answer, ...], ...]
+    """Per question; of the answers in a tuple one is enough."""
+
+    @property
+    def part(self) -> Outcome:
+        """The outcome of those questions that could be asked; `untested` where none could."""
+        return all_of([found for answers in self.answers if (found := any_of(answers)) != "untested"])
+
+    @property
+    def beyond_print(self) -> tuple[tuple[Answer, ...], ...]:
+        """The questions to which the paper's own numbers say no."""
+        return tuple(answers for answers in self.answers if all(answer.shown_in_print is False for answer in answers))
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A row of the paper and the same row here, one entry per column of its table."""
+
+    table: str
+    task: str
+    who: Who
+    printed: tuple[Printed, ...]
+    ours: tuple[Estimate | None, ...]
+    note: str = ""
+    """Why it is incomplete, where it is."""
+
+
+@dataclass(frozen=True)
+class VerdictReport:
+    """Everything that is said of a paper."""
+
+    paper: Paper
+    rows: tuple[Beside, ...]
+    """Of the tasks that are here."""
+    claims: tuple[Judged, ...]
+    tasks: tuple[str, ...]
+    """That are here."""
+    seeds: int
+    one_training: bool
+    """Whether all rows come from the models of one training."""
+    notes: tuple[str, ...]
+
+    def having(self, outcome: Outcome) -> list[Judged]:
+        """Return the claims with an outcome."""
+        return [judged for judged in self.claims if judged.outcome == outcome]
+
+
+def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
+    """Hold the rows of a report against a paper.
+
+    Args:
+        frame: the rows.
+        paper: what it prints and states.
+        spec: what was run, for what it says of the sizes and of the training.
+    """
+    rows = _Rows(frame)
+    seeds = len({cell.identity.seed for cell in frame.cells})
+    shared = spec is not None and spec.training_seed is not None
+    return VerdictReport(
+        paper=paper,
+        rows=tuple(_beside(rows, paper)),
+        claims=tuple(_judged(rows, paper, claim) for claim in paper.claims),
+        tasks=rows.tasks,
+        seeds=seeds,
+        one_training=seeds == 1 or shared,
+        notes=tuple(_notes(frame, _absent(rows, paper), seeds, spec)),
+    )
+
+
+def decide(interval: Interval | None, threshold: float, relation: Relation) -> Outcome:
+    """Apply the rule to one comparison; undecided without an interval."""
+    if interval is None:
+        return "undecided"
+    low, high = interval.low, interval.high
+    if relation in ("higher", "not_lower", "at_least"):
+        low, high, threshold = -high, -low, -threshold
+    if low > threshold:
+        return "fails"
+    beyond = high < threshold if relation in ("lower", "higher") else high <= threshold
+    return "holds" if beyond else "undecided"
+
+
+def any_of(answers: Sequence[Answer]) -> Outcome:
+    """Combine alternatives: one is enough, and none of them holds only when each was tested."""
+    found = {answer.outcome for answer in answers}
+    for outcome in ("holds", "untested", "undecided"):
+        if outcome in found:
+            return outcome
+    return "fails"
+
+
+def all_of(outcomes: Sequence[Outcome]) -> Outcome:
+    """Combine questions: one that does not hold settles it; otherwise all have to be tested, and all have to hold."""
+    for outcome in ("fails", "untested", "undecided"):
+        if outcome in outcomes:
+            return outcome
+    return "holds" if outcomes else "untested"
+
+
+class _Rows:
+    """The rows of a report by what a paper calls them, each number computed once."""
+
+    def __init__(self, frame: Frame) -> None:
+        found = groups(frame)
+        self.tasks = tuple(dict.fromkeys(group.task for group in found))
+        self._groups = {(group.task, Who(group.method, group.assistant_variant)): group for group in found}
+        self._means: dict[tuple[str, Who, str], Estimate | None] = {}
+        self._differences: dict[tuple[str, Who, Who, str], Estimate | None] = {}
+
+    def group(self, task: str, who: Who) -> Group | None:
+        return self._groups.get((task, who))
+
+    def mean(self, task: str, who: Who, column: str) -> Estimate | None:
+        """None where there is no such row or column."""
+        place = (task, who, column)
+        if place not in self._means:
+            group = self.group(task, who)
+            self._means[place] = None if group is None else mean_of(group.cells, column)
+        return self._means[place]
+
+    def difference(self, task: str, left: Who, right: Who, column: str) -> Estimate | None:
+        """None where they have no condition in common."""
+        place = (task, left, right, column)
+        if place not in self._differences:
+            own, other = self.group(task, left), self.group(task, right)
+            self._differences[place] = None if own is None or other is None else difference_of(own.cells, other.cells, column)
+        return self._differences[place]
+
+    def lack(self, task: str, who: Who) -> str:
+        """Why a row says nothing, or not all; empty where it is complete."""
+        group = self.group(task, who)
+        if group is None:
+            return f"{task_title(task)} has no {who}"
+        total = len(group.cells) + group.absent
+        return "" if group.complete else f"{task_title(task)} {who} has {len(group.cells)} of {total} cells"
+
+
+def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
+    answers = tuple(tuple(_answer(rows, paper, asked) for asked in question) for question in claim.questions())
+    return Judged(claim, all_of([any_of(each) for each in answers]), answers)
+
+
+def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
+    printed = paper.printed(asked.task, asked.left, asked.column), asked.right and paper.printed(asked.task, asked.right, asked.column)
+    shown = _shown_in_print(asked, *printed)
+    if asked.task not in rows.tasks:
+        return Answer(asked, "untested", printed=printed, shown_in_print=shown)
+    sides = [who for who in (asked.left, asked.right) if who is not None]
+    lacking = [lack for who in sides if (lack := rows.lack(asked.task, who))]
+    means = [rows.mean(asked.task, who, asked.column) for who in sides]
+    if not lacking:
+        pairs = zip(means, sides, strict=True)
+        lacking = [f"{task_title(asked.task)} {who} has no `{asked.column}`" for mean, who in pairs if mean is None]
+    left, right = means[0], means[1] if asked.right is not None else None
+    estimate = left if asked.right is None else None
+    if not lacking and asked.right is not None:
+        estimate = rows.difference(asked.task, asked.left, asked.right, asked.column)
+        if estimate is None:
+            lacking = [f"{task_title(asked.task)} {asked.left} and {asked.right} have no operator and seed in common"]
+    values = left.value if left else None, right.value if right else None
+    if lacking or estimate is None:
+        return Answer(asked, "untested", *values, reason="; ".join(dict.fromkeys(lacking)), printed=printed, shown_in_print=shown)
+    threshold = _threshold(asked, right.value if right else None)
+    outcome = decide(estimate.interval, threshold, asked.relation)
+    return Answer(asked, outcome, *values, estimate, threshold, printed=printed, shown_in_print=shown)
+
+
+def _threshold(asked: Comparison, right: float | None) -> float:
+    """What the difference, or the left side, is held against."""
+    if asked.bound is not None:
+        return asked.bound
+    room = asked.margin * abs(right or 0.0)
+    return room if asked.relation in ("higher", "not_higher") else -room
+
+
+def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | None) -> bool | None:
+    """Whether the printed means stand so, whatever their spread."""
+    if left is None or (right is None and asked.right is not None):
+        return None
+    # To nine digits: 0.3 - 0.1 is not 0.2 to a computer.
+    found = round(left.mean - (right.mean if right is not None else 0.0), 9)
+    threshold = round(_threshold(asked, right.mean if right is not None else None), 9)
+    return decide(Interval(found, found, "seed", 1), threshold, asked.relation) == "holds"
+
+
+def _beside(rows: _Rows, paper: Paper) -> Iterable[Beside]:
+    for table in paper.tables:
+        for task, printed in table.rows.items():
+            ablations = {who for who in printed if who.variant != "full"}
+            if task not in rows.tasks or (ablations and not any(rows.group(task, who) for who in ablations)):
+                continue  # a table of ablations is about these
+            for who, numbers in printed.items():
+                ours = tuple(rows.mean(task, who, column) for column in table.columns)
+                yield Beside(table.name, task, who, numbers, ours, rows.lack(task, who) if rows.group(task, who) else "")
+
+
+def _absent(rows: _Rows, paper: Paper) -> list[str]:
+    """The tasks that claims are about and that are not here."""
+    asked = (asked.task for claim in paper.claims for question in claim.questions() for asked in question)
+    return [task_title(task) for task in dict.fromkeys(asked) if task not in rows.tasks]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """`Goal1, Race1 and FormulaOne1`."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def _notes(frame: Frame, absent: list[str], seeds: int, spec: Spec | None) -> Iterable[str]:
+    if absent:
+        which = "is not in this spec: what claims say of it" if len(absent) == 1 else "are not in this spec: what claims say of them"
+        yield f"{_listed(absent)} {which} is not tested."
+    if seeds == 1:
+        yield "One seed: intervals resample its worlds, so every verdict is about these models. Add seeds to cover retraining."
+    elif spec is not None and spec.training_seed is not None:
+        yield f"All seeds share the models of training seed {spec.training_seed}, so every verdict is about these models."
+    elif 1 < seeds <= COARSE:
+        chance = 2 ** (seeds - 1)
+        yield (
+            f"{seeds} seeds: an interval reaches from the least seed to the largest, so a comparison is decided when all seeds agree. "
+            f"Without any difference chance alone lets {seeds} seeds agree once in {chance} times."
+        )
+    if spec is not None and spec.preset != "paper":
+        yield f"Preset `{spec.preset}` has smaller models and budgets than the paper: what does not hold here may hold there."
+    if frame.missing:
+        are = "is" if len(frame.missing) == 1 else "are"
+        yield f"{len(frame.missing)} of {len(frame.order)} cells {are} missing; claims about the rows of such cells are not tested."
+    yield "Intervals are of 95 % each, without a correction for the number of comparisons. The margins are ours: the paper states none."

@@ -1,0 +1,100 @@
+"""How all figures of a report look, what they are called, and how they are written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from wasp_cli.methods.registry import METHODS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0072B2")
+"""Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
+
+METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
+ENDINGS = ("png", "svg")
+STYLES = {name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[i % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)}
+"""Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
+LOOK: dict[Any, Any] = {
+    "font.size": 9,
+    "svg.hashsalt": "wasp",
+    "svg.fonttype": "none",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+"""Settings of matplotlib for every figure."""
+CAPTIONS = {
+    "cost_return": "Cost against return of every method: large marks are means over the operators, with the spread over seeds, small ones "
+    "single operators.",
+    "figure3": "What the interventions were worth: how many costly decisions would have followed without them, and what they changed; bars "
+    "are 95 % intervals.",
+    "severity": "Return, cost and intervention rate under every operator and severity; bars are standard deviations over seeds.",
+    "latency": "Time of a decision: the median, and the 95th percentile as a bar. The episodes of a cell are decided side by side.",
+    "learning": "Learning curves: what learns in the task, and the losses of the world model (means of neighbouring points).",
+    "reliability": "Of the imagined steps that the world model calls costly with some probability, the share that was.",
+}
+"""By the name of the file, in the order of the page."""
+
+
+@contextmanager
+def drawn(size: tuple[float, float]) -> Iterator[Figure]:
+    """Yield an empty figure of `size` (inches), to be filled inside the block, where LOOK is in force."""
+    # Imported here: matplotlib takes most of a second, and most commands draw nothing.
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(LOOK):
+        figure = Figure(figsize=size, layout="constrained", dpi=160)
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers give the same bytes."""
+    from matplotlib import rc_context
+
+    png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
+    with rc_context(LOOK):
+        figure.savefig(png, metadata={"Software": None})
+        figure.set_layout_engine("none")  # what has been laid out stays where it is: doing it again takes as long as drawing
+        figure.savefig(svg, metadata={"Date": None, "Creator": None})
+    return [png, svg]
+
+
+def style_of(method: str) -> tuple[str, str]:
+    """Return the colour and the marker of a method, the same in every figure; the marker also tells them apart in print."""
+    return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
+
+
+def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
+    """Rule light lines behind what a panel shows."""
+    panel.grid(axis=axis, color="#dddddd", linewidth=0.6)
+    panel.set_axisbelow(True)
+
+
+def legend(
+    figure: Figure, panels: Iterable[Axes], further: Mapping[str, Mapping[str, Any]] | None = None, most: int = 0, **options: Any
+) -> None:
+    """Set one legend for some panels: each label once.
+
+    Args:
+        figure: of the panels.
+        panels: whose labels are shown.
+        further: lines that are in no panel's legend, by label.
+        most: entries in a row, which are spread evenly over the rows.
+        options: of matplotlib's legend.
+    """
+    from matplotlib.lines import Line2D
+
+    handles = {label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+    handles |= {label: Line2D([], [], **look) for label, look in (further or {}).items()}
+    if most:
+        options["ncols"] = math.ceil(len(handles) / math.ceil(len(handles) / most))
+    figure.legend(handles.values(), handles.keys(), frameon=False, **options)

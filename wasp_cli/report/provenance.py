@@ -1,0 +1,166 @@
+"""What stands behind the numbers of a report, said from the store alone.
+
+The runs that it is about, the published results among its cells and how far the code has moved on since, and the values in force that
+the paper does not state.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from wasp_cli.config import assumptions
+from wasp_cli.errors import ArtifactError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.closure import changed_since
+from wasp_cli.plan.grid import ASSISTANT, ROLLOUTS, stage_class
+from wasp_cli.plan.node import Part
+from wasp_cli.plan.reasons import few, library_changes
+from wasp_cli.spec.model import Spec
+from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.artifact import read_record
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.published import FROM_PUBLISHED, commit_of
+
+NAMED = 12
+"""Published cells that a report names."""
+
+Assumption = tuple[str, Any, str]
+"""Dotted name, value, why."""
+
+
+def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
+    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
+    found: dict[str, str] = {}
+    damaged: list[str] = []
+    for path in sorted(layout.runs.glob("*/plan.json")):
+        try:
+            name = (read_record(path) or {}).get("spec")
+        except ArtifactError as error:
+            damaged.append(error.message)
+            continue
+        if not isinstance(name, str):
+            damaged.append(f"'{path}' is damaged: it names no spec")
+            continue
+        found.pop(name, None)
+        found[name] = path.parent.name
+    return found, damaged
+
+
+@dataclass
+class Origins:
+    """Counts the artifacts of a report, and keeps the manifests of those that were published."""
+
+    total: int = 0
+    published: list[Mapping[str, Any]] = field(default_factory=list)
+
+    def add(self, manifest: Mapping[str, Any]) -> None:
+        """Take one more artifact into account."""
+        self.total += 1
+        if is_from_published(manifest):
+            self.published.append(manifest)
+
+    def facts(self) -> Iterator[str]:
+        """Yield one sentence for each version that computed published results, and which cells these are where not all are."""
+        versions: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+        for manifest in self.published:
+            version = str(manifest["provenance"].get("wasp", "of an unknown version"))
+            versions.setdefault((version, commit_of(manifest)), []).append(manifest)
+        for (version, commit), manifests in versions.items():
+            kinds = Counter(str(manifest.get("kind")) for manifest in manifests)
+            counted = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+            results = f"{len(manifests)} of {self.total} results here are published ones ({counted})"
+            yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {_code_since(manifests)}."
+        cells = [str(manifest.get("label")) for manifest in self.published if manifest.get("kind") == "evaluate"]
+        if 0 < len(self.published) < self.total and cells:
+            more = f" and {len(cells) - NAMED} more" if len(cells) > NAMED else ""
+            yield f"Published cells: {', '.join(cells[:NAMED])}{more}."
+
+
+def is_from_published(manifest: Mapping[str, Any]) -> bool:
+    """Return whether an artifact of the store was brought in from the published layer."""
+    return manifest["provenance"].get(FROM_PUBLISHED) is True
+
+
+def _when(manifests: Sequence[Mapping[str, Any]]) -> str:
+    times = [manifest["provenance"].get("started_at") for manifest in manifests]
+    days = sorted({time[: len("2026-01-01")] for time in times if isinstance(time, str)})
+    if not days:
+        return "at an unknown time"
+    return f"on {days[0]}" if len(days) == 1 else f"from {days[0]} to {days[-1]}"
+
+
+def _code_since(manifests: Sequence[Mapping[str, Any]]) -> str:
+    changes: dict[str, None] = {}
+    for manifest in manifests:
+        changes |= dict.fromkeys([*changed_since(_modules(manifest)), *library_changes(manifest)])
+    return f"since then has changed: {few(list(changes))}" if changes else "their code and libraries are those of today"
+
+
+def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Hash by module; a name that is none, which untrusted files may hold, would be looked up as a path."""
+    sources = manifest.get("sources")
+    known = sources.items() if isinstance(sources, Mapping) else ()
+    return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}
+
+
+def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]) -> list[Part]:
+    """List the trained parts that are not there, and that nothing needs: what a spec trains by name is there, as its cells are.
+
+    Args:
+        layout: the results folder.
+        parts: what a run trains, each with the key of its artifact.
+        targets: the stages that the spec names.
+    """
+    absent = [part for part, key in parts if not layout.manifest(part.kind, key).is_file()]
+    return [] if any(part.kind in targets for part in absent) else absent
+
+
+def absent_fact(absent: Sequence[Part]) -> str:
+    """Say why parts are not there."""
+    kinds = ", ".join(dict.fromkeys(part.kind for part in absent))
+    return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
+
+
+def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
+    """Yield the assumptions of the stages and methods that this spec uses."""
+    kinds: set[str] = set()
+
+    def need(kind: str) -> None:
+        if kind not in kinds:
+            kinds.add(kind)
+            for upstream in stage_class(kind).needs:
+                need(upstream)
+
+    for method in spec.methods:
+        info, config = METHODS[method], spec.method(method).model_dump(mode="json")
+        for kind in ("evaluate", *info.needs_of(config), *(["calibration"] if info.calibrated else [])):
+            need(kind)
+    for kind in spec.stages:
+        need(kind)
+    if spec.rounds > 1:
+        need(ROLLOUTS)
+    assistants = {*spec.methods, *([ASSISTANT] if spec.rounds > 1 else [])}
+    for name, value, why in assumptions(spec):
+        section = name.partition(".")[0] if "." in name else ""
+        idle = section not in kinds if section in STAGES else section in METHODS and section not in assistants
+        if not idle:
+            yield name, value, why
+
+
+def assumptions_markdown(found: Sequence[Assumption]) -> str:
+    """Render a Markdown section: every value in force that is not the paper's."""
+    lines = [
+        "## Assumptions in force",
+        "",
+        "Values that the paper leaves open or that differ from it. A spec can change each.",
+        "",
+    ]
+    lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
+    for name, value, why in found:
+        shown = json.dumps(value, default=str, ensure_ascii=False)
+        lines.append("| " + " | ".join(text.replace("|", "\\|") for text in (f"`{name}`", f"`{shown}`", why)) + " |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,238 @@
+"""Intervals of what a table says: a seeded cluster bootstrap over seeds, or over worlds where there is one seed.
+
+What is resampled is a cluster with everything in it. Episodes of one seed share its trained models and are not independent, so the
+seeds are the clusters where there are two or more. One seed says nothing of another training; then the worlds are the clusters, each
+with its episodes under all operators and, in a difference, under both methods, and rates are ratios of sums in every resample.
+An interval is one of percentiles: 95 % of RESAMPLES resamples lie within. The draws depend on SEED and on the number of clusters
+alone, so the same rows give the same interval on every machine.
+
+Letters: R resamples, K clusters, C cells, E episodes. `cells` are those of one row of a table (one task); a cell that does not
+define a column is left out of it.
+
+    estimate = difference_of(wasp.cells, human.cells, "cost")
+    estimate.value, estimate.interval       -21.4, Interval(low=-26.0, high=-15.8, unit="seed", clusters=3)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wasp_cli.report.stats.frame import CellNumbers, Floats
+from wasp_cli.report.stats.summary import Interval, condition, paired_difference, summarise
+
+Places = NDArray[np.intp]
+
+RESAMPLES = 2000
+SEED = 20211105
+"""Of all draws. Any number would do; changing it changes the last digits of every interval."""
+COVERAGE = 0.95
+TRIMMED = 0.25
+"""Share of the cells that the interquartile mean cuts off on either side."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its interval; None where there is a single cluster."""
+
+    value: float
+    interval: Interval | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Clusters:
+    """What is resampled, in ascending order."""
+
+    unit: Literal["seed", "world"]
+    names: Floats
+    """[K] the seeds, or the seeds of the worlds"""
+
+    @classmethod
+    def of(cls, cells: Sequence[CellNumbers]) -> _Clusters:
+        seeds = np.unique([float(cell.identity.seed) for cell in cells])
+        if len(seeds) > 1:
+            return cls("seed", seeds)
+        return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in cells])))
+
+    def place(self, names: Floats | Sequence[float]) -> Places:
+        """The index of each name."""
+        return np.searchsorted(self.names, names)
+
+    def seeds(self, cells: Sequence[CellNumbers]) -> Places:
+        """[C] the index of the seed of each cell."""
+        return self.place([float(cell.identity.seed) for cell in cells])
+
+    def estimate(self, value: float, statistic: Callable[[Floats], Floats]) -> Estimate:
+        """A number with the interval of `statistic`: how often each cluster was drawn [R, K] -> [R], NaN where it is undefined."""
+        if len(self.names) < 2:
+            return Estimate(value, None)
+        found = statistic(drawn(len(self.names)))
+        found = found[~np.isnan(found)]
+        if not len(found):
+            return Estimate(value, None)
+        # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
+        low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(found, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
+        return Estimate(value, Interval(low, high, self.unit, len(self.names)))
+
+    def found(self, statistic: Callable[[Floats], Floats]) -> Estimate:
+        """`statistic` with every cluster drawn once, and its interval."""
+        return self.estimate(float(statistic(np.ones((1, len(self.names))))[0]), statistic)
+
+
+@lru_cache(maxsize=8)
+def drawn(clusters: int) -> Floats:
+    """Return [R, K]: how often each of K clusters is in each resample of K; do not write into it."""
+    # The raw stream of a bit generator is the same in every version of NumPy, unlike what its distributions make of it.
+    bits = np.random.PCG64(SEED).random_raw((RESAMPLES, clusters)) >> np.uint64(32)
+    picks = ((bits * np.uint64(clusters)) >> np.uint64(32)).astype(np.intp)
+    rows = np.arange(RESAMPLES)[:, None] * clusters
+    counts = np.bincount((rows + picks).ravel(), minlength=RESAMPLES * clusters).reshape(RESAMPLES, clusters)
+    return counts.astype(np.float64)
+
+
+def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
+    """Return the mean over seeds of the means of pooled cells, as tables print it (`summarise`); None where nothing defines it."""
+    cells = _defining(cells, key)
+    value = summarise(cells, key).mean
+    if value is None:
+        return None
+    clusters = _Clusters.of(cells)
+    return clusters.estimate(value, lambda counts: _mean(*_by_seed(clusters, counts, cells, _pooled(clusters, counts, cells, key))))
+
+
+def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
+    """Return the interquartile mean over the cells of a row: the mean of the middle half of the sorted pooled cells.
+
+    Each of C cells has the mass 1 / C, and a quarter of the mass is cut off on either side, from a cell in part where C / 4 is no whole
+    number: of three cells the middle one counts four times as much as the others. Where it is whole, this is a mean trimmed by 25 %.
+    """
+    cells = _defining(cells, key)
+    if not cells:
+        return None
+    clusters = _Clusters.of(cells)
+
+    def statistic(counts: Floats) -> Floats:
+        times = counts.T[clusters.seeds(cells)] if clusters.unit == "seed" else np.ones((len(cells), len(counts)))
+        return _middle_mean(_pooled(clusters, counts, cells, key), times)
+
+    return clusters.found(statistic)
+
+
+def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> Estimate | None:
+    """Return the mean of the paired differences to the cells of a reference under the same conditions (`paired_difference`)."""
+    value = paired_difference(cells, reference, key)
+    if value is None:
+        return None
+    own, other = _pairs(cells, reference, key)
+    clusters = _Clusters.of([*own, *other])
+
+    def statistic(counts: Floats) -> Floats:
+        numbers = _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key)
+        return _mean(*_by_seed(clusters, counts, own, numbers))
+
+    return clusters.estimate(value, statistic)
+
+
+def improvement_over(
+    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str, better: Literal["up", "down"]
+) -> Estimate | None:
+    """Return the probability of improvement (Agarwal et al. 2021) over a reference: that an episode is better under the same condition.
+
+    Ties count one half: the Mann-Whitney U of the episodes of two cells of the same task, operator, severity and seed, divided by the
+    number of pairs; then the mean over seeds of the means over conditions. 0.5 is no difference.
+    """
+    own, other = _pairs(cells, reference, key)
+    if not own:
+        return None
+    clusters = _Clusters.of([*own, *other])
+    sign = 1.0 if better == "up" else -1.0
+    pairs = [(sign * one.episodes[key], sign * two.episodes[key]) for one, two in zip(own, other, strict=True)]
+    if clusters.unit == "seed":
+        numbers = np.array([[_superiority(*pair) for pair in pairs]])
+        return clusters.found(lambda counts: _mean(*_by_seed(clusters, counts, own, numbers)))
+    places = [(clusters.place(one.episodes["world"]), clusters.place(two.episodes["world"])) for one, two in zip(own, other, strict=True)]
+    won = [_by_world(*pair, *place, len(clusters.names)) for pair, place in zip(pairs, places, strict=True)]
+
+    def statistic(counts: Floats) -> Floats:
+        numbers = [_ratio(*(((counts @ sums) * counts).sum(1) for sums in each)) for each in won]
+        return _mean(*_by_seed(clusters, counts, own, np.stack(numbers, 1)))
+
+    return clusters.found(statistic)
+
+
+def _superiority(x: Floats, y: Floats) -> float:
+    """The share of the pairs (x, y) in which x is larger, ties one half."""
+    x, y = x[~np.isnan(x)], np.sort(y[~np.isnan(y)])
+    won = int(np.searchsorted(y, x, "left").sum() + np.searchsorted(y, x, "right").sum())
+    return won / (2 * len(x) * len(y))
+
+
+def _by_world(x: Floats, y: Floats, x_place: Places, y_place: Places, worlds: int) -> tuple[Floats, Floats]:
+    """[K, K] each: in how many pairs of episodes of two worlds x is larger (ties one half), and of how many pairs."""
+    larger = (x[:, None] > y) + 0.5 * (x[:, None] == y)
+    defined = np.where(np.isnan(x[:, None] - y), 0.0, 1.0)
+    place = (x_place[:, None] * worlds + y_place).ravel()
+    won, pairs = (np.asarray(np.bincount(place, each.ravel(), worlds**2), np.float64) for each in (larger * defined, defined))
+    return won.reshape(worlds, worlds), pairs.reshape(worlds, worlds)
+
+
+def _defining(cells: Sequence[CellNumbers], key: str) -> list[CellNumbers]:
+    return [cell for cell in cells if not math.isnan(cell.pooled.get(key, math.nan))]
+
+
+def _pairs(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> tuple[list[CellNumbers], list[CellNumbers]]:
+    """The cells under conditions in which both define a column, side by side."""
+    by_condition = {condition(cell.identity): cell for cell in _defining(reference, key)}
+    own = [cell for cell in _defining(cells, key) if condition(cell.identity) in by_condition]
+    return own, [by_condition[condition(cell.identity)] for cell in own]
+
+
+def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str) -> Floats:
+    """The pooled column of every cell, NaN where undefined: [1, C] where seeds are drawn, which leave a cell as it is; else [R, C]."""
+    if clusters.unit == "seed":
+        return np.array([[cell.pooled[key] for cell in cells]])
+    sums = np.zeros((2, len(clusters.names), len(cells)))
+    for c, cell in enumerate(cells):
+        place = clusters.place(cell.episodes["world"])
+        for each, weights in zip(sums, cell.weighted(key), strict=True):
+            each[:, c] = np.bincount(place, weights, len(clusters.names))
+    return _ratio(counts @ sums[0], counts @ sums[1])
+
+
+def _by_seed(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> tuple[Floats, Floats]:
+    """What a mean is made of in every resample, and how often: the means [1, K] of the seeds, or the cells [R, C] of the one seed."""
+    if clusters.unit == "world":
+        return numbers, np.ones(numbers.shape)
+    place = clusters.seeds(cells)
+    return (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
+
+
+def _ratio(total: Floats, mass: Floats) -> Floats:
+    quotient: Floats = np.divide(total, mass, out=np.full(total.shape, np.nan), where=mass > 0)
+    return quotient
+
+
+def _mean(numbers: Floats, times: Floats) -> Floats:
+    """[R] the mean of numbers [R or 1, N] that count several times [R, N]; undefined numbers do not count."""
+    times = times * ~np.isnan(numbers)
+    return _ratio((np.nan_to_num(numbers) * times).sum(1), times.sum(1))
+
+
+def _middle_mean(numbers: Floats, times: Floats) -> Floats:
+    """[R] the mean of the middle half of numbers [R or 1, C] that count several times [C, R]."""
+    order = np.argsort(numbers, axis=1, kind="stable").T  # undefined ones last
+    numbers = np.take_along_axis(numbers.T, order, 0)
+    times = times[order[:, 0]] if order.shape[1] == 1 else np.take_along_axis(times, order, 0)
+    if np.isnan(numbers).any():
+        times = times * ~np.isnan(numbers)
+    upper = np.cumsum(times, 0)
+    total = upper[-1]
+    kept = np.minimum(upper, (1 - TRIMMED) * total) - np.maximum(upper - times, TRIMMED * total)
+    np.maximum(kept, 0.0, out=kept)
+    return _ratio((np.nan_to_num(numbers) * kept).sum(0), (1 - 2 * TRIMMED) * total)

@@ -1,0 +1,259 @@
+"""The numbers of every cell that a report is about, and the names of those that are missing."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from wasp_cli.errors import StoreError
+from wasp_cli.metrics.episode import WEIGHTS, pool
+from wasp_cli.metrics.necessity import Necessity
+from wasp_cli.store.numbers import Numbers, read_numbers
+from wasp_cli.store.parquet import AGAIN
+from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes
+
+Floats = NDArray[np.float64]
+
+POOLING = ("decisions", "env_steps", "intervened", "planned")
+"""Columns that weigh others (metrics.episode.WEIGHTS)."""
+
+TIMES = ("decision_p50_ms", "decision_p95_ms")
+"""Columns of which a cell has the median over its episodes."""
+
+COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")
+"""What is read of a cell."""
+
+THREADS = 4
+"""That read cells side by side: a disk answers several, and unpacking a column holds up no other thread."""
+TOGETHER = 50
+"""Cells that a thread reads in one go: handing them over one by one would cost half as much as reading them."""
+
+JUDGED = ("uir", "rho", "at_risk", "delta_c", "delta_r")
+"""Columns of the counterfactual evaluation, in the cells that have one (`report.stats.branches`)."""
+
+WEIGHT_OF: dict[str, str | None] = {**WEIGHTS, "smoothness": "jumps", **dict.fromkeys(JUDGED, "branches")}
+"""The columns that are means over episodes, each with the column that weighs it; None is one weight per episode."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cell that the report should cover."""
+
+    identity: CellIdentity
+    label: str
+    path: Path
+    severity: str | None = None
+    """The spec's name of the severity value."""
+    failure: str | None = None
+    """Why its last computation failed, where that is known."""
+    blocked: str | None = None
+    """Which failed node stands in its way, where that is known."""
+    refused: str | None = None
+    """Why its file is not read though it may be there."""
+    branches: Wanted | None = None
+    """Its counterfactual branches, where somebody asked for them: the same of their table."""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A wanted cell without readable rows."""
+
+    identity: CellIdentity
+    label: str
+    reason: str
+    key: str = ""
+    damaged: bool = False
+    """Whether its rows are there and do not read."""
+    kind: str = "evaluate"
+    """Of the node that makes them."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellNumbers:
+    """One cell: its episodes, and the same pooled."""
+
+    identity: CellIdentity
+    severity: str | None
+    pooled: Mapping[str, float]
+    """By column of WEIGHT_OF or TIMES; NaN is undefined. Of JUDGED only in cells whose interventions were branched."""
+    episodes: Mapping[str, Floats]
+    """[E] per column of WEIGHT_OF, its weights, TIMES, and `world`: the episode's seed, which is that of the same world under every
+    assistant and operator of a task and seed. NaN is undefined. Views into one array for all cells of a frame: do not write."""
+    thresholds: Thresholds = field(default_factory=Thresholds)
+
+    @property
+    def count(self) -> int:
+        """E, its episodes"""
+        return len(self.episodes["world"])
+
+    def weighted(self, key: str) -> tuple[Floats, Floats]:
+        """Return [E] each: weight x value, and weight, of a column of WEIGHT_OF; both 0 where it is undefined.
+
+        The pooled value is the ratio of their sums.
+        """
+        values, weight = self.episodes[key], WEIGHT_OF[key]
+        mass = np.where(np.isnan(values), 0.0, 1.0 if weight is None else self.episodes[weight])
+        return mass * np.nan_to_num(values), mass
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What the N branched interventions of a cell were worth."""
+
+    worth: Necessity
+    episode: NDArray[np.int64]
+    """[N]"""
+    window: int
+    """W"""
+    tau_R: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a report is made from."""
+
+    cells: tuple[CellNumbers, ...]
+    missing: tuple[Missing, ...] = ()
+    order: tuple[CellIdentity, ...] = ()
+    """All wanted cells, as they were asked for."""
+    judged: Mapping[CellIdentity, Judged] = field(default_factory=dict)
+    """The cells whose interventions were branched."""
+    unbranched: tuple[Missing, ...] = ()
+    """The cells with rows whose interventions should have been branched, and were not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """What a row of a table stands for: the cells of one assistant on one task."""
+
+    task: str
+    method: str
+    assistant_variant: str
+    cells: tuple[CellNumbers, ...]
+    absent: int
+    """Cells that are missing."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the row may be compared with others."""
+        return self.absent == 0
+
+    def of_variant(self, variant: str) -> list[CellNumbers]:
+        """Return the cells of one operator variant."""
+        return [cell for cell in self.cells if cell.identity.variant == variant]
+
+
+def groups(frame: Frame) -> list[Group]:
+    """List the rows that a frame has, also those without any readable cell: by task, then in the order of the wanted cells."""
+    rows: dict[tuple[str, str, str], list[CellNumbers]] = {row_of(identity): [] for identity in frame.order}
+    for cell in frame.cells:
+        rows.setdefault(row_of(cell.identity), []).append(cell)
+    absent = Counter(row_of(gap.identity) for gap in frame.missing)
+    found = [Group(*row, tuple(cells), absent[row]) for row, cells in rows.items()]
+    tasks = list(dict.fromkeys(group.task for group in found))
+    methods = list(dict.fromkeys(group.method for group in found))
+    return sorted(found, key=lambda group: (tasks.index(group.task), methods.index(group.method)))
+
+
+def row_of(identity: CellIdentity) -> tuple[str, str, str]:
+    """Return what the cells of a row have in common: task, method, ablation."""
+    return identity.task, identity.method, identity.assistant_variant
+
+
+def read_frame(wanted: Iterable[Wanted]) -> Frame:
+    """Read the cells that exist; name those that do not, or that cannot be read."""
+    wanted = tuple(wanted)
+    parts = [wanted[i : i + TOGETHER] for i in range(0, len(wanted), TOGETHER)]
+    with ThreadPoolExecutor(THREADS) as threads:
+        found = [each for part in threads.map(lambda part: [_read(cell) for cell in part], parts) for each in part]
+    read = [(cell, each) for cell, each in zip(wanted, found, strict=True) if not isinstance(each, Missing)]
+    missing = tuple(each for each in found if isinstance(each, Missing))
+    return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
+
+
+def _read(cell: Wanted) -> Numbers | Missing:
+    """The rows of a cell, or why there are none."""
+    if cell.refused is not None:
+        return Missing(cell.identity, cell.label, cell.refused)
+    if not cell.path.exists():
+        return Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name)
+    try:
+        with odd_tables_refused(cell.path):
+            numbers = read_numbers(cell.path, COLUMNS) or _read_closely(cell.path)
+            if numbers.identity != cell.identity:
+                raise StoreError(f"{cell.path} holds another cell: {numbers.identity}")
+            numbers.table["episode_seed"].cast(pa.float64())  # an error where two worlds would become one number
+    except StoreError as error:
+        # A report names a damaged cell and goes on; it never averages without it in silence.
+        reason = error.message + (f" ({error.hint})" if error.hint else "")
+        return Missing(cell.identity, cell.label, reason, cell.path.parent.name, damaged=True)
+    return numbers
+
+
+def _read_closely(path: Path) -> Numbers:
+    """The rows of a cell of an older version; an error says what is wrong with a damaged one."""
+    table = read_episodes([path])
+    if table.num_rows == 0:
+        raise StoreError(f"{path} has no episodes")
+    row = table.slice(0, 1).to_pylist()[0]
+    identity = CellIdentity(**{name: row[name] for name in CellIdentity.__dataclass_fields__})
+    thresholds = Thresholds(**{name: row[name] for name in Thresholds.__dataclass_fields__})
+    return Numbers(identity, thresholds, table.select(COLUMNS))
+
+
+@contextmanager
+def odd_tables_refused(path: Path) -> Iterator[None]:
+    """Raise StoreError inside the block also for what `store.tables` never writes, but a Parquet file may hold."""
+    try:
+        if not path.is_file():  # a pipe would hold the reader for ever
+            raise StoreError(f"{path} is no plain file")
+        yield
+    except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise StoreError(f"{path} is not as wasp writes it: {what}", AGAIN) from error
+
+
+def absence(wanted: Wanted) -> str:
+    """Say why something has no rows."""
+    if wanted.failure:
+        return f"failed: {wanted.failure}"
+    return f"blocked by {wanted.blocked}" if wanted.blocked else "not computed yet"
+
+
+def pool_cells(found: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
+    """Pool the episodes of every cell: rates are ratios of sums."""
+    if not found:
+        return []
+    rows = pa.concat_tables([numbers.table for _, numbers in found])
+    sizes = np.array([numbers.table.num_rows for _, numbers in found])
+    columns = {name: _floats(rows, name) for name in COLUMNS}
+    columns |= {"jumps": columns["decisions"] - 1.0, "world": columns.pop("episode_seed")}
+    pooled = pool(columns, np.repeat(np.arange(len(found)), sizes))
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    cells = []
+    for i, (cell, numbers) in enumerate(found):
+        part = slice(int(starts[i]), int(starts[i + 1]))
+        episodes = {name: values[part] for name, values in columns.items()}
+        of_cell = {name: float(values[i]) for name, values in pooled.items()}
+        of_cell |= {name: _median(episodes[name]) for name in TIMES}
+        cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds))
+    return cells
+
+
+def _floats(table: pa.Table, name: str) -> Floats:
+    """A column as float64; null is NaN."""
+    return np.asarray(table[name].combine_chunks().cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64)
+
+
+def _median(values: Floats) -> float:
+    defined = np.sort(values[~np.isnan(values)])
+    # That of NumPy takes several times as long for so few numbers.
+    return float(defined[(len(defined) - 1) // 2] + defined[len(defined) // 2]) / 2 if len(defined) else float("nan")

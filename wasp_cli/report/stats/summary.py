@@ -1,0 +1,116 @@
+"""From cells to a row of a table: means over cells, spread over seeds, and how coarse that spread is.
+
+Episodes of one seed share its trained models, so they are not independent: the unit of every spread is the seed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from wasp_cli.report.stats.frame import CellNumbers, Floats
+from wasp_cli.store.tables import CellIdentity
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 95 % interval, and what it resamples."""
+
+    low: float
+    high: float
+    unit: Literal["seed", "world"]
+    clusters: int
+    """K, how many seeds or worlds were resampled"""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number of a table. None is undefined."""
+
+    mean: float | None
+    sd: float | None = None
+    """Spread over seed-level means; None with fewer than two seeds."""
+    n: int = 0
+    """Seeds behind the mean."""
+    delta: float | None = None
+    """Difference to a reference row, where a table has one."""
+    ranked: bool = True
+    """Whether it may be the best of its column."""
+    interval: Interval | None = None
+    """Where the mean may lie, and what says so."""
+
+
+UNDEFINED = Value(None, ranked=False)
+
+
+def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
+    """Return per seed the mean of a pooled column over its cells; cells without it, or that leave it undefined, are left out."""
+    by_seed: dict[int, list[float]] = {}
+    for cell in cells:
+        number = cell.pooled.get(key, math.nan)
+        if not math.isnan(number):
+            by_seed.setdefault(cell.identity.seed, []).append(number)
+    return {seed: float(np.mean(numbers)) for seed, numbers in sorted(by_seed.items())}
+
+
+def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
+    """Return mean and sample standard deviation of seed-level numbers."""
+    numbers = list(means)
+    if not numbers:
+        return UNDEFINED
+    sd = float(np.std(numbers, ddof=1)) if len(numbers) > 1 else None
+    # One seed shows no spread, so it cannot show a best either.
+    return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked and len(numbers) > 1)
+
+
+def summarise(cells: Sequence[CellNumbers], key: str, ranked: bool = True) -> Value:
+    """Summarise a pooled column over cells: mean over seeds of the seed-level means."""
+    return over_seeds(seed_means(cells, key).values(), ranked)
+
+
+def over_episodes(cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]) -> Value:
+    """Reduce a column [E] over the episodes of all cells together; the value has no spread."""
+    columns = [cell.episodes[key] for cell in cells]
+    defined = np.concatenate([column[~np.isnan(column)] for column in columns]) if columns else np.empty(0)
+    if not len(defined):
+        return UNDEFINED
+    return Value(float(reduce(defined)), n=len({cell.identity.seed for cell in cells}), ranked=False)
+
+
+def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str) -> float | None:
+    """Return the mean difference to the reference over the cells that both have (same task, operator, severity and seed)."""
+    by_condition = {condition(cell.identity): cell.pooled.get(key, math.nan) for cell in reference}
+    differences: dict[int, list[float]] = {}
+    for cell in cells:
+        change = cell.pooled.get(key, math.nan) - by_condition.get(condition(cell.identity), math.nan)
+        if not math.isnan(change):
+            differences.setdefault(cell.identity.seed, []).append(change)
+    return float(np.mean([np.mean(numbers) for numbers in differences.values()])) if differences else None
+
+
+def distinct_resamples(seeds: int) -> int:
+    """Count the different bootstrap resamples that a number of seeds has: C(2n - 1, n)."""
+    return math.comb(2 * seeds - 1, seeds) if seeds > 0 else 0
+
+
+def spread_note(cells: Sequence[CellNumbers]) -> str:
+    """Say what the ± of a table means, and how much it can be trusted."""
+    seeds = len({cell.identity.seed for cell in cells})
+    if not seeds:
+        return "No cell has been computed yet."
+    if seeds == 1:
+        return "One seed: no ±, and nothing is marked as best. Differences between methods may be chance; add seeds to the spec."
+    return (
+        f"± is the standard deviation over the means of {seeds} seeds, not over episodes. "
+        f"{seeds} seeds have {distinct_resamples(seeds):,} distinct bootstrap resamples"
+        + (", so any interval is coarse." if seeds < 6 else ".")
+    )
+
+
+def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
+    """Return what two cells have in common that can be compared in pairs: task, operator, severity and seed."""
+    return identity.task, identity.variant, identity.value, identity.seed

@@ -1,0 +1,145 @@
+"""Confidence intervals of the numbers of Table 1, and how the methods compare with a reference: `statistics`, and `statistics_best`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby
+from typing import NamedTuple
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, improvement_over, iqm_of, mean_of
+from wasp_cli.report.stats.frame import Frame, Group
+from wasp_cli.report.stats.summary import UNDEFINED, Value, distinct_resamples
+from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, missing_notes, part_of
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import assistant_title, task_title
+
+HUMAN = "human"
+OURS = "wasp"
+BEST = "best"
+"""As a reference: for each task and measure on its own, the complete method other than WASP that has the best mean; also Human-only."""
+
+MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "viol"))
+PROBABILITY = Column("improvement", "P(better)")
+MEANINGS = (
+    "Mean is that of the main table. IQM is the mean of the middle half of the cells (operator variants x severities x seeds): one "
+    "cell that is far off does not carry it. The difference is paired, over the operators, severities and seeds that both have.",
+    "P(better) is the probability that an episode is better than one of the reference under the same operator, severity and seed, "
+    "ties one half: 0.5 is no difference.",
+)
+
+
+class _Line(NamedTuple):
+    """A measure of a method on a task, whatever it is compared with."""
+
+    group: Group
+    measure: Column
+    marked: Value
+    """as in the main table"""
+    numbers: tuple[Value, Value]
+    """mean and interquartile mean"""
+
+
+def comparison_table(frame: Frame, reference: str = HUMAN) -> Table | None:
+    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it.
+
+    Args:
+        frame: the cells; ablations are left out.
+        reference: a method, or BEST.
+
+    Returns:
+        All with intervals (`report.stats.bootstrap`); None without any readable cell.
+    """
+    return next(iter(comparison_tables(frame, (reference,))), None)
+
+
+def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
+    """Make `comparison_table` for several references, without computing twice what they share; empty without any readable cell."""
+    if not frame.cells:
+        return []
+    lines = [
+        [_line(group, measure) for group in of_task]
+        for of_task in (list(found) for _, found in groupby(full_groups(frame), lambda group: group.task))
+        for measure in MEASURES
+    ]
+    return [_table(frame, lines, reference) for reference in references]
+
+
+def _line(group: Group, measure: Column) -> _Line:
+    marked = part_of(group, group.cells, measure)
+    numbers = _value(mean_of(group.cells, measure.key), marked), _value(iqm_of(group.cells, measure.key), marked)
+    return _Line(group, measure, marked, numbers)
+
+
+def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Table:
+    """The table for one reference, from the lines of every task and measure."""
+    rows, chosen = [], []
+    for found in lines:
+        other = _reference(found, reference)
+        if other is not None:
+            chosen.append(other)
+        rows += [_row(line, other) for line in found]
+    against = "best other method" if reference == BEST else METHODS[reference].title
+    difference = Column("difference", f"Difference to {against}", signed=True)
+    columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
+    notes = (*_interval_notes(rows), *_reference_notes(chosen, reference), *missing_notes(frame))
+    name, title = (
+        ("statistics_best", "Compared with the best other method") if reference == BEST else ("statistics", "Confidence intervals")
+    )
+    return Table(name, title, ("Task", "Measure", "Method"), columns, tuple(rows), notes, MEANINGS, grouping=2)
+
+
+def _reference(found: Sequence[_Line], reference: str) -> _Line | None:
+    """What the methods of a task are compared with in a measure."""
+    if reference != BEST:
+        return next((line for line in found if line.group.method == reference and line.group.cells), None)
+    rivals = [line for line in found if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
+    means = [((-1.0 if line.measure.better == "down" else 1.0) * line.marked.mean, line) for line in rivals if line.marked.mean is not None]
+    return max(means, key=lambda pair: pair[0])[1] if means else None
+
+
+def _row(line: _Line, other: _Line | None) -> Row:
+    group, measure = line.group, line.measure
+    compared = (UNDEFINED, UNDEFINED)
+    if other is not None and other is not line and measure.better is not None:
+        plain = replace(line.marked, ranked=False)
+        difference = difference_of(group.cells, other.group.cells, measure.key)
+        wins = improvement_over(group.cells, other.group.cells, measure.key, measure.better)
+        compared = _value(difference, plain), _value(wins, plain)
+    task, method = task_title(group.task), assistant_title(group)
+    columns = (measure, measure, replace(measure, signed=True), PROBABILITY)
+    return Row((task, measure.heading, method), (*line.numbers, *compared), columns, names=(task, measure.key, method))
+
+
+def _value(estimate: Estimate | None, like: Value) -> Value:
+    return UNDEFINED if estimate is None else Value(estimate.value, n=like.n, ranked=like.ranked, interval=estimate.interval)
+
+
+def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
+    """What the intervals resample, how coarse that is, and that they are many."""
+    found = [value.interval for row in rows for value in row.values if value.interval is not None]
+    if not found:
+        yield "No intervals: there is a single world to resample."
+        return
+    seeds = sorted({interval.clusters for interval in found if interval.unit == "seed"})
+    worlds = sorted({interval.clusters for interval in found if interval.unit == "world"})
+    yield f"[low, high] are 95 % intervals of a bootstrap with {RESAMPLES} resamples."
+    for count in seeds:
+        coarse = ", so they are coarse" if count < 6 else ""
+        yield f"Resampled are {count} seeds, each with its models and worlds; {distinct_resamples(count):,} resamples differ{coarse}."
+    if worlds:
+        counts = " or ".join(map(str, worlds))
+        yield f"Resampled are the {counts} worlds of one seed: intervals cover other layouts, not retraining."
+    yield f"These are {len(found)} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
+
+
+def _reference_notes(chosen: Sequence[_Line], reference: str) -> Iterator[str]:
+    """Who is the reference, and what choosing it does."""
+    if not chosen:
+        yield "The reference has no cells here, so that nothing is compared with it."
+    elif reference == BEST:
+        for task, found in groupby(chosen, lambda line: line.group.task):
+            named = ", ".join(f"{line.measure.title} {assistant_title(line.group)}" for line in found)
+            yield f"Best other methods on {task_title(task)}: {named}."
+        yield "They were chosen on the same episodes, which flatters them a little."

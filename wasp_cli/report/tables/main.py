@@ -1,0 +1,114 @@
+"""The paper's Table 1 and what stands behind it: task x method over operator variants and severities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.stats.frame import CellNumbers, Frame, Group, groups
+from wasp_cli.report.stats.summary import UNDEFINED, Value, paired_difference, spread_note, summarise
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import assistant_title, task_title
+
+PAPER_COLUMNS = (
+    Column("return", "Return", "up"),
+    Column("success", "Succ. (%)", "up", digits=1, scale=100.0),
+    Column("cost", "Cost", "down"),
+    Column("viol", "Viol.", "down", digits=3),
+    Column("int_rate", "Int.", "down"),
+    Column("mag", "Mag.", "down"),
+)
+MORE_COLUMNS = (
+    Column("mag_int", "Mag.|int", "down", optional=True),
+    Column("decision_p50_ms", "ms", digits=1, spread=False, optional=True),
+)
+AUTONOMY = frozenset({"int_rate", "mag", "mag_int"})
+"""Columns in which a method that never acts is not the best, only absent."""
+
+LABELS = ("Task", "Method")
+MEANINGS = (
+    "Return and Cost are sums over the env steps of an episode. Viol., Int. and Mag. count decision steps and pool the episodes of a cell. "
+    "A row is the mean of its cells (operator variants x severities).",
+    "Mag. is the mean deviation over all decision steps, Mag.|int over the intervened ones. ms is the median wall time "
+    "per decision; the episodes of a cell are decided side by side.",
+)
+REFERENCE_NOTE = "Expert is the unimpaired operator without assistance, for reference; it is never marked best."
+
+
+def main_table(frame: Frame) -> Table:
+    """Make Table 1: per task and method the mean over all operator variants and severities."""
+    columns = PAPER_COLUMNS + MORE_COLUMNS
+    rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
+    notes = (spread_note(frame.cells), *missing_notes(frame))
+    has_reference = any(not METHODS[group.method].impaired for group in full_groups(frame))
+    meanings = (*MEANINGS, REFERENCE_NOTE) if has_reference else MEANINGS
+    return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, meanings)
+
+
+def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
+    """Return the numbers of a row."""
+    return tuple(part_of(group, group.cells, column) for column in columns)
+
+
+def missing_notes(frame: Frame) -> list[str]:
+    """Return one line when cells are missing; the report names each of them."""
+    if not frame.missing:
+        return []
+    total = len(frame.cells) + len(frame.missing)
+    return [f"INCOMPLETE: {len(frame.missing)} of {total} cells are missing. Rows with [x of y cells] are partial and never marked best."]
+
+
+def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
+    """Summarise a column over some of the cells of a row."""
+    if not cells:
+        return UNDEFINED
+    value = summarise(cells, column.key)
+    # Neither the reference row, nor an incomplete one, nor the autonomy of a method that never acts can be the best.
+    idle = column.key in AUTONOMY and value.mean == 0.0
+    return replace(value, ranked=value.ranked and group.complete and METHODS[group.method].impaired and not idle)
+
+
+def full_groups(frame: Frame) -> list[Group]:
+    """List the rows of assistants as a whole, without ablations."""
+    return [group for group in groups(frame) if group.assistant_variant == "full"]
+
+
+def labels_of(group: Group) -> tuple[str, str]:
+    """Return task and method of a row."""
+    return task_title(group.task), assistant_title(group)
+
+
+def ablation_table(frame: Frame) -> Table | None:
+    """Make Table 2: per task and variant the values and, in brackets, the paired difference to the full method; None without ablations."""
+    found = groups(frame)
+    ablated = {group.method for group in found if group.assistant_variant != "full"}
+    found = sorted((group for group in found if group.method in ablated), key=_order(found))
+    if not found:
+        return None
+    full = {(group.task, group.method): group.cells for group in found if group.assistant_variant == "full"}
+    rows = []
+    for group in found:
+        numbers = values(group, PAPER_COLUMNS)
+        reference = full.get((group.task, group.method), ())
+        if group.assistant_variant != "full":
+            pairs = zip(numbers, PAPER_COLUMNS, strict=True)
+            numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
+        rows.append(Row((task_title(group.task), assistant_title(group, ablation=True)), numbers))
+    cells = [cell for group in found for cell in group.cells]
+    meanings = ("In brackets: mean difference to the full method over the operators, severities and seeds that both have.",)
+    return Table(
+        "table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), (spread_note(cells), *missing_notes(frame)), meanings
+    )
+
+
+def _order(found: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:
+    """Sort key: tasks as they come, variants as the registry lists them."""
+    tasks = list(dict.fromkeys(group.task for group in found))
+
+    def key(group: Group) -> tuple[int, str, int, str]:
+        known = list(METHODS[group.method].variants)
+        place = known.index(group.assistant_variant) if group.assistant_variant in known else len(known)
+        return tasks.index(group.task), group.method, place, group.assistant_variant
+
+    return key

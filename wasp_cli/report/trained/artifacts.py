@@ -1,0 +1,136 @@
+"""What was trained for a report: one row per artifact, with the numbers that its stage found worth showing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from wasp_cli.errors import ArtifactError, WaspError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.provenance import Origins, is_from_published
+from wasp_cli.report.tables.titles import task_title
+from wasp_cli.stages.registry import stages_of
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.layout import Layout
+from wasp_cli.tasks.registry import TASKS
+
+SHOWN = 24
+"""Numbers of a stage that fit on a line; the manifests have all."""
+
+NOT_TRAINED = ("evaluate", *stages_of("cell"))
+"""Kinds whose results are tables of their own."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """One artifact."""
+
+    stage: str
+    task: str
+    seed: int
+    key: str
+    seconds: float | None
+    summary: Mapping[str, Any]
+    kind: str = ""
+    """Of its node; `stage` says more, for people."""
+    round: int = 1
+
+
+def trained_artifacts(
+    layout: Layout, roots: Iterable[tuple[str, str]], origins: Origins | None = None
+) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
+    """Find artifacts and what is behind them, needed ones first, without evaluated cells; and what is damaged.
+
+    Args:
+        layout: the results folder.
+        roots: kind and key of evaluations and trained parts. One that is not there yet is passed over.
+        origins: takes every artifact into account, evaluated cells too.
+    """
+    origins = origins or Origins()
+    found: dict[str, Trained | None] = {}
+    damaged: list[str] = []
+
+    def visit(kind: str, key: str) -> None:
+        if key in found or not layout.manifest(kind, key).is_file():
+            return
+        found[key] = None
+        try:
+            manifest = read_manifest(layout, kind, key)
+        except ArtifactError as error:
+            damaged.append(error.message)
+            return
+        try:
+            kinds = manifest.get("upstream_kinds", {})  # older manifests name artifacts by kind
+            for name, needed in manifest["upstream"].items():
+                visit(kinds.get(name, name), needed)
+            method = manifest["axes"].get("method")
+            stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
+            stage += ", published" if is_from_published(manifest) else ""
+            stage += f", round {manifest['axes']['round']}" if "round" in manifest["axes"] else ""
+            task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
+            seconds = manifest["provenance"].get("seconds")
+            trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary, kind, _round(manifest))
+            origins.add(manifest)
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
+            damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
+            return
+        del found[key]  # so that it stands behind what it needs
+        found[key] = trained if kind not in NOT_TRAINED else None
+
+    for kind, key in roots:
+        visit(kind, key)
+    return tuple(artifact for artifact in found.values() if artifact is not None), tuple(damaged)
+
+
+def _round(manifest: Mapping[str, Any]) -> int:
+    number = manifest["axes"].get("round", 1)
+    return number if isinstance(number, int) else 1
+
+
+def _missing_part(error: Exception) -> str:
+    return f"no '{error.args[0]}'" if isinstance(error, KeyError) else " ".join(str(error).split())
+
+
+def trained_markdown(artifacts: Iterable[Trained]) -> str:
+    """Lay out a Markdown section; the rows keep their order."""
+    lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
+    for artifact in artifacts:
+        numbers = numbers_text(artifact.summary).replace("|", "\\|")
+        cells = (task_title(artifact.task), artifact.seed, artifact.stage, duration(artifact.seconds), numbers, f"`{artifact.key[:8]}`")
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def numbers_text(summary: Mapping[str, Any]) -> str:
+    """Write the scalar numbers of a summary on one line, nested ones with dotted names."""
+    found = list(scalars(summary))
+    text = ", ".join(f"{name} {short(value)}" for name, value in found[:SHOWN])
+    return text + (f", and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+
+
+def duration(seconds: float | None) -> str:
+    """Write a time: `41 s`, `3 min 20 s`, `2 h 05 min`."""
+    if seconds is None or not math.isfinite(seconds):
+        return "?"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, int | float | bool | str]]:
+    """Iterate over the numbers and words of a summary, nested ones with dotted names."""
+    for name, value in summary.items():
+        if isinstance(value, Mapping):
+            yield from scalars(value, f"{prefix}{name}.")
+        elif isinstance(value, bool | int | float | str):
+            yield f"{prefix}{name}", value
+
+
+def short(value: int | float | bool | str) -> str:
+    """Write a number as a table has it."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,260 @@
+"""Pages of trained parts in Markdown: what a dataset holds, what a world model foresees, which signal should gate, what a denoiser does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.part_figures import POOLED
+from wasp_cli.report.trained.read import UNREADABLE, read_json
+from wasp_cli.store.layout import Layout
+
+ALL = "all"
+"""The row of a dataset's contents that has all behaviours."""
+DATASETS = ("dataset", "rollouts")
+"""Kinds of artifacts that are a dataset."""
+COSTLY_SHARE = (0.03, 0.15)
+"""Share of costly decision steps that a dataset should have: with less a model learns no cost, with more nothing of driving well."""
+
+SETS = {"held_out": "Held-out episodes of the dataset", "unseen": "Fresh episodes under operators that are not in the dataset"}
+STEPS = (
+    ("k", "k"), ("base rate", "base"), ("AUPRC", "auprc"), ("from", "auprc_low"), ("to", "auprc_high"),
+    ("persistence", "persistence"), ("recall", "recall"),
+    ("predicted / base", "predicted_over_base"), ("ECE", "calibration_error"), ("onset base", "onset_base"), ("onset AUPRC", "onset_auprc"),
+    ("foreseen", "foreseen"), ("onset foreseen", "onset_foreseen"), ("reward R2", "reward_r2"),
+    ("image error", "image_error"), ("copy error", "copy_error"), ("image / copy", "image_over_copy"),
+)  # fmt: skip
+"""Columns of the table per imagined step: title and key."""
+WINDOW = (
+    ("base rate", "base"), ("AUPRC", "auprc"), ("recall", "recall"), ("foreseen", "foreseen"), ("false alarms", "false_alarms"),
+)  # fmt: skip
+
+SIGNALS = (
+    ("AUPRC", "auprc"), ("from", "auprc_low"), ("to", "auprc_high"), ("recall", "recall"),
+    ("behind the gate", "behind"), ("from", "behind_low"), ("to", "behind_high"),
+    ("onset AUPRC", "onset_auprc"), ("onset recall", "onset_recall"),
+)  # fmt: skip
+ALARMS = (
+    ("fires", "fires"), ("precision", "precision"), ("foreseen", "foreseen"), ("false alarms", "false_alarms"),
+    ("onset foreseen", "onset_foreseen"), ("onset false alarms", "onset_false_alarms"),
+)  # fmt: skip
+GATES = (*ALARMS, ("predicted / real", "predicted_over_real"))
+
+Document = Mapping[str, Any]
+
+
+# -- datasets ---------------------------------------------------------------------------------------------------
+
+
+def dataset_warnings(contents: Document) -> list[str]:
+    """Say what is wrong with a dataset; a task without cost sources has nothing to warn of."""
+    sources, share = contents[ALL]["sources"], contents[ALL]["costly_share"]
+    if not sources:
+        return []
+    found = [f"no step costs by {kind}" for kind, part in sources.items() if part == 0.0]
+    low, high = COSTLY_SHARE
+    if not low <= share <= high:
+        found.append(f"{share:.1%} of the steps cost, not {low:.0%} to {high:.0%}")
+    return found
+
+
+def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, ...]:
+    """Add to the summary of every dataset what is wrong with it, as `warning`."""
+
+    def judged(artifact: Trained) -> Trained:
+        if artifact.kind != "dataset" or "warning" in artifact.summary:
+            return artifact
+        try:
+            found = dataset_warnings(read_json(layout, artifact, "contents.json"))
+        except UNREADABLE:
+            return artifact
+        return replace(artifact, summary={**artifact.summary, "warning": "; ".join(found)}) if found else artifact
+
+    return tuple(map(judged, trained))
+
+
+def contents_markdown(contents: Document) -> str:
+    """Lay out what a dataset holds: a row per behaviour, the whole first; shares in percent."""
+    sources = list(contents[ALL]["sources"])
+    head = ["behaviour", "episodes", "steps", "return", "goals", "with a goal", "ended by rule", "cost", "costly steps", *sources]
+    rows = [
+        [
+            name, f"{row['episodes']} ({row['share']:.0%})", row["steps"], f"{row['return_per_episode']:.2f}",
+            f"{row['goals_per_episode']:.2f}", f"{row['with_goal']:.0%}", f"{row['terminal']:.0%}", f"{row['cost_per_episode']:.1f}",
+            *(f"{share:.2%}" for share in (row["costly_share"], *(row["sources"][kind] for kind in sources))),
+        ]
+        for name, row in contents.items()
+    ]  # fmt: skip
+    lines = ["# What the dataset holds", "", *_table(head, rows), ""]
+    lines += ["Return, goals and cost (env steps that cost) are means per episode; costly steps and the cost sources are shares of the"]
+    lines += ["decision steps, and one step may cost by several sources."]
+    warnings = dataset_warnings(contents)
+    lines += ["", *(f"Warning: {text}." for text in warnings)] if warnings else []
+    return "\n".join(lines) + "\n"
+
+
+# -- diagnostics of a world model -------------------------------------------------------------------------------
+
+
+def open_loop_markdown(sets: Document) -> str:
+    """Lay out a section per set of episodes: steps 1..H, whole windows, the filtered state, what each cost source allows."""
+    lines = ["# What the world model foresees", ""]
+    for name, table in sets.items():
+        steps, window, filtered = table["steps"], table["window"], table["filter"]
+        named = ", ".join(f"{behaviour} {count}" for behaviour, count in table["episodes"].items())
+        total, moments = sum(table["episodes"].values()), f"imagined {len(steps)} steps ahead from {table['starts']} moments"
+        lines += [f"## {SETS.get(name, name)}", "", f"{total} episodes ({named}), {moments}.", ""]
+        lines += _table([title for title, _ in STEPS], [[_short(row[key]) for _, key in STEPS] for row in steps], numbers=True)
+        rows = [[title, *(_short(window[f"{prefix}{key}"]) for _, key in WINDOW)] for title, prefix in (("all", ""), ("onset", "onset_"))]
+        head = ["starts", *(title for title, _ in WINDOW)]
+        lines += ["", f"Any cost within {len(steps)} steps:", "", *_table(head, rows, numbers=True), ""]
+        lines += [f"Persistence: AUPRC {_short(window['persistence'])}. Summed cost against the real sum: correlation"]
+        lines += [f"{_short(window['cost_correlation'])}.", "", "The filtered state itself (k = 0): cost AUPRC"]
+        lines += [f"{_short(filtered['auprc'])} at a base rate of {_short(filtered['base'])}, predicted / base"]
+        lines += [f"{_short(filtered['predicted_over_base'])}, image error {_short(filtered['image_error'])} against"]
+        lines += [f"{_short(filtered['image_variance'])} of the mean image.", ""]
+        sources = list(steps[0]["foreseen_by_source"]) if steps else []
+        if len(sources) > 1:
+            rows = [[str(row["k"]), *(_short(row["foreseen_by_source"][kind]) for kind in sources)] for row in steps]
+            lines += ["Share of the costs of each source that were foreseen:", "", *_table(["k", *sources], rows, numbers=True), ""]
+        if any((row["ends_base"] or 0) > 0 for row in steps):
+            rows = [[str(row["k"]), *(_short(row[f"ends_{key}"]) for key in ("base", "auprc", "over_base"))] for row in steps]
+            head = ["k", "base rate", "AUPRC", "predicted / base"]
+            lines += ["Episodes that end there by the task's own rule:", "", *_table(head, rows, numbers=True), ""]
+    window = next(iter(sets.values()))["window"]
+    lines += [
+        "From and to are a 95 % interval of the AUPRC over resampled episodes. Persistence says that the cost stays what it is now,",
+        "copy that the image does. Recall is at 10 % false alarms. Onset counts only starts that do not cost themselves. Foreseen is the",
+        "share of the real costs before which the safety gate would have fired: the expected costly steps of the window, discounted by",
+        f"{window['gamma']:g} a step, were above {window['threshold']:g}; false alarms is the share of windows without a cost in which",
+        "they were too. ECE is the mean distance of predicted and seen over ten bins. Image errors are squared, per pixel, for values in",
+        "[0, 1].",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+# -- signals of the gate ----------------------------------------------------------------------------------------
+
+
+def signal_title(name: str, document: Document) -> str:
+    """Say in words what a signal of `learning.gate_signals` is."""
+    kind, _, gamma = name.partition("@")
+    horizon, own = document["horizon"], f"{document['gamma_c']:g}"
+    words = {
+        "now": "c-hat now",
+        "gate": f"**discounted sum over {horizon}, {own} (the gate)**",
+        "sum": f"sum over {horizon}",
+        "first": f"sum over the first {min(document['first_steps'], horizon)}",
+        "expert": f"discounted sum over {horizon}, {own}, the expert imagined instead",
+        "discounted": f"discounted sum over {horizon}, {gamma}",
+        "critic": f"V_c alone, {gamma}",
+        "step": f"one step and V_c, {gamma}",
+        "bootstrap": f"Eq. 8 with V_c, {gamma}",
+    }
+    return words.get(kind, name)
+
+
+def signals_markdown(document: Document) -> str:
+    """Lay out a table per operator and one for all of them, the best signal first, and the gate at its threshold.
+
+    Args:
+        document: what the stage `gate_signals` leaves in `signals.json`.
+    """
+    sets, left_out = document["sets"], document["left_out"]
+    lines = ["# Which number should gate?", ""]
+    drawn = f"At every decision {document['rollouts']} futures are imagined;"
+    lines += [f"Human-only, {document['episodes']} fresh episodes of each operator. {drawn}"]
+    lines += [f"to be foreseen is any costly decision among the next {document['window']}.", ""]
+    if left_out:
+        lines += [f"Left out, since their skill was not trained: {', '.join(left_out)}.", ""]
+    for name, table in sets.items():
+        lines += [f"## {'All operators' if name == POOLED else name.capitalize()}", ""]
+        lines += [f"{table['decisions']} decisions of {table['episodes']} episodes, base rate {_three(table['base'])},"]
+        lines += [f"{_three(table['onset_base'])} where the decision before did not cost.", ""]
+        rows = [[signal_title(signal, document), *(_three(row[key]) for _, key in SIGNALS)] for signal, row in _ranked(table["signals"])]
+        lines += [*_table(["signal", *(head for head, _ in SIGNALS)], rows), ""]
+    rows = [[name, *(_three(table["gate"][key]) for _, key in GATES)] for name, table in sets.items()]
+    lines += [f"## The gate at tau_c = {document['threshold']:g}", "", *_table(["operator", *(head for head, _ in GATES)], rows), ""]
+    pooled = sets[POOLED]
+    for name, sweep in pooled["sweep"].items():
+        rows = [[_three(row["threshold"]), *(_three(row[key]) for _, key in ALARMS)] for row in sweep]
+        lines += [f"All operators, {signal_title(name, document)}:", "", *_table(["threshold", *(head for head, _ in ALARMS)], rows), ""]
+    rival = pooled["rival"]
+    lines += [f"At {_three(rival['threshold'])} the latter fires as often as the gate at tau_c. It then foresees"]
+    lines += [f"{_three(rival['foreseen'])}, with {_three(rival['false_alarms'])} false alarms.", ""]
+    lines += [
+        "AUPRC: area under precision and recall; a guess has the base rate. From and to are a 95 % interval over resampled episodes.",
+        "Recall is at 10 % false alarms. *Behind the gate*: by how much the AUPRC is below that of the gate's own signal, on the same",
+        "resampled episodes; an interval above 0 says that the gate's own is better. *Onset*: only decisions before which there was no",
+        "cost. *Fires*: share of the decisions at which the signal is above tau_c; *precision*: of these, how many a cost really",
+        "followed; *foreseen*: share of the decisions before a cost at which it fires; *false alarms*: share of the others.",
+        f"*Predicted / real*: mean signal over the mean of the costs that followed within {document['window']}, discounted alike.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _ranked(signals: Document) -> list[tuple[str, Document]]:
+    """The signals by AUPRC, the best first and undefined ones last."""
+    return sorted(signals.items(), key=lambda item: math.inf if item[1]["auprc"] is None else -item[1]["auprc"])
+
+
+# -- denoisers --------------------------------------------------------------------------------------------------
+
+
+def quality_markdown(quality: Document) -> str:
+    """Lay out the distances of denoised commands: a row for each kind of command and ratio."""
+    rows = [
+        [kind, ratio, _three(row["conformity"]), _three(row["fidelity"])]
+        for kind, by_ratio in quality.items()
+        for ratio, row in by_ratio.items()
+    ]
+    return "\n".join(_table(["command", "ratio", "to the expert's action", "to the command"], rows)) + "\n"
+
+
+# -- files ------------------------------------------------------------------------------------------------------
+
+
+def write_contents(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Write what a dataset holds."""
+    path.write_text(contents_markdown(read_json(layout, artifact, "contents.json")), encoding="utf-8")
+
+
+def write_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Write what a world model foresees."""
+    path.write_text(open_loop_markdown(read_json(layout, artifact, "diagnostics.json")), encoding="utf-8")
+
+
+def write_signals(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Write which signal should gate."""
+    path.write_text(signals_markdown(read_json(layout, artifact, "signals.json")), encoding="utf-8")
+
+
+def write_quality(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Write what a denoiser does."""
+    path.write_text(quality_markdown(read_json(layout, artifact, "quality.json")), encoding="utf-8")
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[Any]], *, numbers: bool = False) -> list[str]:
+    """A Markdown table; its first column is of words, unless all are of numbers."""
+    rule = "|" + " ---: |" * len(head) if numbers else "| --- |" + " ---: |" * (len(head) - 1)
+    return [_line(head), rule, *map(_line, rows)]
+
+
+def _line(cells: Sequence[Any]) -> str:
+    return "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
+
+
+def _short(value: Any) -> str:
+    """A number with as many places as its size asks for."""
+    if isinstance(value, int):
+        return str(value)
+    return "-" if value is None or not math.isfinite(value) else f"{value:.4f}" if abs(value) < 0.1 else f"{value:.2f}"
+
+
+def _three(value: Any) -> str:
+    """A number with three places."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:.3f}"

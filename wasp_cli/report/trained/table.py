@@ -1,0 +1,177 @@
+"""How good the trained parts are: what each stage found worth telling, per task and round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from wasp_cli.plan.node import Part
+from wasp_cli.report.stats.summary import Value, over_seeds
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.trained.artifacts import Trained
+
+COLUMNS = (
+    ("expert", Column("return", "Expert return", digits=1)),
+    ("expert", Column("cost", "Expert cost", digits=1)),
+    ("expert", Column("success", "Expert succ. (%)", digits=0, scale=100.0, spread=False)),
+    ("dataset", Column("costly_share", "Costly data (%)", digits=1, scale=100.0, spread=False)),
+    ("policies", Column("return", "Latent return", digits=1)),
+    ("policies", Column("privileged_return", "privileged", digits=1, spread=False, optional=True)),
+    ("policies", Column("cost", "Latent cost", digits=1)),
+    ("policies", Column("privileged_cost", "privileged", digits=1, spread=False, optional=True)),
+    ("critics", Column("rank_r", "rank V_r")),
+    ("critics", Column("rank_c", "rank V_c")),
+    ("gate_signals", Column("auprc", "Gate AUPRC", optional=True)),
+    ("gate_signals", Column("auprc_bootstrap", "with V_c", optional=True)),
+)
+"""Stage and the number of its summary. Stages that do not tell a number leave its column out."""
+MEASURES = (
+    Column("auprc", "Cost AUPRC"),
+    Column("persistence", "Cost AUPRC, persistence"),
+    Column("unseen_auprc", "Cost AUPRC, operators not in the data"),
+    Column("base", "Cost base rate"),
+    Column("predicted_over_base", "Cost predicted / base rate"),
+    Column("recall", "Cost recall"),
+    Column("reward_r2", "Reward R²"),
+)
+"""Numbers of `diagnostics`, each for some imagined steps: `auprc@5`."""
+STEPS = (1, 5, 10, 15)
+NAMED = 6
+"""Missing parts that a note names; the plan names all."""
+Key = tuple[str, str, int]
+"""Task, stage and round of a part."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """The parts that a run trains, and what those say that are there."""
+
+    wanted: Mapping[Key, tuple[Part, ...]]
+    """One part for each seed."""
+    summaries: Mapping[Part, Mapping[str, Any]]
+    failures: Mapping[Part, str]
+    """Why a part is not there, where that is known."""
+
+    @classmethod
+    def of(cls, parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str]) -> Training:
+        """Match parts with artifacts by their keys."""
+        found = {artifact.key: artifact.summary for artifact in trained}
+        wanted: dict[Key, tuple[Part, ...]] = {}
+        for part, _ in parts:
+            place = (part.task, part.kind, part.round)
+            wanted[place] = (*wanted.get(place, ()), part)
+        told = {part: found[key] for part, key in parts if key in found}
+        return cls(wanted, told, {part: failures[key] for part, key in parts if key in failures})
+
+    def tasks(self) -> list[str]:
+        return list(dict.fromkeys(task for task, _, _ in self.wanted))
+
+    def rounds(self, task: str) -> list[int]:
+        return sorted({number for named, _, number in self.wanted if named == task})
+
+    def parts(self, task: str, stage: str, number: int) -> tuple[Part, ...]:
+        """Find what a round reads of a stage: the expert is that of the first one, and rollouts complete the dataset."""
+        if stage == "expert":
+            number = 1
+        elif stage == "dataset" and number > 1:
+            stage = "rollouts"
+        return self.wanted.get((task, stage, number), ())
+
+    def value(self, parts: Sequence[Part], name: str) -> Value:
+        """Return the mean over the seeds whose part is there and tells the number."""
+        told = (self.summaries.get(part, {}).get(name) for part in parts)
+        numbers = [float(number) for number in told if isinstance(number, int | float) and math.isfinite(number)]
+        return over_seeds(numbers, ranked=False)
+
+    def tells(self, parts: Sequence[Part], name: str) -> bool:
+        """Say whether a part knows the number, be it undefined."""
+        return any(name in self.summaries.get(part, {}) for part in parts)
+
+    def missing(self, parts: Sequence[Part]) -> list[Part]:
+        return [part for part in parts if part not in self.summaries]
+
+
+def training_tables(
+    parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str] | None = None
+) -> list[Table]:
+    """Make the tables that have something to show: the stages one by one, and how far ahead the world model can be trusted.
+
+    Args:
+        parts: what a run trains, each with the key of its artifact.
+        trained: the artifacts that are there.
+        failures: why others are not, by key, where that is known.
+    """
+    training = Training.of(parts, trained, failures or {})
+    tables = (_stages(training, _incomplete(training)), _ahead(training))
+    return [table for table in tables if table.rows and table.columns]
+
+
+def _stages(training: Training, notes: tuple[str, ...]) -> Table:
+    """A row for each task and round."""
+    places = [(task, number) for task in training.tasks() for number in training.rounds(task)]
+    columns, shown = [], []
+    for stage, column in COLUMNS:
+        read = [training.parts(task, stage, number) for task, number in places]
+        # A number that no part tells is no column; one that is still to come is.
+        if any(training.missing(own) or training.tells(own, column.key) for own in read):
+            columns.append(replace(column, key=f"{stage}.{column.key}"))
+            shown.append([training.value(own, column.key) for own in read])
+    rows = []
+    stages = dict.fromkeys(stage for stage, _ in COLUMNS)
+    for i, (task, number) in enumerate(places):
+        own = [part for stage in stages for part in training.parts(task, stage, number)]
+        rows.append(Row((task_title(task), str(number) + _share(training, own)), tuple(values[i] for values in shown)))
+    meanings: tuple[str, ...] = (
+        "The latent expert drives by the world model's filter; beside it the privileged one that it was distilled from. rank: correlation "
+        "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off.",
+    )
+    if any(column.key.startswith("gate_signals.") for column in columns):
+        meanings += ("Gate AUPRC: of the safety gate's signal for a cost ahead, under several operators; with V_c: of Eq. 8 as written.",)
+    return Table("training", "Trained parts", ("Task", "Round"), tuple(columns), tuple(rows), notes, meanings, ranked=False)
+
+
+def _ahead(training: Training) -> Table:
+    """A row for each task, round and measure, a column for each imagined step."""
+    rows = []
+    for task in training.tasks():
+        for number in training.rounds(task):
+            judges = training.parts(task, "diagnostics", number)
+            share = _share(training, judges)
+            for measure in MEASURES:
+                names = [f"{measure.key}@{step}" for step in STEPS]
+                values = [training.value(judges, name) for name in names]
+                told = any(training.tells(judges, name) for name in names)
+                # A measure that no part tells is no row; of what is still to come there is one.
+                if told or (share and measure is MEASURES[0]):
+                    label = measure.title + (f", round {number}" if number > 1 else "") + share
+                    rows.append(Row((task_title(task), label), tuple(values)))
+    kept = [i for i in range(len(STEPS)) if any(row.values[i].mean is not None for row in rows)] or range(len(STEPS))
+    return Table(
+        "world_model",
+        "World model, imagined steps ahead",
+        ("Task", "Measure"),
+        tuple(Column(f"step_{STEPS[i]}", str(STEPS[i]), digits=3) for i in kept),
+        tuple(Row(row.labels, tuple(row.values[i] for i in kept)) for row in rows),
+        meanings=("On held-out episodes. Persistence says that the cost stays what it is now.",),
+        ranked=False,
+    )
+
+
+def _incomplete(training: Training) -> tuple[str, ...]:
+    everything = [part for parts in training.wanted.values() for part in parts]
+    absent = training.missing(everything)
+    if not absent:
+        return ()
+    absent.sort(key=lambda part: part not in training.failures)  # what failed explains the rest
+    names = [f"{part} ({training.failures[part]})" if part in training.failures else str(part) for part in absent[:NAMED]]
+    more = f" and {len(absent) - NAMED} more" if len(absent) > NAMED else ""
+    return (f"INCOMPLETE: {len(absent)} of {len(everything)} parts are missing: {', '.join(names)}{more}.",)
+
+
+def _share(training: Training, parts: Sequence[Part]) -> str:
+    """How many of the parts behind a row are there, unless all are."""
+    absent = len(training.missing(parts))
+    return f" [{len(parts) - absent} of {len(parts)} parts]" if absent else ""

@@ -1,0 +1,88 @@
+"""What travels to a worker and what comes back (names and plain values, never tensors), and what every pool of workers offers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+
+@dataclass(frozen=True)
+class NodeJob:
+    """One node for one worker."""
+
+    root: str
+    """The results folder."""
+    run_id: str
+    kind: str
+    key: str
+    label: str
+    task: str
+    seed: int
+    stage: str
+    """Import string of the stage's class."""
+    axes: Mapping[str, Any]
+    config: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    inputs: Mapping[str, tuple[str, str]]
+    """Kind and key of the upstream artifacts, by the name under which the stage reads them."""
+    sources: Mapping[str, str]
+    """Hash by module of the code that decides the result."""
+    attempt: int = 1
+    threads: int = 1
+    limit: float | None = None
+    """Seconds that it may take; None for no limit."""
+    wait: bool = False
+    """Whether to wait while another run computes it; otherwise it comes back as `busy`."""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+State = Literal["done", "shared", "failed", "busy", "skipped"]
+
+
+@dataclass(frozen=True)
+class NodeResult:
+    """How a node ended. `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is to end."""
+
+    key: str
+    state: State
+    seconds: float
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    message: str = ""
+    """Cause of a failure, in one line."""
+    hint: str | None = None
+    log: str = ""
+    by_chance: bool = False
+    """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck), so that another attempt may succeed."""
+
+
+class WorkersDied(Exception):
+    """A worker process was killed; the results that were not yet given are lost, artifacts are not."""
+
+
+class Pool(Protocol):
+    """Computes the nodes of one wave, side by side."""
+
+    jobs: int
+    name: str
+    """As the journal has it."""
+
+    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
+        """Give the results as nodes end. Jobs are taken as workers come free, not all at once.
+
+        Raises:
+            WorkersDied: a worker was killed. The pool can be used again.
+        """
+        ...
+
+    def alone(self, job: NodeJob) -> NodeResult:
+        """Compute one node in a process of its own.
+
+        Raises:
+            WorkersDied: that process was killed.
+        """
+        ...
+
+    def close(self, *, kill: bool = False) -> None:
+        """End the workers; with `kill`, at once."""
+        ...

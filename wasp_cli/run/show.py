@@ -1,0 +1,188 @@
+"""What the commands print of runs: their state, what gc can remove, and what is published."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from wasp_cli.console import duration, size
+from wasp_cli.store.gc import FAILURES, LOCKS, RUNS, TMP, WORK, Rubbish
+
+if TYPE_CHECKING:
+    from wasp_cli.run.publish import Publication
+    from wasp_cli.run.watch import Active, RunState
+
+BAR = 40
+"""Characters of the bar."""
+STALE_SECONDS = 30.0
+"""A node says about every second that it lives; silence for longer is worth a word."""
+LISTED = 12
+"""Failed nodes that are listed; `--json` lists all."""
+
+
+def show_status(states: list[RunState], console: Console, now: datetime | None = None) -> None:
+    """Print each run as a block."""
+    now = now or datetime.now(UTC)
+    for index, state in enumerate(states):
+        if index:
+            console.print()
+        console.print(_block(state, now), soft_wrap=True)
+
+
+def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None = None) -> Group:
+    """What changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
+    named = [replace(node, label=names.get(node.key, node.label)) for node in state.active]
+    pace = _pace(state)
+    table = _running_table(replace(state, active=tuple(named)), now or datetime.now(UTC))
+    return Group(_progress(state), *([Text(pace)] if pace else []), table)
+
+
+def as_json(states: list[RunState]) -> list[dict[str, Any]]:
+    """As plain values; times are ISO texts."""
+    counts = ("finished", "running", "waiting")
+    return [_plain({**asdict(state), **{name: getattr(state, name) for name in counts}}) for state in states]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="seconds")
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _block(state: RunState, now: datetime) -> Group:
+    lines = [Text.assemble((state.spec, "bold"), f"  {_life(state, now)}"), Text(f"run {state.run_id}", style="dim"), _progress(state)]
+    if pace := _pace(state):
+        lines.append(Text(pace))
+    parts: list[Text | Table] = [*lines]
+    if state.active and state.state in ("running", "died"):
+        parts.append(_running_table(state, now))
+    for failure in state.failed[:LISTED]:
+        parts.append(Text.assemble(("FAILED ", "red"), f"{failure.label}: {failure.message}"))
+        if failure.log:
+            parts.append(Text(f"       log: {failure.log}", style="dim"))
+    if len(state.failed) > LISTED:
+        parts.append(Text(f"       and {len(state.failed) - LISTED} more; --json lists all"))
+    return Group(*parts)
+
+
+def _life(state: RunState, now: datetime) -> str:
+    if state.state == "not started":
+        return "planned, and nothing of it was computed"
+    if not state.total:
+        return "nothing had to be computed"
+    since = f"started {_when(state.started)}" if state.started else ""
+    if state.state == "running":
+        ending = "ending after what runs now" if state.draining else ""
+        return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
+    how = "died; its last event was" if state.state == "died" else state.state
+    took = _span(state.started, state.ended)
+    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "")
+
+
+def _span(start: datetime | None, end: datetime | None) -> str:
+    return duration(max((end - start).total_seconds(), 0.0)) if start and end else ""
+
+
+def _when(moment: datetime | None) -> str:
+    return f"{moment:%Y-%m-%d %H:%M} UTC" if moment else "at an unknown time"
+
+
+def _progress(state: RunState) -> Text:
+    done = state.done + state.shared
+    filled = round(BAR * min(done / state.total, 1.0)) if state.total else BAR
+    counts = [f"{done} of {state.total} done"]
+    if state.state == "running":
+        counts.append(f"{state.running} running")
+    counts += [f"{len(state.failed)} failed"] if state.failed else []
+    counts += [f"{state.blocked} blocked"] if state.blocked else []
+    counts += [f"{state.retried} tried again"] if state.retried else []
+    if state.waiting:
+        counts.append(f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}")
+    return Text.assemble("[", ("=" * filled, "green"), " " * (BAR - filled), f"] {', '.join(counts)}")
+
+
+def _pace(state: RunState) -> str:
+    """How fast it goes and how long it takes yet; of a run that is over, nothing."""
+    if state.state != "running":
+        return ""
+    rate = state.per_minute or 0.0
+    parts = [f"{rate:.0f} nodes a minute lately" if rate >= 10 else f"{rate:.2g} nodes a minute lately"] if rate else []
+    if state.left_seconds is not None:
+        known = f", without {state.unknown} nodes whose time is unknown" if state.unknown else ""
+        parts.append(f"about {duration(state.left_seconds)} left{known}")
+    return "; ".join(parts)
+
+
+def _running_table(state: RunState, now: datetime) -> Table:
+    rows = Table.grid(padding=(0, 2))
+    for node in state.active:
+        memory = f"{node.memory_mb:.0f} MB" if node.memory_mb is not None else ""
+        texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, _sign(node, state, now))
+        rows.add_row(*map(Text, texts), Text(node.text, style="dim"))
+    return rows
+
+
+def _sign(node: Active, state: RunState, now: datetime) -> str:
+    """What is odd about a node that should be running."""
+    if node.gone or state.state == "died":
+        return "gone"
+    silent = (now - node.seen).total_seconds() if node.seen else 0.0
+    return f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
+
+
+LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
+
+
+def show_rubbish(found: Sequence[Rubbish], console: Console) -> None:
+    """Print how much of each kind can go."""
+    if not found:
+        console.print("there is nothing to remove")
+        return
+    table = Table(box=None, padding=(0, 2), header_style="bold")
+    table.add_column("what can go")
+    table.add_column("count", justify="right")
+    table.add_column("size", justify="right")
+    kinds = sorted({each.what for each in found} - set(LAST)) + [what for what in LAST if any(each.what == what for each in found)]
+    for kind in kinds:
+        sizes = [each.size for each in found if each.what == kind]
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
+    table.add_section()
+    table.add_row("total", str(len(found)), size(sum(each.size for each in found)), style="bold")
+    console.print(table)
+
+
+def removed_line(count: int, freed: int) -> str:
+    """What a removal came to."""
+    return f"{count} removed, {size(freed)} freed"
+
+
+def show_publication(found: Publication, largest: float, console: Console) -> None:
+    """Print how much of each kind is published, how much was published before, and what is left out."""
+    table = Table(box=None, padding=(0, 2), header_style="bold")
+    table.add_column("kind")
+    for heading in ("new", "size", "there already"):
+        table.add_column(heading, justify="right")
+    for kind in dict.fromkeys(item.node.kind for item in (*found.new, *found.there)):
+        sizes = [item.size for item in found.new if item.node.kind == kind]
+        there = sum(item.node.kind == kind for item in found.there)
+        table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)), str(there or "-"))
+    reports = [path.stat().st_size for path in found.reports]
+    table.add_row("report", str(len(reports)), size(sum(reports)), "-")
+    table.add_section()
+    total = sum(item.size for item in found.new) + sum(reports)
+    table.add_row("total", str(len(found.new) + len(reports)), size(total), str(len(found.there)), style="bold")
+    console.print(table)
+    for item in found.large:
+        text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
+        console.print(text, markup=False, soft_wrap=True)
+    if found.absent:
+        kinds = ", ".join(dict.fromkeys(node.kind for node in found.absent))
+        console.print(f"left out: {len(found.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
