@@ -9,9 +9,7 @@ from typing import Any, NamedTuple
 from wasp_cli import seeds
 from wasp_cli.learning.configs import EvaluateConfig, ReturnsConfig
 from wasp_cli.models.policy import load_skills
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.evaluate import EvaluateStage
 from wasp_cli.tasks.base import VectorTask

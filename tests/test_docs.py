@@ -17,6 +17,8 @@ from wasp_cli.spec.load import load
 from wasp_cli.spec.sweep import read_sweep
 
 ROOT = Path(__file__).parent.parent
+PLUGIN = "extending.md"
+"""Its spec needs the package that it shows: see test_plugin_example.py."""
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
 
@@ -72,7 +74,9 @@ def test_pages_show_commands() -> None:
     assert len(shown()) >= 8
 
 
-@pytest.mark.parametrize("text", [text for page in PAGES for text in blocks(page, "yaml") if text.startswith(("name:", "extends:"))])
+@pytest.mark.parametrize(
+    "text", [text for page in PAGES if page.name != PLUGIN for text in blocks(page, "yaml") if text.startswith(("name:", "extends:"))]
+)
 def test_shown_specs_are_valid(text: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "specs", tmp_path, dirs_exist_ok=True)  # which they may extend
     (tmp_path / "spec.yaml").write_text(text, encoding="utf-8")

@@ -22,8 +22,7 @@ from wasp_cli.methods.wasp.assistant import WASP, effective
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import GATE_NONE, INTERVENED
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.operators.base import DrawnNoise, Operator
 from wasp_cli.studies.simulator import NoCritics
 
 Array = NDArray[Any]

@@ -13,9 +13,8 @@ import torch
 from torch import Tensor
 
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Operator, OperatorContext, Policy
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, Policy
 from wasp_cli.operators.delayed import DelayedOperator
-from wasp_cli.operators.noise import EpisodeNoise
 
 STEP = 0.1
 """Seconds of a decision step."""

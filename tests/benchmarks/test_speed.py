@@ -16,9 +16,7 @@ from wasp_cli.learning.configs import ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.world_model import build
 from wasp_cli.models.world_model import Batch
-from wasp_cli.operators.base import OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
 
 torch.set_num_threads(1)
 

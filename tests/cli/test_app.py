@@ -69,6 +69,12 @@ def test_every_command_has_help(command: str) -> None:
     assert f"{command} [OPTIONS]" in done.stdout
 
 
+def test_an_ascii_terminal_gets_help_and_no_traceback() -> None:
+    done = wasp("--help", PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "+- Run -" in done.stdout
+
+
 def test_version() -> None:
     assert wasp("--version").stdout == f"wasp {__version__}\n"
 
@@ -220,7 +226,7 @@ def test_one_damaged_run_does_not_hide_the_others(record: str, fakes: Fakes, sma
 
 
 def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from wasp_cli.cli.app import _show_report
+    from wasp_cli.cli.report import show_report
     from wasp_cli.report.document import Report
     from wasp_cli.spec.paper import load_paper
 
@@ -231,17 +237,17 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
     monkeypatch.setattr(Report, "terminal", gone)
     with pytest.raises(BrokenPipeError):
-        _show_report(layout, loaded.spec, cells_with_keys(plan.grid), [], [], load_paper())
+        show_report(layout, loaded.spec, cells_with_keys(plan.grid), [], [], load_paper())
     assert (layout.reports("small") / "report.md").is_file()
 
 
 def test_cells_without_readable_rows_fail_the_run(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    from wasp_cli.cli.app import _run_and_report
+    from wasp_cli.cli.run import run_and_report
     from wasp_cli.run.session import RunOptions
 
     # The fake stages end well, and write no cell.
     with pytest.raises(CellsFailed, match="14 cells cannot be read") as caught:
-        _run_and_report(load(small_spec), tmp_path / "results", RunOptions(jobs=0))
+        run_and_report(load(small_spec), tmp_path / "results", RunOptions(jobs=0))
     assert "goal1 human noisy=0.2 seed 0" in caught.value.message
 
 

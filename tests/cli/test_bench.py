@@ -7,8 +7,7 @@ import json
 import pytest
 
 from tests.commands import run_here
-from wasp_cli.studies.planner_table import TABLE1
-from wasp_cli.studies.planner_timing import matrix_rate
+from wasp_cli.studies.planner_timing import TABLE1, matrix_rate
 
 KINDS = ["gate", "quiet", "safety", "task"]
 

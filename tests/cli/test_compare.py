@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.report.two_runs import episodes, write_results
+from tests.compare.two_runs import episodes, write_results
 from wasp_cli.report.render.files import RENDERERS
 
 
@@ -70,11 +70,11 @@ def test_out_writes_every_table_in_every_format(folder: Path, tmp_path: Path) ->
         (("empty", "one"), "it holds no runs"),
         (("one", "other"), "no spec has run in both folders"),
         (("one", "two", "--spec", "tinny"), "did you mean 'tiny'?"),
-        (("one", "other", "--spec-a", "tiny"), "belong together"),
+        (("one", "other", "--spec-a", "tiny"), "need each other"),
         (("one", "other", "--spec-a", "tiny", "--spec-b", "mein"), "did you mean 'mine'?"),
-        (("one", "other", "--spec", "tiny", "--spec-b", "mine"), "belong together"),
+        (("one", "other", "--spec", "tiny", "--spec-b", "mine"), "need each other"),
         (("one", ""), "the name of the folder is empty"),
-        (("one", "two", "--out", __file__), "is no folder"),
+        (("one", "two", "--out", __file__), "is not a folder"),
     ],
 )
 def test_what_cannot_be_compared_ends_with_2(folder: Path, arguments: tuple[str, ...], what: str) -> None:

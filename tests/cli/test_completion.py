@@ -48,7 +48,7 @@ def offered(line: str, folder: Path = ROOT) -> list[str]:
         ("wasp tasks show formula", ["formula0", "formula1"]),
         ("wasp sweep specs/smoke.yaml --method ", list(METHODS)),
         ("wasp ablate --variant no", ["no-case2", "no-rollout"]),
-        ("wasp bench ceiling specs/smoke.yaml --variant s", ["safety-only"]),
+        ("wasp bench oracle specs/smoke.yaml --variant s", ["safety-only"]),
         ("wasp ablate --preset ", ["smoke", "quick", "cpu", "gpu", "paper"]),
         ("wasp run specs/smoke.yaml --set wasp.ca", ["wasp.candidates=", "wasp.case2_memory="]),
         ("wasp run specs/smoke.yaml --set pre", ["preset="]),

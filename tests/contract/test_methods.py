@@ -15,9 +15,7 @@ from wasp_cli.methods.base import Assistant, Heldout, Parts
 from wasp_cli.methods.record import blank_record
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 
 ROWS, STEPS = 5, 4
 SMALL: dict[str, dict[str, Any]] = {

@@ -6,9 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
+from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 
 LADDER = {

@@ -26,10 +26,8 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.mixed import MixedOperator
-from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.report.stats.summary import over_seeds
 
 STEPS = 50

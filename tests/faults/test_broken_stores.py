@@ -17,7 +17,7 @@ from safetensors.numpy import load_file
 
 from tests.report.invented import invent, write
 from tests.run.harness import ROOT, SMALL, Fakes, data_of, prepared, run
-from wasp_cli.cli.options import require_cells
+from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed
 from wasp_cli.report.stats.frame import read_frame
 from wasp_cli.report.summarize import wanted_cells

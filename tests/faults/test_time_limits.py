@@ -152,4 +152,4 @@ def test_the_time_is_typed_as_people_write_it(fakes: Fakes, small_spec: Path, tm
     refused = start("run", small_spec, "--timeout", "soon")
     _, errors = refused.communicate(timeout=30)
     assert refused.returncode == 2
-    assert "'soon' is no time" in errors
+    assert "invalid duration 'soon'" in errors

@@ -32,9 +32,8 @@ from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.operators.base import Operator
+from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.operators.laggy import LaggyOperator
-from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.plan.node import Part
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.pages import signals_markdown

@@ -22,9 +22,7 @@ from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
 from wasp_cli.methods.base import Parts
 from wasp_cli.methods.human import HumanOnly
-from wasp_cli.operators.base import OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.tasks.base import Observation, Step
 
 

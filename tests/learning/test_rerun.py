@@ -19,9 +19,7 @@ from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.seeds import layout_seed, method_seed
 from wasp_cli.store.recorded import read_recorded
 

@@ -20,9 +20,8 @@ from wasp_cli.learning.dataset import record
 from wasp_cli.learning.rollouts import assisted_episodes, in_turn
 from wasp_cli.learning.shards import Recording, hand_over, read_shards, write_shard
 from wasp_cli.methods.base import Parts
-from wasp_cli.operators.base import Operator, OperatorContext
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
 from wasp_cli.operators.limited import LimitedSkillOperator
-from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.operators.noisy import NoisyOperator
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.rollouts import RolloutsStage

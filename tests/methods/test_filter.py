@@ -14,8 +14,7 @@ from wasp_cli.methods.configs import FilterConfig
 from wasp_cli.methods.filter import SafetyFilter
 from wasp_cli.methods.noise import DecisionNoise
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator
 
 GAMMA = 0.9
 

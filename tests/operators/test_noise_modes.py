@@ -9,10 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.burst import MEAN_BURST, burst_rates
-from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
 
 ROWS, STEPS = 40, 500
 INTENDED = torch.full((ROWS, 2), 0.25)

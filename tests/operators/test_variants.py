@@ -5,11 +5,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.delayed import delay_steps
 from wasp_cli.operators.mixed import MixedOperator
-from wasp_cli.operators.noise import DrawnNoise, EpisodeNoise
 
 STEPS = 4000
 

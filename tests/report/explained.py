@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_SAFETY, Plans, Trajectory, episode_metrics
-from wasp_cli.report.explain.look import look
-from wasp_cli.report.explain.look_text import look_lines
+from wasp_cli.report.explain.collect import decision_facts, summarize
+from wasp_cli.report.explain.decision_text import decision_lines
+from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.explain.story_text import story_lines
-from wasp_cli.report.explain.tell import tell
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout
@@ -118,9 +117,9 @@ def text_of(lines: list[Any]) -> str:
     return "\n".join(line.plain.rstrip() for line in lines)
 
 
-def told(episode: Episode, width: int = 120) -> str:
-    return text_of(story_lines(tell(episode), width))
+def episode_text(episode: Episode, width: int = 120) -> str:
+    return text_of(episode_lines(summarize(episode), width))
 
 
-def looked(episode: Episode, t: int, width: int = 400) -> str:
-    return text_of(look_lines(look(episode, t), width))
+def decision_text(episode: Episode, t: int, width: int = 400) -> str:
+    return text_of(decision_lines(decision_facts(episode, t), width))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.report.explained import Invented, looked, told
+from tests.report.explained import Invented, decision_text, episode_text
 from wasp_cli.metrics.episode import GATE_METHOD
-from wasp_cli.report.explain.tell import tell
+from wasp_cli.report.explain.collect import summarize
 from wasp_cli.store.tables import Thresholds
 
 
@@ -16,16 +16,17 @@ def test_a_method_that_votes(tmp_path: Path) -> None:
     made.signal[3], made.gate[3], made.a[3] = 1.0, GATE_METHOD, [0.0, 0.0]
     made.pay(3, 4)
     episode = made.read(tmp_path)
-    text = looked(episode, 3)
-    assert "1.000 on a scale from -1 (no member of the ensemble finds the copilot's action better by more than 0.100 (τ_Q))" in text
-    assert "it takes over above 0.990: IDA took over" in text
-    assert "The plan" not in text
+    text = decision_text(episode, 3)
+    assert "  signal  value  threshold    τ_Q  intervenes\n  vote    1.000      0.990  0.100  yes\n" in text
+    assert "vote: on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1" in text
+    assert "IDA intervened: the command was changed by" in text
+    assert "Plan\n" not in text
     assert "safety gate" not in text
-    assert "the command stood" in looked(episode, 4)
-    story = told(episode)
-    assert "IDA took over 12.5%, silent 87.5% of decisions" in story
-    assert tell(episode).totals.missed == (4,)
-    assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2  -" in story
+    assert "The command was executed." in decision_text(episode, 4)
+    summary = episode_text(episode)
+    assert "  IDA   vote > 0.990          1  12.5%\n  none  -                     7  87.5%\n" in summary
+    assert summarize(episode).totals.missed == (4,)
+    assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2          -" in summary
 
 
 def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) -> None:
@@ -35,13 +36,11 @@ def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) 
     made.pay(3, 4)
     episode = made.read(tmp_path)
     assert not episode.gated
-    assert "Q_c             0.700 costly decisions from here on, discounted, are to be expected of the command; 0.400 are" in looked(
-        episode, 3
-    )
-    assert "the least correction below it" in " ".join(looked(episode, 3).split())
-    assert "the command stood" in looked(episode, 4)
-    story = told(episode)
-    assert "the filter corrected 12.5%, silent 87.5% of decisions" in story
-    assert "safety gate" not in story + looked(episode, 3)
-    assert "looks one imagined step ahead" in story
-    assert tell(episode).totals.missed == (4,)
+    assert "  signal  value  threshold  intervenes\n  Q_c     0.700      0.400  yes\n" in decision_text(episode, 3)
+    assert "Q_c: costly decisions to be expected of the command, discounted" in decision_text(episode, 3)
+    assert "The command was executed." in decision_text(episode, 4)
+    summary = episode_text(episode)
+    assert "  Safety filter  Q_c > 0.400          1  12.5%\n" in summary
+    assert "safety gate" not in summary + decision_text(episode, 3)
+    assert "looks one imagined step ahead" in summary
+    assert summarize(episode).totals.missed == (4,)

@@ -78,7 +78,7 @@ def test_what_failed_says_why(results: Path) -> None:
     facts = shown(results, "goal1 s0 ida_q")
     assert (facts["kind"], facts["failure"]["message"], facts["files"]) == ("ida_q", "the loss is not finite", [])
     text = run_here("show", facts["key"][:8], "--results", results, columns=80).stdout
-    assert "Failed last\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
+    assert "Last failure\n  message   the loss is not finite\n  hint      lower the learning rate\n" in text
 
 
 def test_the_text_says_the_same(results: Path) -> None:

@@ -10,6 +10,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
     import wasp_cli.cli.app
+    import wasp_cli.cli.run
     from tests.run import fake_stages
     from wasp_cli.console import out
 
@@ -19,5 +20,5 @@ if __name__ == "__main__":
         out().print(f"{len(cells)} cells")
         return SimpleNamespace(missing=())
 
-    wasp_cli.cli.app._show_report = show_cells  # type: ignore[assignment]
+    wasp_cli.cli.run.show_report = show_cells  # type: ignore[assignment]
     wasp_cli.cli.app.main()

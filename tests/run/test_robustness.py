@@ -64,7 +64,7 @@ def test_doctor_looks_and_creates_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("wasp_cli.cli.doctor.os.access", lambda path, mode: False)
     finding = doctor._writable(tmp_path / "absent")
     assert (finding.state, finding.found) == ("missing", f"cannot write to '{tmp_path}'")
-    with pytest.raises(WaspError, match="no run is possible here yet: results"):
+    with pytest.raises(WaspError, match="wasp cannot run here: results"):
         doctor.require([finding])
     assert not list((tmp_path / "old").iterdir())
     assert not (tmp_path / "absent").exists()

@@ -1,4 +1,4 @@
-"""The commands under `wasp bench`: what the planner costs, and what it reaches with a perfect model."""
+"""`wasp bench planner` and `wasp bench oracle`: what the planner costs, and what it reaches without model errors."""
 
 from __future__ import annotations
 
@@ -9,44 +9,47 @@ from typing import Annotated
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, print_json
+from wasp_cli.cli.options import JsonOption, ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, print_json
 
-bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its speed, and its ceiling with a perfect model.")
+bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its speed, and its results with oracle dynamics.")
 
 
 @bench_app.command(
     epilog="[bold]wasp bench planner[/]   ·   [bold]wasp bench planner specs/quickstart.yaml --threads 1 --batch 10 --json[/]\n\n"
-    "Run it on an idle machine: its ratios are taken in one run, but a busy neighbour still takes cores away."
+    "Run it on an idle machine: other processes slow it down."
 )
 @expected_errors
 def planner(
     spec: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[SPEC]", help="Whose sizes. (default: those of the preset cpu)", show_default=False, autocompletion=complete.specs
+            metavar="[SPEC]",
+            help="Sizes of models and planner. (default: the preset cpu)",
+            show_default=False,
+            autocompletion=complete.specs,
         ),
     ] = None,
     threads: Annotated[
-        int | None, typer.Option("--threads", min=1, metavar="N", help="Threads. (default: all cores)", show_default=False)
+        int | None, typer.Option("--threads", min=1, metavar="N", help="CPU threads. (default: all cores)", show_default=False)
     ] = None,
     batch: Annotated[int, typer.Option("--batch", min=1, metavar="B", help="Episodes decided side by side.")] = 1,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, metavar="N", help="Decisions of each kind.")] = 5,
-    json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, metavar="N", help="Timed decisions of each kind.")] = 5,
+    json: JsonOption = False,
     set_: SetOption = None,
 ) -> None:
-    """Time a decision: the gate alone, both gates silent, and the planner after either gate, beside plain matrix products.
+    """Time one decision: the safety gate, both gates, and the planner after each gate.
 
-    Two planners on the same models: the paper's sizes with one rollout per candidate, and those of the spec.
+    Times are compared with plain matrix products of the same sizes. Two planners run on the same models: one with the paper's sizes and
+    one rollout per candidate, one with the sizes of the spec.
     """
     from wasp_cli import console
     from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.spec.derived import bench_configs
-    from wasp_cli.studies.planner_table import bench_table, notes
 
     # Read when torch is loaded. Threads that wait too long for one that a busy neighbour delays take its core too.
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
-    from wasp_cli.studies.planner_timing import bench_planner
+    from wasp_cli.studies.planner_timing import bench_planner, bench_table, notes
 
     found = {
         name: bench_planner(*configs, batch=batch, threads=cores() if threads is None else threads, repeats=repeats)
@@ -61,44 +64,49 @@ def planner(
             console.out().print(line, markup=False, soft_wrap=True)
 
 
+@bench_app.command("ceiling", hidden=True)  # the name of earlier versions
 @bench_app.command(
-    epilog="[bold]wasp bench ceiling specs/quickstart.yaml --operator laggy=0.7[/]   ·   "
-    "[bold]wasp bench ceiling specs/table1.yaml --task goal1 --operator noisy=0.4 --variant full --variant safety-only --json[/]\n\n"
-    "Minutes for eight episodes: every imagined step is one of the simulator. Nothing is written to the results folder."
+    epilog="[bold]wasp bench oracle specs/quickstart.yaml --operator laggy=0.7[/]   ·   "
+    "[bold]wasp bench oracle specs/table1.yaml --task goal1 --operator noisy=0.4 --variant full --variant safety-only --json[/]\n\n"
+    "Eight episodes take minutes: every imagined step is a step of the simulator. Nothing is written to the results folder."
 )
 @expected_errors
-def ceiling(
+def oracle(
     spec: SpecArgument,
-    operator: Annotated[str, typer.Option("--operator", metavar="NAME=VALUE", help="Whom to assist: laggy=0.7.", show_default=False)],
+    operator: Annotated[str, typer.Option("--operator", metavar="NAME=VALUE", help="Operator to assist: laggy=0.7.", show_default=False)],
     task: TaskOption = None,
-    episodes: Annotated[int, typer.Option("--episodes", min=1, metavar="N", help="Episodes of each.")] = 8,
+    episodes: Annotated[int, typer.Option("--episodes", min=1, metavar="N", help="Episodes per method.")] = 8,
     variant: Annotated[
         list[str] | None,
         typer.Option(
-            "--variant", metavar="NAME", help="Of WASP. Repeatable. (default: full)", show_default=False, autocompletion=complete.variants
+            "--variant",
+            metavar="NAME",
+            help="WASP variant (repeatable). (default: full)",
+            show_default=False,
+            autocompletion=complete.variants,
         ),
     ] = None,
     tau_r: Annotated[
-        float, typer.Option("--tau-r", min=0.0, metavar="GAIN", help="Threshold of the task gate; nothing is calibrated.")
+        float, typer.Option("--tau-r", min=0.0, metavar="GAIN", help="Threshold of the task gate (it is not calibrated here).")
     ] = 0.3,
     threads: Annotated[
-        int | None, typer.Option("--threads", min=1, metavar="N", help="Threads of the simulator. (default: all cores)", show_default=False)
+        int | None, typer.Option("--threads", min=1, metavar="N", help="Simulator threads. (default: all cores)", show_default=False)
     ] = None,
     results: ResultsOption = Path("results"),
-    json: Annotated[bool, typer.Option("--json", help="Every episode, for machines.")] = False,
+    json: JsonOption = False,
     set_: SetOption = None,
 ) -> None:
-    """Run WASP on the true simulator as its world model, beside Human-only: what it reaches when the model makes no mistakes.
+    """Run WASP with oracle dynamics: the simulator takes the place of the world model.
 
-    The planner is the spec's; operator and imagination use the expert that a run of this spec has trained.
+    This shows what the planner reaches when the model makes no errors, beside Human-only in the same episodes. The planner is the spec's;
+    operator and imagination use the expert that a run of this spec has trained.
     """
     from wasp_cli import console
     from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
-    from wasp_cli.studies.oracle_run import measure_ceiling
-    from wasp_cli.studies.oracle_table import ceiling_table
+    from wasp_cli.studies.oracle_run import measure_oracle, oracle_table
 
-    cell, found = measure_ceiling(
+    cell, found = measure_oracle(
         spec, task, operator, variant or ["full"],
         episodes=episodes, tau_r=tau_r, threads=cores() if threads is None else threads, results=results, settings=set_ or (),
     )  # fmt: skip
@@ -106,4 +114,4 @@ def ceiling(
         print_json({"task": cell.task, "operator": cell.variant, "value": cell.value, "seed": cell.seed, "tau_r": tau_r,
                     "rows": [outcome.as_json() for outcome in found]})  # fmt: skip
         return
-    console.out().print(terminal(ceiling_table(cell, found), console.out().width))
+    console.out().print(terminal(oracle_table(cell, found), console.out().width))

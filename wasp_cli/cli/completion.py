@@ -1,7 +1,7 @@
-"""What a shell offers behind TAB; Typer keeps what begins as typed.
+"""Shell completion: candidates for arguments and options; Typer keeps those that begin as typed.
 
-Everything is imported inside, since the functions are also there when a command runs. Names in registries cost no import of torch or
-MuJoCo, and the settings of a spec that of its models. A plugin that does not load offers nothing: a traceback helps nobody there.
+Imports are inside the functions: every command loads this module. Names in registries need neither torch nor MuJoCo. A plugin that does
+not load offers nothing, instead of a traceback.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ SPECS = "specs/"
 
 
 def specs(incomplete: str) -> list[str]:
-    """The YAML files of the typed folder, and without one also those of `specs/`."""
+    """List the YAML files of the typed folder, and without one also those of `specs/`."""
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", SPECS]
     return [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
@@ -27,35 +27,35 @@ def _yaml_files(folder: Path) -> list[str]:
 
 
 def tasks() -> list[str]:
-    """The registered tasks."""
+    """List the registered tasks."""
     from wasp_cli.tasks.registry import TASKS
 
     return _names(TASKS)
 
 
 def methods() -> list[str]:
-    """The methods."""
+    """List the methods."""
     from wasp_cli.methods.registry import METHODS
 
     return _names(METHODS)
 
 
 def variants() -> list[str]:
-    """The ablations of all methods."""
+    """List the ablations of all methods."""
     from wasp_cli.methods.registry import METHODS
 
     return list(dict.fromkeys(variant for name in _names(METHODS) for variant in METHODS[name].variants))
 
 
 def presets() -> list[str]:
-    """The presets, smallest first."""
+    """List the presets, smallest first."""
     from wasp_cli.spec.presets import PRESETS
 
     return list(PRESETS)
 
 
 def settings() -> list[str]:
-    """What `--set` and `--vary` take, up to the value."""
+    """List the keys of `--set` and `--vary`, each with its `=`."""
     from wasp_cli.errors import WaspError
     from wasp_cli.spec.hints import settings
 
@@ -66,7 +66,7 @@ def settings() -> list[str]:
 
 
 def _names(registry: Iterable[str]) -> list[str]:
-    """The names in a registry; none where a plugin does not load."""
+    """List the names in a registry; none where a plugin does not load."""
     from wasp_cli.errors import WaspError
 
     try:

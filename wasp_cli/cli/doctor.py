@@ -1,4 +1,4 @@
-"""What this machine has, and what that means for a run."""
+"""`wasp doctor`: what this machine has, and what that means for a run."""
 
 from __future__ import annotations
 
@@ -11,18 +11,32 @@ from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
+import typer
+
+from wasp_cli.cli.options import ResultsOption, expected_errors
 from wasp_cli.console import out
 from wasp_cli.errors import WaspError
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
 
+doctor_app = typer.Typer()
+
 NEEDED = ("mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
 
 
+@doctor_app.command(rich_help_panel="Maintenance")
+@expected_errors
+def doctor(results: ResultsOption = Path("results")) -> None:
+    """Check this machine: Python, libraries, cores, memory, GPU, and whether the results folder can be written."""
+    findings = examine(results)
+    show(findings)
+    require(findings)
+
+
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked for."""
+    """One checked property of the machine."""
 
     what: str
     state: Literal["ok", "missing", "low", "optional"]
@@ -31,7 +45,7 @@ class Finding:
 
 
 def examine(results: Path) -> list[Finding]:
-    """Look for everything that a run can use. Imports torch and MuJoCo."""
+    """Check everything that a run can use. Imports torch and MuJoCo."""
     return [*_software(), *_hardware(), _writable(results)]
 
 
@@ -47,16 +61,16 @@ def _imported(distribution: str, module: str) -> Finding:
     try:
         import_module(module)
     except (ImportError, OSError) as error:  # OSError: a library that the module loads is not there
-        return Finding(distribution, "missing", str(error).partition("\n")[0], f"no stage runs without it: pip install {distribution}")
+        return Finding(distribution, "missing", str(error).partition("\n")[0], f"required: pip install {distribution}")
     return Finding(distribution, "ok", installed(distribution) or "found")
 
 
 def _hardware() -> Iterator[Finding]:
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield Finding("cores", "ok", f"{count} ({processor()})", "`wasp run` starts at most as many workers; fewer with -j")
+    yield Finding("cores", "ok", f"{count} ({processor()})", "`wasp run` starts as many workers; -j N sets their number")
     memory = memory_gb()
     if memory is None:
-        yield Finding("memory", "optional", "unknown", "about 2 GB per worker are enough for the preset cpu")
+        yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
     else:
         small = memory < SMALL_MEMORY_GB
         yield Finding("memory", "low" if small else "ok", f"{memory:g} GB", "use -j 1 and the preset quick" if small else "")
@@ -69,8 +83,8 @@ def _gpu() -> Finding:
     except (ImportError, OSError):
         return Finding("GPU", "optional", "unknown without torch")
     if torch.cuda.is_available():
-        return Finding("GPU", "ok", torch.cuda.get_device_name(0), "not used by this version yet; everything runs on the CPU")
-    return Finding("GPU", "optional", "none that torch can use", "not needed: everything runs on the CPU")
+        return Finding("GPU", "ok", torch.cuda.get_device_name(0), "not used: this version computes on the CPU")
+    return Finding("GPU", "optional", "none that torch can use", "not needed: this version computes on the CPU")
 
 
 def _writable(results: Path) -> Finding:
@@ -80,20 +94,20 @@ def _writable(results: Path) -> Finding:
         while not os.path.lexists(place) and place != place.parent:
             place = place.parent
         if not os.path.isdir(place):
-            return Finding("results", "missing", f"'{place}' is no folder", "choose another folder with --results DIR")
+            return Finding("results", "missing", f"'{place}' is not a folder", "choose another folder with --results DIR")
         if not os.access(place, os.W_OK | os.X_OK):
             return Finding("results", "missing", f"cannot write to '{place}'", "choose another folder with --results DIR")
     return Finding("results", "ok", f"'{results}' can be written")
 
 
 def require(findings: list[Finding]) -> None:
-    """Raise when something is missing without which nothing runs.
+    """Check that nothing is missing which every run needs.
 
     Raises:
-        WaspError: naming it.
+        WaspError: something is; it is named.
     """
     if missing := [finding.what for finding in findings if finding.state == "missing"]:
-        raise WaspError(f"no run is possible here yet: {', '.join(missing)}", "the table says what each needs")
+        raise WaspError(f"wasp cannot run here: {', '.join(missing)}", "the last column of the table says what to do")
 
 
 def show(findings: list[Finding]) -> None:

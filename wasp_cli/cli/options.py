@@ -1,23 +1,19 @@
-"""What the commands share: their options, how expected errors end them, and what a run without some of its rows ends with."""
+"""What the commands share: arguments and options, how expected errors end a command, and JSON."""
 
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
+from typing import Annotated, Any, ParamSpec, TypeVar
 
 import typer
 
 from wasp_cli.cli import completion as complete
-
-if TYPE_CHECKING:
-    from wasp_cli.report.stats.frame import Missing
-    from wasp_cli.run.session import RunOptions
-    from wasp_cli.store.layout import Layout
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -25,34 +21,40 @@ R = TypeVar("R")
 INTERRUPTED = 130
 PIPE_CLOSED = 141
 
-SpecArgument = Annotated[
-    Path,
-    typer.Argument(
-        metavar="SPEC", help="A YAML file, for example specs/quickstart.yaml.", show_default=False, autocompletion=complete.specs
-    ),
-]
 
-
-def folder_of(value: str | Path) -> Path:
-    """A folder as it was typed; an empty name is refused."""
+def parse_folder(value: str | Path) -> Path:
+    """Return a folder as it was typed; refuse an empty name."""
     if not str(value).strip():  # an unset variable of a script; Path("") would be the current folder
         raise typer.BadParameter("the name of the folder is empty")
     return Path(value)
 
 
-ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=folder_of, help="Where results are kept.")]
-ResultsArgument = Annotated[Path, typer.Argument(metavar="DIR", parser=folder_of, help="A results folder.")]
+def parse_duration(text: str | float) -> float:
+    """Return the seconds of a duration as it is typed: `90`, `90s`, `30m`, `2h`."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
+    seconds = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[found[2]] if found else 0.0
+    if not seconds:
+        raise typer.BadParameter(f"invalid duration '{text}'; write seconds (90), minutes (30m) or hours (2h)")
+    return seconds
+
+
+SpecArgument = Annotated[
+    Path,
+    typer.Argument(metavar="SPEC", help="A spec, for example specs/quickstart.yaml.", show_default=False, autocompletion=complete.specs),
+]
+ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=parse_folder, help="The results folder.")]
+ResultsArgument = Annotated[Path, typer.Argument(metavar="DIR", parser=parse_folder, help="The results folder.")]
 NodeArgument = Annotated[
     str,
-    typer.Argument(metavar="CELL", help="The beginning of a key, or a label ('goal1 s0 wasp laggy=0.7').", show_default=False),
+    typer.Argument(metavar="NODE", help="A label ('goal1 s0 world_model'), or the beginning of a key.", show_default=False),
 ]
 StoredCellArgument = Annotated[
     str,
     typer.Argument(
-        metavar="CELL", help="The beginning of a key, a label ('goal1 s0 wasp laggy=0.7'), or a cell.parquet.", show_default=False
+        metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or a cell.parquet.", show_default=False
     ),
 ]
-EpisodeOption = Annotated[int, typer.Option("--episode", "-e", metavar="E", help="Which episode of the cell.", show_default=False)]
+EpisodeOption = Annotated[int, typer.Option("--episode", "-e", metavar="E", help="The episode, counted from 0.", show_default=False)]
 TaskOption = Annotated[
     str | None,
     typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False, autocompletion=complete.tasks),
@@ -64,39 +66,28 @@ JobsOption = Annotated[
         "-j",
         min=0,
         metavar="N",
-        help="Worker processes at most; 0 computes in this process. (default: all cores)",
+        help="At most N worker processes; 0 computes in this process. (default: all cores)",
         show_default=False,
     ),
 ]
-
-
-def seconds_of(text: str | float) -> float:
-    """A time as it is typed: `90`, `90s`, `30m`, `2h`."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
-    seconds = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[found[2]] if found else 0.0
-    if not seconds:
-        raise typer.BadParameter(f"'{text}' is no time; write seconds, or 30m, or 2h")
-    return seconds
-
-
 TimeoutOption = Annotated[
     float | None,
     typer.Option(
         "--timeout",
         metavar="TIME",
-        parser=seconds_of,
-        help="Time that a node may take: 90, 30m, 2h. (default: no limit)",
+        parser=parse_duration,
+        help="Time limit of each node: 90, 30m, 2h. (default: no limit)",
         show_default=False,
     ),
 ]
-RetriesOption = Annotated[int, typer.Option("--retries", min=0, max=9, metavar="N", help="Further attempts at what fails by chance.")]
-BackendOption = Annotated[
-    str, typer.Option("--backend", metavar="NAME", envvar="WASP_BACKEND", help="Who provides the workers: loky, dask, ray.")
+RetriesOption = Annotated[
+    int, typer.Option("--retries", min=0, max=9, metavar="N", help="Retries of a node that fails for a reason which may pass.")
 ]
+BackendOption = Annotated[str, typer.Option("--backend", metavar="NAME", envvar="WASP_BACKEND", help="Workers: loky (local), dask or ray.")]
 SchedulerOption = Annotated[
     str | None,
     typer.Option(
-        "--scheduler", metavar="URL", envvar="WASP_SCHEDULER", help="Address of the dask scheduler or the ray cluster.", show_default=False
+        "--scheduler", metavar="URL", envvar="WASP_SCHEDULER", help="Address of the dask scheduler or ray cluster.", show_default=False
     ),
 ]
 SetOption = Annotated[
@@ -104,7 +95,7 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a value of the spec, as if it stood in the file. Repeatable.",
+        help="Override a value of the spec (repeatable).",
         show_default=False,
         autocompletion=complete.settings,
     ),
@@ -114,7 +105,7 @@ SelectOption = Annotated[
     typer.Option(
         "--select",
         metavar="FIELD=VALUE,...",
-        help="Only these cells: 'task=race1,method=wasp|ida'; with 'stage=world_model' also what is trained. Repeatable.",
+        help="Only these cells: 'task=race1,method=wasp|ida'; 'stage=world_model' selects training nodes (repeatable).",
         show_default=False,
     ),
 ]
@@ -123,17 +114,18 @@ ReuseOption = Annotated[
     typer.Option(
         "--reuse",
         metavar="none|published|DIR",
-        help="Published results to use instead of computing: those in results/published, or in another folder. (default: the spec's)",
+        help="Published results to use instead of computing: none, results/published, or a folder. (default: what the spec says)",
         show_default=False,
     ),
 ]
-FailedOption = Annotated[bool, typer.Option("--failed", help="Only what failed before, and what waits for it.")]
+FailedOption = Annotated[bool, typer.Option("--failed", help="Only nodes that failed before, and nodes that wait for them.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
     """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback.
 
-    Expected are also the refusals of the system: a full disk, a folder without permission, a reader of stdout that went away.
+    Expected are also the refusals of the system: a full disk, a folder without permission, a broken pipe.
     """
 
     @functools.wraps(command)
@@ -163,39 +155,14 @@ def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
             print("interrupted", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
 
+    # Help is the docstring, and its paragraphs are wrapped to the terminal, not to the source.
+    wrapped.__doc__ = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(command.__doc__ or ""))
     return wrapped
 
 
-def way_of(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> RunOptions:
-    """How a run is carried out, from what was typed."""
-    from wasp_cli.run.session import RunOptions, cores
-
-    return RunOptions(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
-
-
 def print_json(value: Any) -> None:
-    """Print for machines."""
+    """Print a value as JSON."""
     import json
 
     json.dump(value, sys.stdout, indent=1)
     sys.stdout.write("\n")
-
-
-def require_cells(missing: Sequence[Missing], layout: Layout | None = None) -> None:
-    """Raise CellsFailed when a cell has no readable rows, though its node ended well.
-
-    Args:
-        missing: the cells without rows.
-        layout: the results folder of a run; damaged cells are taken out of use there, so that the next run computes them.
-    """
-    from wasp_cli.errors import CellsFailed
-    from wasp_cli.store.artifact import invalidate
-
-    if missing:
-        for cell in missing:
-            if cell.damaged and layout is not None:
-                invalidate(layout, cell.kind, cell.key, cell.reason)
-        named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
-        more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
-        what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"
-        raise CellsFailed(f"{what}:\n{named}{more}", None if layout is None else "run again: what is damaged is computed again")

@@ -1,4 +1,4 @@
-"""`wasp check` and `wasp schema`: what is wrong with a spec, and what editors need to complete one."""
+"""`wasp check` and `wasp schema`."""
 
 from __future__ import annotations
 
@@ -9,25 +9,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import SetOption, expected_errors, print_json
+from wasp_cli.cli.options import JsonOption, SetOption, expected_errors, print_json
 
 if TYPE_CHECKING:
     from wasp_cli.spec.places import Problem
+
+PANEL = "Specs and tasks"
 
 spec_app = typer.Typer()
 
 
 @spec_app.command(
+    rich_help_panel=PANEL,
     epilog="[bold]wasp check specs/*.yaml[/]   ·   [bold]wasp check specs/table1.yaml --json | jq '.[].problems'[/]\n\n"
-    "Exit codes: 0 all are valid, 2 usage, 3 one is not."
+    "Exit codes: 0 all are valid, 2 usage, 3 at least one is invalid.",
 )
 @expected_errors
 def check(
     specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False, autocompletion=complete.specs)],
     set_: SetOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Every file with its problems, for machines.")] = False,
+    json: JsonOption = False,
 ) -> None:
-    """Validate specs, and papers such as specs/paper.yaml: every mistake at once, with file, line and column."""
+    """Validate specs and paper files: every mistake at once, with file, line and column."""
     from wasp_cli.console import out
     from wasp_cli.errors import SpecError
     from wasp_cli.spec.places import InvalidSpec
@@ -54,7 +57,7 @@ def check(
 
 
 def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
-    """How many cells a valid spec has (None for a paper, which `--set` does not change), and the words for it."""
+    """Count the cells of a valid spec (None for a paper, which `--set` does not change), and say it in words."""
     from wasp_cli.plan.grid import cells_of
     from wasp_cli.spec.load import load
     from wasp_cli.spec.paper import is_paper, paper_of
@@ -70,14 +73,16 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
 
 
-@spec_app.command(epilog="[bold]wasp schema > specs/wasp.schema.json[/]   ·   [bold]wasp schema --plugins > mine.schema.json[/]")
+@spec_app.command(
+    rich_help_panel=PANEL, epilog="[bold]wasp schema > specs/wasp.schema.json[/]   ·   [bold]wasp schema --plugins > mine.schema.json[/]"
+)
 @expected_errors
 def schema(
-    plugins: Annotated[bool, typer.Option("--plugins", help="Also the names that installed plugins add.")] = False,
+    plugins: Annotated[bool, typer.Option("--plugins", help="Include the names of installed plugins.")] = False,
 ) -> None:
-    """Print the JSON Schema of a spec, with which editors complete specs and mark mistakes.
+    """Print the JSON Schema of specs, for completion and checks in an editor.
 
-    A spec refers to it in its first line: `# yaml-language-server: $schema=wasp.schema.json`.
+    The first line of a spec names it: `# yaml-language-server: $schema=wasp.schema.json`.
     """
     from wasp_cli.spec.schema import spec_schema
 

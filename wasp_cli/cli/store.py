@@ -1,4 +1,4 @@
-"""`wasp show` and `wasp gc`: what the store holds of a node, and what nobody needs of it any more."""
+"""The commands that move or remove results: `wasp gc` and `wasp publish`."""
 
 from __future__ import annotations
 
@@ -7,59 +7,44 @@ from typing import Annotated
 
 import typer
 
-from wasp_cli.cli.options import NodeArgument, ResultsArgument, ResultsOption, expected_errors, print_json
+from wasp_cli.cli.options import (
+    ResultsArgument,
+    ResultsOption,
+    SelectOption,
+    SetOption,
+    SpecArgument,
+    TaskOption,
+    expected_errors,
+    parse_folder,
+)
+
+PANEL = "Maintenance"
 
 store_app = typer.Typer()
 
 
 @store_app.command(
-    epilog="[bold]wasp show 611a4993[/]   ·   [bold]wasp show 'goal1 s0 world_model' --json | jq .provenance.git[/]\n\n"
-    "Exit codes: 0 done, 1 the manifest cannot be read, 2 no such node."
-)
-@expected_errors
-def show(
-    cell: NodeArgument,
-    results: ResultsOption = Path("results"),
-    json: Annotated[bool, typer.Option("--json", help="The same facts for machines.")] = False,
-) -> None:
-    """Show what is known of a node: numbers, configuration, what it read, its files, where it came from, why it failed."""
-    from dataclasses import asdict
-
-    from wasp_cli.console import out
-    from wasp_cli.report.node import node_facts, node_lines
-    from wasp_cli.run.record import results_of
-    from wasp_cli.store.find import find_node
-
-    layout = results_of(results)
-    facts = node_facts(layout, find_node(layout, cell))
-    if json:
-        print_json(asdict(facts))
-        return
-    for line in node_lines(facts):
-        out().print(line, soft_wrap=True)
-
-
-@store_app.command(
+    rich_help_panel=PANEL,
     epilog="[bold]wasp gc --dry-run[/]   ·   [bold]wasp gc --keep specs/table1.yaml --older-than 30[/]\n\n"
-    "Exit codes: 0 done, 1 the results cannot be read, 2 usage, 3 invalid spec."
+    "Exit codes: 0 done, 1 the results cannot be read, 2 usage, 3 invalid spec.",
 )
 @expected_errors
 def gc(
     folder: ResultsArgument = Path("results"),
     keep: Annotated[
         list[Path] | None,
-        typer.Option("--keep", metavar="SPEC", help="Also keep what this spec asks for as it is now. Repeatable.", show_default=False),
+        typer.Option("--keep", metavar="SPEC", help="Also keep what this spec needs, as it is now (repeatable).", show_default=False),
     ] = None,
     older_than: Annotated[
-        float | None, typer.Option("--older-than", min=0, metavar="DAYS", help="Only what was written so long ago.", show_default=False)
+        float | None, typer.Option("--older-than", min=0, metavar="DAYS", help="Only what is older than this.", show_default=False)
     ] = None,
-    runs: Annotated[bool, typer.Option("--runs", help="Also folders of runs, with their logs, but the newest of each spec.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask. Needed where there is no terminal.")] = False,
+    runs: Annotated[bool, typer.Option("--runs", help="Also remove run folders and their logs, except the newest of each spec.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would be removed.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask. Required without a terminal.")] = False,
 ) -> None:
-    """Remove what no spec reaches.
+    """Remove results that no spec needs.
 
-    Kept is what the newest run of each spec reaches, every run that is not over, and what either was computed from.
+    Kept is what the newest run of each spec needs, what active runs need, and everything that these were computed from.
     """
     import sys
     import time
@@ -76,7 +61,63 @@ def gc(
     if not found or dry_run:
         return
     if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
-        out().print("nothing was removed: say --yes where there is no terminal to ask on", markup=False)
+        out().print("nothing was removed: there is no terminal to ask on, and --yes was not given", markup=False)
     elif yes or typer.confirm("Remove all of it?"):
         done = remove_unreached(layout, kept, found, runs=runs, before=before)
         out().print(removed_line(*done), markup=False)
+
+
+@store_app.command(
+    rich_help_panel=PANEL,
+    epilog="[bold]wasp publish specs/quickstart.yaml --dry-run[/]   ·   "
+    "[bold]wasp publish specs/table1.yaml --select 'task=goal1' --select 'stage=world_model'[/]\n\n"
+    "Exit codes: 0 done, 1 a result is missing, damaged or names this machine, 2 usage, 3 invalid spec.",
+)
+@expected_errors
+def publish(
+    spec: SpecArgument,
+    results: ResultsOption = Path("results"),
+    to: Annotated[
+        Path | None,
+        typer.Option(
+            "--to",
+            metavar="DIR",
+            parser=parse_folder,
+            help="Destination folder. (default: published/ in the results folder)",
+            show_default=False,
+        ),
+    ] = None,
+    task: TaskOption = None,
+    select: SelectOption = None,
+    largest: Annotated[float, typer.Option("--largest", min=0, metavar="MB", help="Leave out larger artifacts.")] = 8.0,
+    reuse: Annotated[
+        str,
+        typer.Option("--reuse", metavar="none|published|DIR", help="none: only what this code computed; otherwise as for wasp run."),
+    ] = "none",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would be published.")] = False,
+    set_: SetOption = None,
+) -> None:
+    """Copy the results of a spec, with its report, to a folder for git.
+
+    Later runs use them instead of training (--reuse published). What is published already and unchanged stays as it is.
+    """
+    from wasp_cli.console import out, waiting_aloud
+    from wasp_cli.run.publish import carry_publication, publication
+    from wasp_cli.run.record import results_of
+    from wasp_cli.run.session import restricted
+    from wasp_cli.run.show import show_publication
+    from wasp_cli.spec.load import load
+    from wasp_cli.store.layout import Layout
+    from wasp_cli.store.lock import held
+
+    loaded = restricted(load(spec, set_ or ()), task)
+    layout = results_of(results.absolute())
+    target = Layout(layout.published if to is None else to.absolute())
+    # Meanwhile nothing is removed.
+    with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
+        found = publication(loaded.spec, layout, target, select or (), largest * 1e6, reuse)
+        show_publication(found, largest * 1e6, out())
+        if dry_run:
+            return
+        carry_publication(found, loaded.spec, layout, target)
+    out().print(f"published in {target.root}", markup=False, soft_wrap=True)

@@ -48,9 +48,9 @@ MEANINGS = (
 def headline(compared: Compared) -> str:
     """How many cells are how."""
     counts = [(words, len(compared.having(state))) for state, words in STATES.items()]
-    told = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
+    counted = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
     beyond = len(compared.beyond)
-    return f"{_cells(len(compared.cells))}: {told}; {beyond or 'none'} {'differs' if beyond == 1 else 'differ'} by more than noise."
+    return f"{_cells(len(compared.cells))}: {counted}; {beyond or 'none'} {'differs' if beyond == 1 else 'differ'} by more than noise."
 
 
 def cells_table(compared: Compared) -> Table | None:
@@ -113,8 +113,8 @@ def _unable(compared: Compared) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def told(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
-    """What stands before and behind the tables, a line each."""
+def remarks(compared: Compared, shown: int | None = SHOWN) -> Iterator[str]:
+    """Yield what stands before the tables, a line each; at most `shown` cells of a kind."""
     yield f"{_named(compared.first)} and {_named(compared.second)}"
     yield headline(compared)
     for state in ("only first", "only second", "not compared"):
@@ -145,7 +145,7 @@ def _named(side: Side) -> str:
 
 def show(compared: Compared, console: Console) -> None:
     """Print the comparison; of many cells the ones with the smallest p-values."""
-    for line in told(compared):
+    for line in remarks(compared):
         console.print(Text(line), soft_wrap=True)
     for table in (cells_table(compared), summary_table(compared)):
         if table is not None:
@@ -159,7 +159,7 @@ def page(compared: Sequence[Compared]) -> str:
     """All comparisons as one page of Markdown."""
     parts = ["# Comparison\n"]
     for each in compared:
-        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {line.strip()}\n" for line in told(each, shown=None)))
+        parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {line.strip()}\n" for line in remarks(each, shown=None)))
         parts += [markdown(replace(table, title=f"{each.first.spec.name}: {table.title}")) for table in tables(each)]
     return "\n".join(parts)
 

@@ -13,7 +13,6 @@ from wasp_cli.methods.base import Assistant, AssistantClass, Parts
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.registry import load_target
 
 
 def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
@@ -29,8 +28,7 @@ def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
 
 def method_config(method: str, resolved: Mapping[str, Any]) -> Config:
     """Return the validated configuration of a method from its resolved JSON form."""
-    config: Config = load_target(METHODS[method].config).model_validate(resolved)
-    return config
+    return METHODS[method].config_model().model_validate(resolved)
 
 
 def build_assistant(method: str, resolved: Mapping[str, Any], parts: Parts) -> Assistant:

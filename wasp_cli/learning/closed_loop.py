@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.methods.base import Assistant, Decision
+from wasp_cli.methods.base import Assistant, Decision, checked
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
@@ -87,6 +87,9 @@ def run_episodes(
         method_seeds: of the assistant's own sampling.
         keep_latents: also return the filtered latents.
         progress: called about every 25 decisions.
+
+    Raises:
+        WaspError: a decision breaks the assistant's contract.
     """
     batch = task.batch
     seen = task.reset(layout_seeds)
@@ -106,7 +109,7 @@ def run_episodes(
         begun = time.perf_counter()
         decision = assistant.decide(latent, a_h, operator)
         times.append((time.perf_counter() - begun) * 1000 / batch)
-        action = decision.action
+        action = checked(decision, assistant, a_h).action
         filter_.executed(action)
         step = task.step(action.numpy())
         for name, value in (

@@ -13,8 +13,7 @@ from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
 from wasp_cli.tasks.base import VectorTask
 
 

@@ -24,8 +24,7 @@ from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy, Skills
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.tasks.base import VectorTask
 
 Report = Callable[[float, str], None]

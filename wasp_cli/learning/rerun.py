@@ -19,14 +19,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.errors import ArtifactError
 from wasp_cli.learning.closed_loop import Filter
+from wasp_cli.learning.playback import Floats32, other_episode, play, require_same, side_by_side
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.base import Observation, VectorTask
-
-Floats32 = NDArray[np.float32]
 
 
 class Recorded(NamedTuple):
@@ -76,7 +74,9 @@ class Rerun:
         """[B] T_e"""
         for e, actions in enumerate(recorded.a):
             if actions.shape[1:] != (task.action_size,):
-                raise _other(e, 0, f"an action of the task has {task.action_size} numbers, a recorded one {actions.shape[-1]}")
+                raise other_episode(
+                    e, task.batch, 0, f"an action of the task has {task.action_size} numbers, a recorded one {actions.shape[-1]}"
+                )
 
     @torch.inference_mode()
     def __iter__(self) -> Iterator[Moment]:
@@ -85,46 +85,15 @@ class Rerun:
         Raises:
             ArtifactError: commands, rewards or ends of the episodes are not those that were recorded.
         """
-        batch, rows = self.task.batch, range(self.task.batch)
-        commands, actions, rewards = (_side_by_side(part) for part in (self.recorded.a_h, self.recorded.a, self.recorded.reward))
-        seen = self.task.reset(self.recorded.layouts)
-        first = torch.ones(batch)
-        for t in range(len(actions)):
-            latent = self.filter.see(seen, first)
-            first = torch.zeros(batch)
+        commands = side_by_side(self.recorded.a_h)
+        first = torch.ones(self.task.batch)
+        for played in play(self.task, self.recorded.layouts, self.recorded.a, self.recorded.reward):
+            if not played.alive.any():
+                return
+            latent = self.filter.see(played.observation, first)
+            first = torch.zeros(self.task.batch)
             a_h = self.operator.command(latent.features).clamp(-1, 1)
-            alive = t < self.lengths
-            self._compare(t, alive, "the command of the operator is", a_h.numpy(), commands[t])
-            action = torch.from_numpy(actions[t])
-            yield Moment(t, seen, latent, a_h, action, alive)
+            require_same(played.t, played.alive, "the command of the operator is", a_h.numpy(), commands[played.t])
+            action = torch.from_numpy(played.action)
+            yield Moment(played.t, played.observation, latent, a_h, action, played.alive)
             self.filter.executed(action)
-            step = self.task.step(actions[t])
-            self._compare(t, alive, "the reward is", step.reward.astype(np.float32), rewards[t])
-            for e in rows:
-                if alive[e] and step.ended[e] != (t + 1 == self.lengths[e]):
-                    raise _other(e, t, f"the episode {'ends' if step.ended[e] else 'goes on'} here")
-            seen = step.observation
-
-    def _compare(self, t: int, alive: NDArray[np.bool_], what: str, found: Floats32, recorded: Floats32) -> None:
-        """Refuse what is not recorded: [B, ...] each."""
-        same = (found == recorded).reshape(len(alive), -1).all(1)
-        wrong = np.flatnonzero(alive & ~same)
-        if wrong.size:
-            e = int(wrong[0])
-            raise _other(e, t, f"{what} {found[e].tolist()} here, and {recorded[e].tolist()} was recorded")
-
-
-def _side_by_side(episodes: Sequence[Floats32]) -> Floats32:
-    """[T_e, ...] per episode as [T, B, ...], zero after the ends; T is that of the longest."""
-    longest = max(map(len, episodes))
-    padded = np.zeros((longest, len(episodes), *np.shape(episodes[0])[1:]), np.float32)
-    for e, values in enumerate(episodes):
-        padded[: len(values), e] = values
-    return padded
-
-
-def _other(episode: int, t: int, what: str) -> ArtifactError:
-    return ArtifactError(
-        f"played again, episode {episode} is not the recorded one from decision {t} on: {what}",
-        "the cell was computed by other code, other libraries or on another sort of machine; run it again here",
-    )

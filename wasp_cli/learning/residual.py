@@ -27,10 +27,8 @@ from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import OperatorContext
-from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.operators.mixed import MixedOperator
-from wasp_cli.operators.noise import EpisodeNoise
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import Observation, Step, VectorTask
 

@@ -17,10 +17,8 @@ from wasp_cli.learning.dataset import record
 from wasp_cli.learning.shards import Recording
 from wasp_cli.methods.base import Assistant
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
+from wasp_cli.operators.base import NoiseSource, Operator, OperatorContext, build_operator
 from wasp_cli.operators.mixed import MixedOperator
-from wasp_cli.operators.noise import NoiseSource
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.tasks.base import VectorTask
 

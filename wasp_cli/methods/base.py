@@ -1,6 +1,6 @@
 """The contract of an assistant: from a filtered latent and the operator's command to the executed action.
 
-Everything that the main table compares differs only here. B = episodes side by side, A = action size.
+Everything that the main table compares differs only here. B = episodes side by side, A = action size, K = held-out decisions.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from torch import Tensor
 
 from wasp_cli.config import Config
+from wasp_cli.errors import WaspError
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
@@ -27,11 +28,31 @@ class Decision(NamedTuple):
     """What an assistant decided for B episodes."""
 
     action: Tensor
-    """[B, A] to be executed, within the bounds"""
+    """[B, A] to be executed, within [-1, 1]; where no gate fired, the command bit for bit"""
     record: Record | None = None
-    """what there is to say of it; None: the commands stand, and nothing was computed"""
+    """why: gate and signals (`methods.record`); None: every command stands, and nothing was computed"""
     planned: Planned | None = None
     """the plans, of methods that plan"""
+
+
+def checked(decision: object, assistant: object, a_h: Tensor) -> Decision:
+    """Return the decision of `assistant` on commands a_h [B, A] after a look at what its contract promises.
+
+    Raises:
+        WaspError: it is no `Decision`, an action has another shape, or a command was changed although no gate fired.
+    """
+    who = f"the assistant '{type(assistant).__name__}'"
+    if not isinstance(decision, Decision):
+        raise WaspError(f"{who} returned a {type(decision).__name__}, not a Decision", "return Decision(action, record) from `decide`")
+    action, record = decision.action, decision.record
+    if action.shape != a_h.shape:
+        raise WaspError(f"{who} returned actions of shape {list(action.shape)} for commands of shape {list(a_h.shape)}")
+    changed = ((action != a_h) & ~a_h.isnan()).any(-1)  # [B]
+    if record is None and changed.any():
+        raise WaspError(f"{who} changed a command without a record", "return Decision(action, record) with the gate that fired")
+    if record is not None and (changed & (record.gate == 0)).any():
+        raise WaspError(f"{who} changed a command although its record says that no gate fired", "set `gate` where it intervenes")
+    return decision
 
 
 @dataclass(frozen=True)
@@ -39,22 +60,28 @@ class Parts:
     """What assistants are built from; frozen models shared by all of them."""
 
     world_model: SafetyWorldModel
+    """The RSSM with its heads (`models.base.WorldModel`): filter, imagine, reward, cost."""
     skills: Skills
+    """Latent policies; `skills.expert(features)` [B, F] to [B, A] is the nominal expert."""
     inputs: Mapping[str, Path]
     """Artifact folders by stage kind, for what only one method reads."""
     thresholds: Mapping[str, float]
     """Calibrated values by name (`tau_c`, `tau_r`, `tau_q`); empty for methods without any."""
     gamma_r: float
+    """Discount of rewards per decision step."""
     gamma_c: float
+    """Discount of costs per decision step."""
     lam: float
+    """lambda of the TD-lambda returns (Eq. 8)."""
 
 
 class Heldout(NamedTuple):
     """Decisions of the unimpaired expert on held-out seeds: T_e rows for episode e, concatenated to K rows."""
 
     latent: Latent
+    """[K, .] filtered"""
     a_h: Tensor
-    """[K, A]"""
+    """[K, A] commands of the expert"""
     reward: Tensor
     """[K] reward of the decision"""
     cost: Tensor
@@ -69,25 +96,30 @@ class Assistant(Protocol):
     """See the module. Assistants keep state between decisions only through `reset`-able fields."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """New episodes in `rows` [B] (bool); `seeds` has one entry for each of the B rows and names the sampling streams."""
+        """Begin new episodes in `rows` [B] (bool); `seeds` has one entry for each of the B rows and names the sampling streams."""
         ...
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        """The action for commands a_h [B, A] (already within bounds); `operator` has just issued them."""
+        """Decide on commands a_h [B, A] (within [-1, 1]) in the latent states [B, .]; `operator` has just issued them.
+
+        a_h is not to be changed in place; what is drawn depends on the seed of the episode and the decision alone (`methods.noise`).
+        """
         ...
 
 
 class AssistantClass(Protocol):
-    """What a registry entry's target offers."""
+    """What a registry entry's target offers: a class, or a function."""
 
-    def __call__(self, config: Config, parts: Parts) -> Assistant: ...
+    def __call__(self, config: Config, parts: Parts) -> Assistant:
+        """Build the assistant from its validated configuration and the frozen models."""
+        ...
 
 
 class CalibratedAssistant(Assistant, Protocol):
     """An assistant whose thresholds come from held-out decisions."""
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Thresholds by name.
+        """Set the thresholds and return them by name, with whatever else is worth storing.
 
         Args:
             heldout: K decisions.

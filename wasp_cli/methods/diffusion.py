@@ -36,7 +36,11 @@ class Assist:
 
 
 def load_assist(folder: Path, ratio: float, last_noise: bool = False) -> Assist:
-    """The denoiser of an artifact of the stage `denoiser`."""
+    """Load the denoiser of an artifact of the stage `denoiser`.
+
+    Raises:
+        ArtifactError: a file is missing or damaged.
+    """
     path = folder / "denoiser.safetensors"
     arguments = read_arguments(path)
     schedule = NoiseSchedule(**arguments.pop("schedule"))

@@ -60,7 +60,7 @@ class SafetyFilter:
         return Decision(action, record._replace(signal=now))
 
     def q_c(self, latent: Latent, actions: Tensor, draws: Tensor) -> Tensor:
-        """Expected costly decision steps [B, K], discounted, of executing actions [B, K, A] once and the nominal expert's behind them.
+        """Return Q_c [B, K]: discounted costly decision steps of executing actions [B, K, A] once, and the nominal expert's behind them.
 
         Args:
             latent: [B, .]
@@ -78,7 +78,7 @@ class SafetyFilter:
         return found.view(batch, several, rollouts).mean(-1)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """tau_c: a quantile of Q_c under the expert, over the decisions after which nothing cost; and the distributions around it."""
+        """Set tau_c to a quantile of Q_c under the expert, over decisions after which nothing cost; return it with the distributions."""
         total = len(heldout.a_h)
         self.reset(torch.ones(total, dtype=torch.bool), [seed + i for i in range(total)])
         draws = self._draws(self.noise.next())
@@ -95,7 +95,7 @@ class SafetyFilter:
         return {"tau_c": self.tau_c, **spread, "expert_rate": float((found > self.tau_c).float().mean())}
 
     def _corrected(self, latent: Latent, a_h: Tensor, draws: Tensor, uniforms: Tensor) -> Tensor:
-        """The least correction [B, A] along the segment from a_h to the safest candidate."""
+        """Return the least correction [B, A] along the segment from a_h to the safest candidate."""
         batch, actions = a_h.shape
         # Where motors saturate, as far as there are no more corners than candidates; and a stop.
         corners = product((-1.0, 1.0), repeat=actions) if 2**actions <= self.config.candidates else ()

@@ -16,10 +16,10 @@ class HumanOnly:
     """No assistance."""
 
     def __init__(self, config: Config | None = None, parts: Parts | None = None) -> None:
-        """Nothing is read."""
+        """Read nothing."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Nothing is kept."""
+        """Keep nothing."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         return Decision(a_h)

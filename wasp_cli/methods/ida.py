@@ -45,7 +45,7 @@ class IDA:
         self.noise.reset(rows, seeds)
 
     def advantage(self, features: Tensor, a_c: Tensor, a_h: Tensor) -> Tensor:
-        """Q_k(a_c) - Q_k(a_h): [K, B]."""
+        """Return Q_k(a_c) - Q_k(a_h), [K, B], at features [B, F] for actions [B, A]."""
         gain: Tensor = self.ensemble(features, a_c) - self.ensemble(features, a_h)
         return gain
 
@@ -58,7 +58,7 @@ class IDA:
         return Decision(torch.where(intervene.unsqueeze(-1), a_c, a_h), record)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """tau_Q: a quantile of the margin at which the vote tips, over commands of the expert with exploration noise.
+        """Set tau_Q to a quantile of the margin at which the vote tips, over commands of the expert with exploration noise.
 
         A copilot that draws may propose something else than the expert to the expert itself: there the quantile is at least that of the
         expert without noise.
@@ -77,12 +77,12 @@ class IDA:
         return {"tau_q": self.tau_q, **spread, "expert_rate": float((own > self.tau_q).float().mean())}
 
     def _tips(self, advantage: Tensor) -> Tensor:
-        """The largest tau_Q [B] below which the members' advantages [K, B] win the vote."""
+        """Return the largest tau_Q [B] below which the members' advantages [K, B] win the vote."""
         members = len(advantage)
         needed = next((n for n in range(1, members) if (2 * n - members) / members > self.config.vote), members)
         return advantage.sort(0, descending=True).values[needed - 1]
 
     def _copilot(self, features: Tensor, a_h: Tensor, noise: DecisionNoise) -> Tensor:
-        """a_c [B, A]."""
+        """Return a_c [B, A]."""
         proposed: Tensor = self.expert(features) if self.diffusion is None else self.diffusion(features, a_h, noise.next())
         return proposed

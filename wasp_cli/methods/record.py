@@ -48,7 +48,7 @@ class Planned(NamedTuple):
 
     @classmethod
     def nothing(cls, batch: int, iterations: int, steps: int, actions: int) -> Planned:
-        """No plan in any row."""
+        """Return a batch without a plan in any row."""
         nan = torch.full((batch,), torch.nan)
         return cls(
             torch.full((batch, steps, actions), torch.nan), torch.full((batch, iterations), -1, dtype=torch.int16),
@@ -57,6 +57,6 @@ class Planned(NamedTuple):
 
 
 def blank_record(batch: int, gate: int = GATE_NONE) -> Record:
-    """A record with every optional field undefined."""
+    """Return a record of `batch` decisions with one gate and every other field undefined (NaN)."""
     nan = torch.full((batch,), torch.nan)
     return Record(torch.full((batch,), gate, dtype=torch.int8), nan.clone(), nan.clone(), nan.clone(), nan.clone())

@@ -1,12 +1,31 @@
-"""The assistants by name. Adding one is a module with its class, a config in `configs` and one line here."""
+"""The assistants by name, with all that plans, specs and reports need to know of them.
+
+Adding one is a module with its class and its configuration, and one entry here (from another package: one entry point). No key covers this
+module, so that a word changed here runs nothing again.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from wasp_cli.registry import Registry
+from wasp_cli.config import Config
+from wasp_cli.errors import WaspError
+from wasp_cli.registry import Registry, load_target
+
+
+@dataclass(frozen=True)
+class Signal:
+    """What a method decides by: the values that its records hold as `signal`."""
+
+    name: str = "signal"
+    """Short name, a symbol or a word."""
+    meaning: str = "the method's own decision value"
+    """What a value is, with its unit, without an article at the end of a sentence: `costly decisions expected of the command`."""
+    limit: str = ""
+    """What a value must exceed for an intervention: a threshold of the rows (`tau_c`, `tau_r`, `tau_q`), or a field of the configuration
+    whose value is a number; empty where there is no such limit."""
 
 
 @dataclass(frozen=True)
@@ -30,21 +49,46 @@ class MethodInfo:
     """False for the reference row: it runs the unimpaired operator, once for all variants."""
     intervenes: bool = True
     """False where the operator's command is always executed, so that there is no intervention to ask about."""
-    variants: tuple[str, ...] = ("full",)
-    """Ablations that are configurations of the same class."""
+    variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
+    """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
     own_thresholds: tuple[str, ...] = ()
     """Variants whose thresholds have another unit, so that they are calibrated by themselves."""
+    rule: str = ""
+    """How it decides, in a sentence or two; `wasp explain`, the schema and the report print it."""
+    signal: Signal = Signal()
+    """What it decides by, where its records hold a signal."""
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
-        """The stage kinds that it reads under a configuration (resolved, as JSON values)."""
+        """Return the stage kinds that it reads under a configuration (resolved, as JSON values)."""
         return (*self.needs, *(kind for field, value, kind in self.needs_with if config.get(field) == value))
+
+    def config_model(self) -> type[Config]:
+        """Import and return the model of its configuration.
+
+        Raises:
+            WaspError: there is none at that place, or it is no `Config`.
+        """
+        try:
+            model = load_target(self.config)
+        except (ImportError, AttributeError) as error:
+            raise WaspError(f"the configuration of the method '{self.name}' does not load: {error}", f"see '{self.config}'") from error
+        if not (isinstance(model, type) and issubclass(model, Config)):
+            raise WaspError(f"'{self.config}' of the method '{self.name}' is no configuration", "derive it from wasp_cli.config.Config")
+        return model
 
 
 METHODS: Registry[MethodInfo] = Registry(
     "method",
     "wasp.methods",
     (
-        MethodInfo("human", "Human-only", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", intervenes=False),
+        MethodInfo(
+            "human",
+            "Human-only",
+            "wasp_cli.methods.human:HumanOnly",
+            "wasp_cli.methods.configs:HumanConfig",
+            intervenes=False,
+            rule="Human-only never intervenes: the command is executed as it is.",
+        ),
         MethodInfo(
             "ida",
             "IDA",
@@ -53,11 +97,28 @@ METHODS: Registry[MethodInfo] = Registry(
             ("ida_q",),
             needs_with=(("copilot", "diffusion", "denoiser"),),
             calibrated=True,
+            rule="IDA replaces the command by its copilot's action (the expert's, unless the spec says otherwise) where an ensemble of Q "
+            "functions votes for it.",
+            signal=Signal(
+                "vote", "on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1 (all do)", "vote"
+            ),
         ),
         MethodInfo(
-            "diffusion", "Diffusion", "wasp_cli.methods.diffusion:Diffusion", "wasp_cli.methods.configs:DiffusionConfig", ("denoiser",)
+            "diffusion",
+            "Diffusion",
+            "wasp_cli.methods.diffusion:Diffusion",
+            "wasp_cli.methods.configs:DiffusionConfig",
+            ("denoiser",),
+            rule="Diffusion has no gate: every command is blurred with noise and denoised towards what an expert would do.",
         ),
-        MethodInfo("saferl", "SafeRL-Res", "wasp_cli.methods.saferl:SafeRLRes", "wasp_cli.methods.configs:SafeRLConfig", ("residual",)),
+        MethodInfo(
+            "saferl",
+            "SafeRL-Res",
+            "wasp_cli.methods.saferl:SafeRLRes",
+            "wasp_cli.methods.configs:SafeRLConfig",
+            ("residual",),
+            rule="SafeRL-Res has no gate: a trained policy adds its correction to every command.",
+        ),
         MethodInfo(
             "wasp",
             "WASP",
@@ -65,11 +126,25 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
             calibrated=True,
-            variants=("full", "safety-only", "task-only", "no-case2", "no-rollout"),
+            variants={
+                "full": "full",
+                "safety-only": "safety gate only",
+                "task-only": "task gate only",
+                "no-case2": "no Case II recovery",
+                "no-rollout": "no rollouts (H = 1)",
+            },
             own_thresholds=("no-rollout",),
+            rule="WASP corrects the command where its imagined cost exceeds τ_c, or else where a safe correction is expected to gain more "
+            "return than τ_r.",
         ),
         MethodInfo(
-            "expert", "Expert", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig", impaired=False, intervenes=False
+            "expert",
+            "Expert",
+            "wasp_cli.methods.human:HumanOnly",
+            "wasp_cli.methods.configs:HumanConfig",
+            impaired=False,
+            intervenes=False,
+            rule="The unimpaired operator without assistance: the command is executed as it is.",
         ),
         MethodInfo(
             "filter",
@@ -78,6 +153,9 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.configs:FilterConfig",
             ("critics",),
             calibrated=True,
+            rule="The safety filter looks one imagined step ahead: where that step and V_c behind it cost more than τ_c, it makes "
+            "the least correction towards the safest action that brings the cost below.",
+            signal=Signal("Q_c", "costly decisions to be expected of the command, discounted", "tau_c"),
         ),
     ),
 )

@@ -120,7 +120,7 @@ class Trajectory:
 
 
 def _plan_shapes(plans: Plans, steps: int, actions: int) -> list[tuple[str, tuple[int, ...]]]:
-    """The shape that every field of `plans` should have in T steps."""
+    """Return the shape that every field of `plans` should have in T steps."""
     per_step = [field.name for field in fields(plans) if field.name not in ("residuals", "safe", "case2")]
     searched = (steps, *np.shape(plans.safe)[1:])
     return [

@@ -39,7 +39,7 @@ class Necessity(NamedTuple):
 
 
 def necessity(cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst: Floats, tau_R: float) -> Necessity:
-    """Eq. 19-21 for N interventions.
+    """Judge N interventions by Eq. 19-21.
 
     Args:
         cost_cf: [N, W] cost of the counterfactual branch per step.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def average_precision(event: NDArray[np.bool_], score: NDArray[Any]) -> float:
-    """Area under the precision-recall curve as the step sum over distinct thresholds; NaN without any event.
+    """Return the area under the precision-recall curve as the step sum over distinct thresholds; NaN without any event.
 
     Ties share a threshold, so a constant score has the base rate.
     """
@@ -27,7 +27,9 @@ def average_precision(event: NDArray[np.bool_], score: NDArray[Any]) -> float:
 
 
 def recall_at(event: NDArray[np.bool_], score: NDArray[Any], false_alarms: float = 0.1) -> float:
-    """The largest share of the events that a threshold finds while at most that share of the other rows is above it; NaN without events.
+    """Return the largest share of the events [N] that a threshold on `score` [N] finds within the allowed false alarms; NaN without events.
+
+    A false alarm is another row above the threshold, counted as a share of these rows.
 
     Ties share a threshold, so a constant score finds nothing.
     """
@@ -45,7 +47,7 @@ def recall_at(event: NDArray[np.bool_], score: NDArray[Any], false_alarms: float
 def average_precision_interval(
     event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, share: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:
-    """Percentile interval of `average_precision` over resampled clusters (whole episodes); NaN where fewer than two clusters are there.
+    """Return the percentile interval of `average_precision` over resampled clusters (whole episodes); NaN of fewer than two clusters.
 
     Rows of one episode resemble each other, so that thousands of rows may say little.
 
@@ -63,7 +65,7 @@ def average_precision_interval(
 def average_precision_resampled(
     event: NDArray[np.bool_], score: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, seed: int = 0
 ) -> NDArray[np.float64]:
-    """`average_precision` [resamples] on resampled clusters; empty where fewer than two clusters are there.
+    """Return `average_precision` [resamples] on resampled clusters; empty where fewer than two clusters are there.
 
     The draws depend on the clusters and the seed alone, so that two scores can be compared draw by draw. Resamples without any event say
     nothing and are left out. Arguments as in `average_precision_interval`.
@@ -85,7 +87,7 @@ def average_precision_resampled(
 
 
 def percentiles(values: NDArray[np.float64], share: float = 0.95) -> tuple[float, float]:
-    """The interval in which the middle `share` of the values lies; NaN of nothing."""
+    """Return the interval in which the middle `share` of the values lies; NaN of nothing."""
     if not len(values):
         return float("nan"), float("nan")
     low, high = np.quantile(values, [(1 - share) / 2, (1 + share) / 2])

@@ -22,7 +22,7 @@ class Bin(NamedTuple):
 
 
 def reliability(event: NDArray[np.bool_], probability: NDArray[Any]) -> list[Bin]:
-    """Ten bins of equal width; 1.0 belongs to the last."""
+    """Sort N rows into ten bins of equal width by their predicted probability [N]; 1.0 belongs to the last."""
     index = np.minimum((probability * BINS).astype(int), BINS - 1)
     rows = []
     for number in range(BINS):
@@ -33,7 +33,7 @@ def reliability(event: NDArray[np.bool_], probability: NDArray[Any]) -> list[Bin
 
 
 def calibration_error(bins: list[Bin]) -> float:
-    """ECE: the mean distance of predicted and seen over the bins, weighted by their rows; NaN without rows."""
+    """Return the expected calibration error: the mean |predicted - seen| over the bins, weighted by their rows; NaN without rows."""
     total = sum(row.size for row in bins)
     if not total:
         return float("nan")

@@ -20,11 +20,11 @@ class Latent(NamedTuple):
 
     @property
     def features(self) -> Tensor:
-        """[..., D + Z]"""
+        """Join h and z: [..., D + Z]."""
         return torch.cat([self.h, self.z], -1)
 
     def to(self, device: torch.device) -> Latent:
-        """On another device."""
+        """Move to another device."""
         return Latent(self.h.to(device), self.z.to(device))
 
     def rows(self, index: Tensor) -> Latent:
@@ -32,7 +32,7 @@ class Latent(NamedTuple):
         return Latent(self.h[index], self.z[index])
 
     def expand_rows(self, copies: int) -> Latent:
-        """[B, .] -> [B * copies, .], the copies of a row adjacent."""
+        """Repeat [B, .] as [B * copies, .], the copies of a row adjacent."""
         return Latent(self.h.repeat_interleave(copies, 0), self.z.repeat_interleave(copies, 0))
 
 
@@ -46,22 +46,22 @@ class WorldModel(Protocol):
     def initial(self, batch: int) -> Latent: ...
 
     def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
-        """The posterior after executing `action` [B, A] and seeing `pixels` uint8 [B, 6, 64, 64].
+        """Return the posterior after executing `action` [B, A] and seeing `pixels` uint8 [B, 6, 64, 64].
 
         Rows with `first` [B] start anew: h, z and the action are masked.
         """
         ...
 
     def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
-        """One prior step; `noise` [B, noise_size] are standard Gumbel draws."""
+        """Imagine one prior step for `action` [B, A]; `noise` [B, noise_size] are standard Gumbel draws."""
         ...
 
     def reward(self, latent: Latent) -> Tensor:
-        """[B] mean reward that the arrived state scores (Eq. 6, read at t+k+1 for a_{t+k})."""
+        """Return the mean reward [B] that the arrived state scores (Eq. 6, read at t+k+1 for a_{t+k})."""
         ...
 
     def cost(self, latent: Latent) -> Tensor:
-        """[B] probability of a cost event at the arrived state."""
+        """Return the probability [B] of a cost event at the arrived state."""
         ...
 
 

@@ -24,12 +24,12 @@ class NoiseSchedule(nn.Module):
         self.register_buffer("alpha_bar", torch.cumprod(1 - beta, 0).float())
 
     def diffuse(self, action: Tensor, level: Tensor, noise: Tensor) -> Tensor:
-        """x_k = sqrt(alpha_bar_k) a + sqrt(1 - alpha_bar_k) noise; `level` [B] are indices."""
+        """Return x_k = sqrt(alpha_bar_k) a + sqrt(1 - alpha_bar_k) noise, [B, A]; `level` [B] are indices."""
         alpha_bar = self.alpha_bar[level].unsqueeze(-1)
         return alpha_bar.sqrt() * action + (1 - alpha_bar).sqrt() * noise
 
     def forward_level(self, ratio: float) -> int:
-        """k = floor((T - 1) ratio): the number of diffusion steps applied; 0 leaves the action alone."""
+        """Return k = floor((T - 1) ratio), the number of diffusion steps applied; 0 leaves the action alone."""
         return int((self.steps - 1) * ratio + 1e-9)
 
 
@@ -46,7 +46,7 @@ class Denoiser(nn.Module):
         self.outputs = nn.Linear(sizes[-1], action)
 
     def forward(self, features: Tensor, noisy: Tensor, level: Tensor) -> Tensor:
-        """[B, F], [B, A], [B] to the predicted noise [B, A]."""
+        """Predict the noise [B, A] in noisy actions [B, A] of levels [B] at features [B, F]."""
         x = torch.cat([features, noisy], -1)
         for layer, scale in zip(self.layers, self.scales, strict=True):
             x = F.softplus(layer(x)) * scale(level)

@@ -14,7 +14,7 @@ CHANNELS = 6
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, zero: bool = False) -> nn.Sequential:
-    """Linear layers with LayerNorm and SiLU between them; `zero` starts the last layer at zero."""
+    """Build linear layers with LayerNorm and SiLU between them; `zero` starts the last layer at zero."""
     layers: list[nn.Module] = []
     width = inputs
     for size in hidden:

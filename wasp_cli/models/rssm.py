@@ -50,17 +50,17 @@ class RSSM(nn.Module):
         self.posterior_net = nn.Sequential(nn.LayerNorm(hidden), nn.SiLU(), nn.Linear(hidden, self.flat))
 
     def initial(self, batch: int) -> Latent:
-        """Zeros: what the mask at an episode's start leaves."""
+        """Return zeros: what the mask at an episode's start leaves."""
         reference = self.posterior_h.weight
         return Latent(reference.new_zeros(batch, self.deter), reference.new_zeros(batch, self.flat))
 
     def recur(self, latent: Latent, action: Tensor) -> Tensor:
-        """h_{t+1} = f_theta(h_t, z_t, a_t): [B, D]."""
+        """Return h_{t+1} = f_theta(h_t, z_t, a_t), [B, D]."""
         h: Tensor = self.cell(self.inputs(torch.cat([latent.z, self.scaled(action)], -1)), latent.h)
         return h
 
     def scaled(self, action: Tensor) -> Tensor:
-        """The action as the recurrence reads it, [..., K * A]: clip(a / s, -1, 1) for every scale s.
+        """Return the action as the recurrence reads it, [..., K * A]: clip(a / s, -1, 1) for every scale s.
 
         Motors saturate: a torque may be at its limit from |a| = 0.02 on. A smooth layer takes such a step for a slope, and a planner then
         finds corrections that do something in the model and nothing in the world.
@@ -68,11 +68,11 @@ class RSSM(nn.Module):
         return (action.unsqueeze(-2) / self.scales).clamp(-1, 1).flatten(-2)
 
     def prior(self, h: Tensor) -> Tensor:
-        """Log-probabilities of p_theta(z | h): [..., S, C]."""
+        """Return log-probabilities of p_theta(z | h), [..., S, C]."""
         return self._mixed(self.prior_net(h))
 
     def posterior(self, h: Tensor, projected: Tensor) -> Tensor:
-        """Log-probabilities of q_theta(z | h, o): [..., S, C]; `projected` = posterior_o(embedding)."""
+        """Return log-probabilities of q_theta(z | h, o), [..., S, C]; `projected` = posterior_o(embedding)."""
         return self._mixed(self.posterior_net(self.posterior_h(h) + projected))
 
     def _mixed(self, logits: Tensor) -> Tensor:
@@ -83,7 +83,7 @@ class RSSM(nn.Module):
         return logs
 
     def sample(self, log_probs: Tensor, noise: Tensor | None) -> Tensor:
-        """One-hot [..., Z] by the Gumbel trick with straight-through gradients; the mode when `noise` is None."""
+        """Draw one-hot [..., Z] by the Gumbel trick with straight-through gradients; the mode when `noise` is None."""
         scores = log_probs if noise is None else log_probs + noise
         hard = F.one_hot(scores.argmax(-1), self.classes).to(log_probs.dtype)
         if torch.is_grad_enabled():
@@ -117,12 +117,12 @@ class RSSM(nn.Module):
 
 
 def kl_divergence(left: Tensor, right: Tensor) -> Tensor:
-    """KL[left || right] of categoricals given as log-probabilities [..., S, C], summed over the S variables: [...]."""
+    """Return KL[left || right], [...], of categoricals given as log-probabilities [..., S, C], summed over the S variables."""
     return (left.exp() * (left - right)).sum((-2, -1))
 
 
 def balanced_kl(posterior: Tensor, prior: Tensor, free_nats: float) -> tuple[Tensor, Tensor]:
-    """The first two terms of Eq. 6: (representation, prediction), each a mean over steps.
+    """Return the first two terms of Eq. 6: (representation, prediction), each a mean over steps.
 
     Free nats clip the KL summed over the variables, so that no gradient flows below them.
     """

@@ -1,4 +1,4 @@
-"""The contract of a simulated operator: an intended policy and an impairment with memory.
+"""The contract of a simulated operator: an intended policy and an impairment with memory, and where its randomness comes from.
 
 The same class runs in the task (noise from the episode's stream) and in imagination (forked from the real memory, with
 draws of its own), which is the paper's "same pi_H". B = rows, A = action size, F = size of what the policy reads
@@ -7,19 +7,36 @@ draws of its own), which is the paper's "same pi_H". B = rows, A = action size, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar, Protocol, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.noise import NoiseSource
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 
 Policy = Callable[[Tensor], Tensor]
 """[B, F] to a command [B, A] in [-1, 1]."""
 Memory = dict[str, Tensor]
 """Tensors whose first dimension is B."""
+
+
+class NoiseSource(Protocol):
+    """Uniform draws for one decision of B rows at a time."""
+
+    def next(self, size: int) -> Tensor:
+        """Draw uniforms in [0, 1), [B, size]; every call moves on by one decision."""
+        ...
+
+    def position(self) -> Tensor:
+        """Return where the streams are, as a tensor; `seek` of it brings the same draws back."""
+        ...
+
+    def seek(self, position: Tensor) -> None:
+        """Return to a position."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -48,7 +65,7 @@ class Operator:
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
-        """An operator of severity `value`."""
+        """Build an operator of severity `value`."""
         return cls(context.skill(1.0), context.action_size, noise, batch)
 
     @property
@@ -57,15 +74,15 @@ class Operator:
         return self.noise_size + (self.action_size if self.draws_action else 0)
 
     def initial(self, batch: int) -> Memory:
-        """The memory at the start of an episode."""
+        """Return the memory at the start of an episode: tensors [B, ...]."""
         return {}
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
-        """From the intended command [B, A] and uniforms [B, draws] to the issued command and the next memory."""
+        """Turn the intended command [B, A] and uniforms [B, draws] into the issued command [B, A] and the next memory."""
         return intended, memory
 
     def command(self, features: Tensor) -> Tensor:
-        """a^H [B, A] for what the operator sees now; moves memory and noise on by one decision."""
+        """Return a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision."""
         issued, self.memory = self.act(self.policy(features), self.memory, self.noise.next(self.draws))
         return issued
 
@@ -77,7 +94,7 @@ class Operator:
             self.memory[name] = torch.where(mask, fresh[name], old)
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
-        """The same operator in imagination: `copies` adjacent copies of each of `rows` (indices), with other noise."""
+        """Return the same operator in imagination: `copies` adjacent copies of each of `rows` (indices), with other noise."""
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
         forked.noise, forked.batch = noise, len(rows) * copies
@@ -85,10 +102,74 @@ class Operator:
         return forked
 
     def snapshot(self) -> Memory:
-        """Memory and position of the noise: after `restore` of it the same commands follow, bit for bit."""
+        """Return memory and position of the noise: after `restore` of it the same commands follow, bit for bit."""
         return {"noise": self.noise.position(), **{name: value.clone() for name, value in self.memory.items()}}
 
     def restore(self, snapshot: Memory) -> None:
         """Return to a snapshot."""
         self.memory = {name: value.clone() for name, value in snapshot.items() if name != "noise"}
         self.noise.seek(snapshot["noise"])
+
+
+def build_operator(variant: str, value: float | None, context: OperatorContext, noise: NoiseSource, batch: int) -> Operator:
+    """Build an operator of `batch` rows; the variant "none" is the unimpaired expert.
+
+    Raises:
+        UnknownName: no such variant.
+    """
+    if variant == UNIMPAIRED or value is None:
+        return Operator.build(1.0, context, noise, batch)
+    operator: Operator = OPERATORS.load(variant).build(value, context, noise, batch)
+    return operator
+
+
+class EpisodeNoise:
+    """A counter-based stream per episode: what decision t of an episode draws depends on (its seed, t) and nothing else."""
+
+    def __init__(self, seeds: Sequence[int]) -> None:
+        self.seeds = list(seeds)
+        self.step = [0] * len(self.seeds)
+
+    def restart(self, row: int, seed: int) -> None:
+        """Begin a new episode in a row."""
+        self.seeds[row], self.step[row] = seed, 0
+
+    def next(self, size: int) -> Tensor:
+        """Draw [B, size]."""
+        draws = np.empty((len(self.seeds), size), np.float32)
+        for row, (seed, step) in enumerate(zip(self.seeds, self.step, strict=True)):
+            if size:
+                # 2^64 draws lie between two counters of the second word, so that decisions never share any.
+                draws[row] = np.random.Generator(np.random.Philox(key=seed, counter=[0, step, 0, 0])).random(size, np.float32)
+            self.step[row] = step + 1
+        return torch.from_numpy(draws)
+
+    def position(self) -> Tensor:
+        """Return the decisions [B] of each episode so far."""
+        return torch.tensor(self.step)
+
+    def seek(self, position: Tensor) -> None:
+        """Return to a position."""
+        self.step = position.tolist()
+
+
+class DrawnNoise:
+    """Draws made before a loop: [H, B, K]. Rows may share draws by having been expanded (common random numbers)."""
+
+    def __init__(self, draws: Tensor) -> None:
+        self.draws = draws
+        self.step = 0
+
+    def next(self, size: int) -> Tensor:
+        """Draw [B, size]."""
+        drawn = self.draws[self.step, :, :size]
+        self.step += 1
+        return drawn
+
+    def position(self) -> Tensor:
+        """Return the step of the loop."""
+        return torch.tensor(self.step)
+
+    def seek(self, position: Tensor) -> None:
+        """Return to a position."""
+        self.step = int(position)

@@ -26,7 +26,7 @@ class BurstNoiseOperator(NoisyOperator):
 
 
 def burst_rates(share: float) -> tuple[float, float]:
-    """Probabilities per decision that a burst starts and that it stops, for a `share` of the decisions in bursts.
+    """Return the probabilities per decision that a burst starts and that it stops, for a `share` of the decisions in bursts.
 
     Bursts last MEAN_BURST decisions on average, longer where so large a share leaves no room between them.
     """

@@ -8,8 +8,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Memory, Operator, OperatorContext
-from wasp_cli.operators.noise import NoiseSource
+from wasp_cli.operators.base import Memory, NoiseSource, Operator, OperatorContext
 
 
 class DelayedOperator(Operator):
@@ -34,5 +33,5 @@ class DelayedOperator(Operator):
 
 
 def delay_steps(seconds: float, decision_seconds: float) -> int:
-    """The delay in whole decision steps, rounded up (0.24 s is 3 steps of 0.08 s and 2 of 0.16 s)."""
+    """Return the delay in whole decision steps, rounded up (0.24 s is 3 steps of 0.08 s and 2 of 0.16 s)."""
     return math.ceil(seconds / decision_seconds - 1e-9)

@@ -7,8 +7,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Memory, Operator, OperatorContext
-from wasp_cli.operators.noise import NoiseSource
+from wasp_cli.operators.base import Memory, NoiseSource, Operator, OperatorContext
 
 
 class GaussianNoiseOperator(Operator):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Self
 
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.noise import NoiseSource
+from wasp_cli.operators.base import NoiseSource, Operator, OperatorContext
 
 
 class LimitedSkillOperator(Operator):

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wasp_cli.operators.base import Memory, Operator
-from wasp_cli.operators.noise import NoiseSource
+from wasp_cli.operators.base import Memory, NoiseSource, Operator
 
 
 class MixedOperator(Operator):
@@ -31,14 +30,14 @@ class MixedOperator(Operator):
         return max(operator.draws for operator in self.operators)
 
     def reset(self, rows: Tensor) -> None:
-        """New episodes in `rows` [B] (bool): clear memories and draw their operators."""
+        """Begin new episodes in `rows` [B] (bool): clear memories and draw their operators."""
         drawn = torch.from_numpy(self._random.integers(len(self.operators), size=len(self.choice)))
         self.choice = torch.where(rows, drawn, self.choice)
         for operator in self.operators:
             operator.reset(rows)
 
     def command(self, features: Tensor) -> Tensor:
-        """[B, A]"""
+        """Return the commands [B, A] of the operators that drive the rows, at features [B, F]."""
         uniforms = self.noise.next(self.draws)
         intended: dict[int, Tensor] = {}
         issued = []
@@ -51,7 +50,7 @@ class MixedOperator(Operator):
         return torch.stack(issued)[self.choice, torch.arange(len(self.choice))]
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> MixedOperator:
-        """Every row keeps its operator in imagination, and operators of no row are left out."""
+        """Copy it into imagination, where every row keeps its operator, and operators of no row are left out."""
         used, choice = torch.unique(self.choice[rows], return_inverse=True)
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
@@ -61,7 +60,7 @@ class MixedOperator(Operator):
         return forked
 
     def snapshot(self) -> Memory:
-        """The memories of all operators, by their index, and who drives which row."""
+        """Return the memories of all operators, by their index, and who drives which row."""
         memories = {f"{i}.{name}": value.clone() for i, each in enumerate(self.operators) for name, value in each.memory.items()}
         return {"noise": self.noise.position(), "choice": self.choice.clone(), **memories}
 

@@ -1,4 +1,4 @@
-"""What is known of one node from its manifest, and the same in words: what it is, what it reads, and whether its files are whole."""
+"""What the manifest of a node says, and the same as text: what it is, where it came from, its inputs, whether its files are undamaged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.registry import load_target
 from wasp_cli.report.trained.artifacts import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
@@ -42,10 +41,10 @@ class Setting:
 
 @dataclass(frozen=True)
 class Upstream:
-    """An artifact that the node read."""
+    """An input of the node."""
 
     name: str
-    """Under which it read it."""
+    """The name under which the node reads it."""
     kind: str
     key: str
     label: str
@@ -65,7 +64,7 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class NodeFacts:
-    """What is known of a node. Of one that has only failed: its label, its kind and its failure."""
+    """What is known of a node; of one that has only failed, its label, kind and failure."""
 
     key: str
     kind: str
@@ -89,7 +88,7 @@ class NodeFacts:
 
 
 def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
-    """Collect everything that the manifest of a node says, its files read and compared."""
+    """Collect what the manifest of a node says; its files are read and their SHA-256 compared."""
     provenance = mapping(node.setting("provenance"))
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
     return NodeFacts(
@@ -117,7 +116,7 @@ def _changed(node: FoundNode) -> Iterator[Setting]:
     yield from _differences("", mapping(node.setting("config")), _defaults(section))
     method = node.setting("axes", "method")
     if isinstance(method, str):
-        section = load_target(METHODS[method].config) if method in METHODS else None
+        section = METHODS[method].config_model() if method in METHODS else None
         yield from _differences(f"{method}.", mapping(node.setting("axes", "method_config")), _defaults(section))
 
 
@@ -175,12 +174,12 @@ def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, 
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
-    """Return a value of a manifest that should be a mapping; an empty one where it is none."""
+    """Return a value of a manifest if it is a mapping, else an empty one."""
     return value if isinstance(value, dict) else {}
 
 
 def node_lines(node: NodeFacts) -> Iterator[Text]:
-    """Yield one section after the other; what is not known is left out."""
+    """Yield the lines of a node, one section after the other; what is not known is left out."""
     yield Text(node.label, style="bold")
     yield _entry("kind", node.kind)
     yield _entry("key", node.key)
@@ -189,15 +188,17 @@ def node_lines(node: NodeFacts) -> Iterator[Text]:
         yield _entry("computed", f"{node.started_at[:16].replace('T', ' ')} UTC{took}")
     if node.attempt is not None:
         yield _entry("attempt", str(node.attempt))
-    yield _entry("in", node.folder)
+    yield _entry("folder", node.folder)
     yield from _failure(node.failure)
     yield from _section("Numbers", [(name, short(value)) for name, value in scalars(node.summary)])
     changes = [(each.name, _change(each)) for each in node.changed]
-    yield from _section("Configuration that is not the default", changes)
+    yield from _section("Configuration (without defaults)", changes)
     yield from _section("Shared settings", [(name, short(value)) for name, value in scalars(node.settings)])
-    yield from _section("Reads", [(each.name, f"{each.key[:8]}  {each.label}  {_unless('present', each.state)}") for each in node.upstream])
+    yield from _section(
+        "Inputs", [(each.name, f"{each.key[:8]}  {each.label}  {_unless('present', each.state)}") for each in node.upstream]
+    )
     files = [(each.name, f"{size(each.size)}  {_unless('whole', each.state)}") for each in node.files]
-    yield from _section("Files, their SHA-256 read again" if files else "Files", files)
+    yield from _section("Files (SHA-256 checked)", files)
     yield from _section("Drawn by wasp report", [("in", folder) for folder in node.pictures])
     yield from _section("Provenance", list(_provenance(node.provenance)))
 
@@ -211,7 +212,7 @@ def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:
     if not failure:
         return
     yield Text()
-    yield Text("Failed last", style="bold red")
+    yield Text("Last failure", style="bold red")
     for name in ("message", "hint", "log", "run", "attempt"):
         if failure.get(name) is not None:
             yield _entry(name, str(failure[name]))
@@ -220,7 +221,7 @@ def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:
 def _provenance(provenance: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     git = provenance.get("git")
     if isinstance(git, dict):
-        state = f"changed since ({git.get('changes') or 'outside of the package'})" if git.get("dirty") else "as committed"
+        state = f"with uncommitted changes ({git.get('changes') or 'outside of the package'})" if git.get("dirty") else "as committed"
         yield "git", f"{git.get('sha')}, {state}"
     for name, value in provenance.items():
         if name not in HIDDEN:

@@ -101,7 +101,7 @@ def _code_since(manifests: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Hash by module; a name that is none, which untrusted results may have, would be looked up as a path."""
+    """Hash by module; a name that is none, which untrusted files may hold, would be looked up as a path."""
     sources = manifest.get("sources")
     known = sources.items() if isinstance(sources, Mapping) else ()
     return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}

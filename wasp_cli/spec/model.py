@@ -18,7 +18,6 @@ from wasp_cli.errors import WaspError
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.registry import load_target
 from wasp_cli.spec.names import (
     EXTENDS,
     NO_REPEATS,
@@ -109,7 +108,7 @@ class Spec(Config):
     def method(self, name: str, variant: str = "full") -> Config:
         """Return the configuration of a method in one of its variants."""
         info = METHODS[name]
-        section: Config = getattr(self, name) if name in method_sections() else load_target(info.config)()
+        section: Config = getattr(self, name) if name in method_sections() else info.config_model()()
         if len(info.variants) > 1:
             # Validated again, since a variant may ask for more of the other fields than the section did.
             section = type(section).model_validate({**section.model_dump(), "variant": variant})
@@ -117,7 +116,7 @@ class Spec(Config):
 
     def variants_of(self, method: str) -> tuple[str, ...]:
         """Return the ablations of a method that this spec asks for; a method without ablations runs in its only one."""
-        known = METHODS[method].variants
+        known = tuple(METHODS[method].variants)
         return known if len(known) == 1 else tuple(variant for variant in self.variants if variant in known)
 
     def chain_seed(self, seed: int) -> int:
@@ -203,7 +202,7 @@ def spec_type() -> type[Spec]:
     """
     _check_plugins()
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
-    models |= {name: load_target(METHODS[name].config) for name in method_sections()}
+    models |= {name: METHODS[name].config_model() for name in method_sections()}
     fields: dict[str, Any] = {name: (model, Field(default_factory=model)) for name, model in models.items()}
     return create_model("Spec", __base__=Spec, __doc__=Spec.__doc__, **fields)
 

@@ -85,6 +85,7 @@ def _name_things(top: Schema, definitions: Schema, plugins: bool) -> None:
         ("variants", variants),
     ):
         top[name]["items"] = {"enum": known}
+    top["methods"]["items"]["enumDescriptions"] = [METHODS[name].rule for name in methods]  # editors show them
     for name in ("tasks", "methods", "stages", "variants", "seeds"):
         top[name]["uniqueItems"] = True
     top["operators"]["propertyNames"] = {"enum": operators}

@@ -31,8 +31,7 @@ class CalibrationStage:
         from wasp_cli.methods.base import CalibratedAssistant, Heldout
         from wasp_cli.metrics.windows import sums_ahead
         from wasp_cli.models.base import Latent
-        from wasp_cli.operators.base import Operator, OperatorContext
-        from wasp_cli.operators.noise import EpisodeNoise
+        from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
         from wasp_cli.seeds import derive
 
         config = cast(CalibrationConfig, job.config)

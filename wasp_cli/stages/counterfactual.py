@@ -33,9 +33,7 @@ class CounterfactualStage:
         from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.world_model import load_world_model
-        from wasp_cli.operators.base import OperatorContext
-        from wasp_cli.operators.build import build_operator
-        from wasp_cli.operators.noise import EpisodeNoise
+        from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
         from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, read_branches, write_branches
         from wasp_cli.store.recorded import read_recorded
         from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_steps

@@ -29,9 +29,7 @@ class EvaluateStage:
         from wasp_cli.learning.closed_loop import run_episodes
         from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
-        from wasp_cli.operators.base import OperatorContext
-        from wasp_cli.operators.build import build_operator
-        from wasp_cli.operators.noise import EpisodeNoise
+        from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
         from wasp_cli.store.tables import CellIdentity, write_cell
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS

@@ -37,9 +37,7 @@ class GateSignalsStage:
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import load_module
         from wasp_cli.models.world_model import load_world_model
-        from wasp_cli.operators.base import Operator, OperatorContext
-        from wasp_cli.operators.build import build_operator
-        from wasp_cli.operators.noise import EpisodeNoise
+        from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
         from wasp_cli.operators.registry import UNIMPAIRED
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task

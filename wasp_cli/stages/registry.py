@@ -55,7 +55,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("expert", "wasp_cli.stages.expert:ExpertStage", every_round=False, weight=14),
         StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage", every_round=False, weight=10),
         StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage", weight=13),
-        StageInfo("latents", "wasp_cli.stages.latents:LatentsStage", weight=6),
+        StageInfo("latents", "wasp_cli.stages.latents:LatentsStage", weight=7),
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),

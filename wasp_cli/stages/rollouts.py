@@ -37,8 +37,7 @@ class RolloutsStage:
         from wasp_cli.learning.contents import ALL, contents_of
         from wasp_cli.learning.rollouts import assisted_episodes, in_turn
         from wasp_cli.learning.shards import count_rows, hand_over, read_shards, shard_files, write_shard
-        from wasp_cli.operators.base import OperatorContext
-        from wasp_cli.operators.noise import EpisodeNoise
+        from wasp_cli.operators.base import EpisodeNoise, OperatorContext
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
 

@@ -1,4 +1,4 @@
-"""The ceiling: the same planner on the true simulator, which separates what the world model gets wrong from what the planner does.
+"""Oracle dynamics: the same planner on the true simulator, which separates errors of the world model from those of the planner.
 
 Worlds and the operator's mistakes are those of the evaluation of the same cell, and the same for every assistant. Operator and
 imagination read the privileged observation; the planner sees nothing beyond its horizon.
@@ -27,9 +27,7 @@ from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, episode_metrics, pool
 from wasp_cli.models.policy import load_privileged
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import OperatorContext, Policy
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext, Policy, build_operator
 from wasp_cli.studies.simulator import NoCritics, SimulatorModel, on_features
 from wasp_cli.tasks.base import VectorTask
 from wasp_cli.tasks.make import make_task

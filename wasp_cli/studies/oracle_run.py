@@ -1,4 +1,7 @@
-"""`wasp bench ceiling`: from a spec and a results folder to what the planner reaches on the true simulator."""
+"""`wasp bench oracle`: from a spec and a results folder to what the planner reaches on the true dynamics, as a table.
+
+The planner on the true dynamics needs torch and MuJoCo, which are imported when it runs: wrong usage is refused before.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wasp_cli.console import following
+import numpy as np
+
+from wasp_cli.console import duration, following
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.report.stats.summary import Value
+from wasp_cli.report.tables.main import PAPER_COLUMNS
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import operator_title, task_title, who_title
 from wasp_cli.run.session import restricted
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
@@ -27,8 +36,22 @@ if TYPE_CHECKING:
 WITHOUT_CRITICS = tuple(variant for variant in METHODS["wasp"].variants if variant != "no-rollout")
 """The variants that look ahead; `no-rollout` judges by critics, and a simulator has none."""
 
+COLUMNS = (
+    *PAPER_COLUMNS,
+    Column("safety_gate", "Safety gate", digits=3),
+    Column("task_gate", "Task gate", digits=3),
+    Column("case2", "Case II", digits=3, optional=True),
+)
+COMPARED = ("return", "cost")
+"""Columns with a spread over episodes, and the difference to Human-only."""
+MEANINGS = (
+    "WASP imagines in the task itself: its model is perfect, and knows where the next goals will be. The imagined operator makes mistakes "
+    "of its own, and nothing is foreseen beyond the horizon. Operator and imagination read the privileged observation.",
+    "± is the standard deviation over episodes, in brackets the mean difference to Human-only in the same episodes.",
+)
 
-def measure_ceiling(
+
+def measure_oracle(
     path: Path,
     task: str | None,
     operator: str,
@@ -123,3 +146,29 @@ def _training(path: Path, spec: Spec, results: Path, settings: Sequence[str]) ->
     only = ["methods=[]", "stages=[expert]", *(["variants=[full]"] if spec.variants != ("full",) else [])]
     options = [word for text in (*settings, *only) for word in ("--set", text)]
     return shlex.join(["wasp", "run", str(path), "--results", str(results), "--task", spec.tasks[0], *options])
+
+
+def oracle_table(cell: Cell, found: Sequence[Outcome]) -> Table:
+    """A row per assistant, Human-only first."""
+    alone = found[0]
+    rows = [Row((_title(outcome),), tuple(_value(outcome, alone, column) for column in COLUMNS)) for outcome in found]
+    episodes = f"{cell.episodes} episode{'s' if cell.episodes > 1 else ''}"
+    title = f"Oracle dynamics: {task_title(cell.task)}, {operator_title(cell.variant)} {cell.value:g}, seed {cell.seed}, {episodes}"
+    times = ", ".join(f"{_title(outcome)} {duration(outcome.seconds)}" for outcome in found)
+    notes = (f"time: {times}",)
+    return Table("oracle", title, ("Method",), COLUMNS, tuple(rows), notes, MEANINGS, grouped=False, ranked=False)
+
+
+def _title(outcome: Outcome) -> str:
+    if outcome.variant is None:
+        return METHODS["human"].title
+    return who_title("wasp", outcome.variant)
+
+
+def _value(outcome: Outcome, alone: Outcome, column: Column) -> Value:
+    mean = outcome.pooled()[column.key]
+    if column.key not in COMPARED:
+        return Value(mean)
+    values, reference = outcome.column(column.key), alone.column(column.key)
+    sd = float(np.std(values, ddof=1)) if len(values) > 1 else None
+    return Value(mean, sd, delta=None if outcome is alone else float((values - reference).mean()))

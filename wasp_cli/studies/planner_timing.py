@@ -1,4 +1,4 @@
-"""What a decision of WASP costs, beside the time of its floating-point operations as plain matrix products in the same run.
+"""`wasp bench planner`: the time of a decision, beside that of its floating-point operations as plain matrix products in the same run.
 
 Untrained weights: the arithmetic does not depend on them. Both gates are opened or shut by their thresholds, so that each kind of decision
 is timed as it runs in the closed loop.
@@ -7,7 +7,7 @@ is timed as it runs in the closed loop.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -24,9 +24,9 @@ from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.report.stats.summary import Value
+from wasp_cli.report.tables.table import Column, Row, Table
 
 ACTIONS = 2
 NEVER = 1e9
@@ -35,6 +35,21 @@ ROOF_SHAPES = ((300, 256, 768), (300, 512, 512), (1024, 512, 512))
 """[M, K] x [K, N] of the plain products: the planner's own shapes; the fastest is the roof."""
 THRESHOLDS = {"gate": (NEVER, NEVER), "quiet": (NEVER, NEVER), "safety": (-NEVER, NEVER), "task": (NEVER, -NEVER)}
 """(tau_c, tau_r) under which each kind of decision comes about."""
+
+COLUMNS = (
+    Column("ms", "ms", digits=1),
+    Column("ms_p50", "ms, median", digits=1),
+    Column("gflop", "GFLOP"),
+    Column("ratio", "time / products"),
+)
+MEANINGS = {
+    "gate": "nominal rollouts alone", "quiet": "both gates silent", "safety": "planner after the safety gate",
+    "task": "planner after the task gate, whose probe is its first iteration",
+}  # fmt: skip
+TABLE1: Mapping[str, float] = {"race1": 0.15, "formula1": 0.20, "goal1": 0.25}
+"""Intervention rates of WASP in Table 1 of the paper."""
+DECISION_SECONDS: Mapping[str, float] = {"race1": 0.16, "formula1": 0.16, "goal1": 0.08}
+"""Simulated time of a decision of four env steps."""
 
 
 @dataclass(frozen=True)
@@ -179,3 +194,30 @@ def _shares(work: Callable[[], Any], most: int = 8) -> dict[str, float]:
     ranked = sorted(rows.items(), key=lambda row: -row[1])
     shares = {name: spent / total for name, spent in ranked[:most]}
     return shares | {"the rest": 1.0 - sum(shares.values())}
+
+
+def bench_table(found: Mapping[str, Bench]) -> Table:
+    """Time of every kind of decision, for the whole batch."""
+    rows = [
+        Row((name, timing.kind), tuple(Value(getattr(timing, column.key), ranked=False) for column in COLUMNS))
+        for name, bench in found.items()
+        for timing in bench.timings
+    ]
+    last = list(found.values())[-1]
+    episodes = f"{last.batch} episode{'s side by side' if last.batch > 1 else ''}"
+    threads = f"{last.threads} thread{'s' if last.threads > 1 else ''}"
+    said = (
+        f"{episodes}, {threads}; plain matrix products reach {last.roof:.0f} GFLOP/s in the same run.",
+        "; ".join(f"{kind}: {meaning}" for kind, meaning in MEANINGS.items()) + ".",
+    )
+    return Table("planner", "A decision of WASP", ("Planner", "Decision"), COLUMNS, tuple(rows), said)
+
+
+def notes(name: str, bench: Bench) -> Iterator[str]:
+    """What the time goes to, and the mean decision at the paper's intervention rates."""
+    spent = ", ".join(f"{operator} {100 * share:.0f} %" for operator, share in bench.shares.items())
+    yield f"{name}: time of a safety decision by operator: {spent}"
+    for task, rate in TABLE1.items():
+        # The paper does not say which gate fired: half of the interventions each.
+        mean = bench.mean_ms(rate / 2, rate / 2)
+        yield f"{name}: mean decision at Int. {rate:.2f} ({task}): {mean:.0f} ms; a decision lasts {1000 * DECISION_SECONDS[task]:.0f} ms"

@@ -5,13 +5,12 @@ Both then follow the operator alone (`learning.counterfactual`). W = decision st
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
@@ -22,16 +21,13 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.video.encode import STILL, checked, write
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, Pose, along, draw_actions
-from wasp_cli.video.text import font
-from wasp_cli.video.trace import Source
-
-Progress = Callable[[float, str], None]
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, Pose, along, draw_actions, font
+from wasp_cli.video.trace import Progress, Source, with_threads
 
 MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
 """In px: side of a map, between panels, height of the first line, of a title, and of what stands below a map."""
 NARROWEST, ROOM = 0.8, 1.35
-"""Half the side of the maps in m at least, and how much more than both ways they show."""
+"""Half the side of the maps in m at least, and how much more than both paths they show."""
 MS, LAST_MS = 320, 2500
 """How long a frame is shown, and the last one."""
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (236, 236, 236)
@@ -39,8 +35,8 @@ _NAMES = {ASSISTED: "as executed", ALONE: "command alone"}
 _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 
 
-class Told(NamedTuple):
-    """What a branch was."""
+class BranchTrace(NamedTuple):
+    """What a branch was; w decisions."""
 
     cost: list[bool]
     """[w] c_t"""
@@ -51,45 +47,45 @@ class Told(NamedTuple):
 
 
 @dataclass
-class _Seen:
-    """What is watched of a branch: w + 1 states, w actions."""
+class _BranchStates:
+    """What a branch passed through: w + 1 states, w actions."""
 
     pixels: list[Pixels] = field(default_factory=list)
     scenes: list[Scene] = field(default_factory=list)
     actions: list[Floats] = field(default_factory=list)
 
 
-class _Watched:
+class _RecordingTask:
     """A task that keeps what one of its rows shows after every restore and step: two branches, after the cell was played again."""
 
     def __init__(self, task: VectorTask, row: int) -> None:
         self._task, self._row = task, row
-        self.seen: list[_Seen] = []
+        self.branches: list[_BranchStates] = []
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._task, name)
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:
         observation = self._task.restore(snapshot)
-        self.seen.append(_Seen())
+        self.branches.append(_BranchStates())
         self._keep(observation)
         return observation
 
     def step(self, action: NDArray[Any]) -> Step:
         step = self._task.step(action)
-        if self.seen:
-            self.seen[-1].actions.append(np.array(action[self._row], np.float64))
+        if self.branches:
+            self.branches[-1].actions.append(np.array(action[self._row], np.float64))
             self._keep(step.observation)
         return step
 
     def _keep(self, observation: Observation) -> None:
         assert observation.pixels is not None
-        self.seen[-1].pixels.append(observation.pixels[self._row].copy())
+        self.branches[-1].pixels.append(observation.pixels[self._row].copy())
         if isinstance(self._task, HasScene):
-            self.seen[-1].scenes.append(self._task.scene(np.array([self._row])))
+            self.branches[-1].scenes.append(self._task.scene(np.array([self._row])))
 
 
-class Pair:
+class BranchPair:
     """Both branches of one decision."""
 
     def __init__(self, source: Source, episode: int, t: int, window: int, progress: Progress) -> None:
@@ -99,22 +95,18 @@ class Pair:
             ArtifactError: a model is damaged, or what is played is not what was recorded.
             TaskError: the task cannot be imported, or has no snapshots.
         """
-        before = torch.get_num_threads()
-        torch.set_num_threads(source.threads)
-        try:
+        with with_threads(source.threads):
             world = source.world()
-            watched = _Watched(world, episode)
-            rerun = Rerun(watched, load_world_model(source.world_model), source.operator(world), source.recorded)
+            recording = _RecordingTask(world, episode)
+            rerun = Rerun(recording, load_world_model(source.world_model), source.operator(world), source.recorded)
             chosen = [[t] if e == episode else [] for e in range(world.batch)]
             found = branches(rerun, chosen, window, progress)
-        finally:
-            torch.set_num_threads(before)
         self.world, self.t, self.window = world, t, window
-        self.look: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
-        self.told: Mapping[str, Told] = {
-            branch.name: Told(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in found
+        self.appearance: Appearance | None = world.appearance() if isinstance(world, HasScene) else None
+        self.traces: Mapping[str, BranchTrace] = {
+            branch.name: BranchTrace(branch.cost.tolist(), branch.cost_env.tolist(), branch.reward.tolist()) for branch in found
         }
-        self._seen = dict(zip((ASSISTED, ALONE), watched.seen, strict=True))
+        self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 
     def film(self, title: str, verdict: Sequence[str], out: Path) -> None:
         """Write both branches: step after step, or their last states where the ending is that of a still picture.
@@ -123,7 +115,7 @@ class Pair:
             UsageError: the file cannot be one.
         """
         checked(out, STILL)
-        last = max(len(told.cost) for told in self.told.values())
+        last = max(len(trace.cost) for trace in self.traces.values())
         if out.suffix.lower() in STILL:
             self._frame(last, title, verdict).save(out, format="PNG")
             return
@@ -138,51 +130,51 @@ class Pair:
         time = f"{step} of {self.window} decisions later"
         draw.text((width - GAP - font(14).getlength(time), 10), time, _INK, font(14))
         for column, name in enumerate((ASSISTED, ALONE)):
-            x, seen = GAP + column * (MAP + GAP), self._seen[name]
-            action = ", ".join(f"{part:+.2f}" for part in seen.actions[0])
+            x, states = GAP + column * (MAP + GAP), self._states[name]
+            action = ", ".join(f"{part:+.2f}" for part in states.actions[0])
             draw.rectangle((x, HEADER + 4, x + 10, HEADER + 14), _COLOURS[name])
             draw.text((x + 16, HEADER + 1), f"{_NAMES[name]}: ({action}), then the operator", _INK, font(12))
             image.paste(self._state(name, step), (x, HEADER + TITLE))
-            self._bars(draw, x, HEADER + TITLE + MAP + 6, self.told[name], step)
+            self._bars(draw, x, HEADER + TITLE + MAP + 6, self.traces[name], step)
         for row, line in enumerate(verdict):
             draw.text((GAP, HEADER + TITLE + MAP + BARS + 20 * row), line, _INK, font(13))
         return image
 
     def _state(self, name: str, step: int) -> Image.Image:
-        seen = self._seen[name]
-        now = min(step, len(seen.actions))
-        if self.look is None:
-            front = np.ascontiguousarray(np.moveaxis(seen.pixels[now][:3], 0, -1))
+        states = self._states[name]
+        now = min(step, len(states.actions))
+        if self.appearance is None:
+            front = np.ascontiguousarray(np.moveaxis(states.pixels[now][:3], 0, -1))
             return Image.fromarray(front).resize((MAP, MAP), Image.Resampling.BICUBIC)
-        ways = {each: along([scene.position[0, :2] for scene in self._seen[each].scenes]) for each in self._seen}
-        picture = MapPicture.of(self.look, seen.scenes[now], MAP, *_window(list(ways.values())))
+        paths = {each: along([scene.position[0, :2] for scene in self._states[each].scenes]) for each in self._states}
+        picture = MapPicture.of(self.appearance, states.scenes[now], MAP, *_window(list(paths.values())))
         other = ALONE if name == ASSISTED else ASSISTED
-        picture.line(ways[other][: step + 1], _COLOURS[other] + "60", 2.0)
-        picture.line(ways[name][: now + 1], "#FFFFFFB0", 5.0)
-        picture.line(ways[name][: now + 1], _COLOURS[name], 2.6)
-        paid = np.flatnonzero(self.told[name].cost[:now])
-        picture.dots(ways[name][paid + 1], COST, 5.0, "#FFFFFF")
-        if now < len(seen.actions):
-            action, pose = seen.actions[now], Pose(self.look, seen.scenes[now])
-            draw_actions(picture, self.world, pose, action if name == ALONE or now else self._seen[ALONE].actions[0], action, 4)
+        picture.line(paths[other][: step + 1], _COLOURS[other] + "60", 2.0)
+        picture.line(paths[name][: now + 1], "#FFFFFFB0", 5.0)
+        picture.line(paths[name][: now + 1], _COLOURS[name], 2.6)
+        paid = np.flatnonzero(self.traces[name].cost[:now])
+        picture.dots(paths[name][paid + 1], COST, 5.0, "#FFFFFF")
+        if now < len(states.actions):
+            action, pose = states.actions[now], Pose(self.appearance, states.scenes[now])
+            draw_actions(picture, self.world, pose, action if name == ALONE or now else self._states[ALONE].actions[0], action, 4)
         return picture.finished()
 
-    def _bars(self, draw: ImageDraw.ImageDraw, x: int, y: int, told: Told, step: int) -> None:
+    def _bars(self, draw: ImageDraw.ImageDraw, x: int, y: int, trace: BranchTrace, step: int) -> None:
         """A box per decision, filled where cost was paid, and the sums so far."""
         side = MAP / self.window
         for w in range(self.window):
-            paid = w < min(step, len(told.cost)) and told.cost[w]
-            past = _PAPER if w < len(told.cost) else _GREY
+            paid = w < min(step, len(trace.cost)) and trace.cost[w]
+            past = _PAPER if w < len(trace.cost) else _GREY
             fill = COST if paid else past if w < step else _NOTHING
             draw.rectangle((x + w * side, y, x + (w + 1) * side - 3, y + 14), fill, _GREY)
-        so_far = min(step, len(told.cost))
-        ended = "   (the episode has ended)" if len(told.cost) <= step and len(told.cost) < self.window else ""
-        costs, rewards = sum(told.cost[:so_far]), sum(told.reward[:so_far])
+        so_far = min(step, len(trace.cost))
+        ended = "   (the episode has ended)" if len(trace.cost) <= step and len(trace.cost) < self.window else ""
+        costs, rewards = sum(trace.cost[:so_far]), sum(trace.reward[:so_far])
         draw.text((x, y + 22), f"costly decisions {costs}    reward {rewards:+.3f}{ended}", _INK, font(13))
 
 
-def _window(ways: Sequence[Floats]) -> tuple[Floats, float]:
-    """Middle [2] and half the side of a map that shows all ways."""
-    places = np.concatenate(list(ways))
+def _window(paths: Sequence[Floats]) -> tuple[Floats, float]:
+    """Middle [2] and half the side of a map that shows all paths."""
+    places = np.concatenate(list(paths))
     low, high = places.min(0), places.max(0)
     return (low + high) / 2.0, float(np.clip(ROOM * (high - low).max() / 2.0 + 0.2, NARROWEST, WIDEST))

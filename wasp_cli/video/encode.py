@@ -33,30 +33,30 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def checked(path: Path, still: Sequence[str] = ()) -> Path:
-    """The file to be, before any work is done for it.
+    """Check the file that is to be written, before any work is done for it.
 
     Args:
         path: as it was typed.
         still: endings of still pictures, where there may be one.
 
     Raises:
-        UsageError: its ending is that of no format, its folder is not there, it is a folder itself, or Pillow has no WebP.
+        UsageError: unsupported format, its folder does not exist, it is a folder itself, or Pillow has no WebP.
     """
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(
-            f"'{path}' does not end like a video", f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
+            f"'{path}': unsupported video format", f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
         )
     if not path.parent.is_dir():
-        raise UsageError(f"'{path}' lies in no folder", f"create the folder '{path.parent}'")
+        raise UsageError(f"'{path}': its folder does not exist", f"create the folder '{path.parent}'")
     if path.is_dir():
-        raise UsageError(f"'{path}' is a folder", "say the name of a file")
+        raise UsageError(f"'{path}' is a folder", "name a file")
     if path.suffix.lower() == ".webp" and not features.check("webp"):
         raise UsageError("this Pillow was built without WebP", "use .gif or .png")
     return path
 
 
 def palette_of(frames: Sequence[Image.Image]) -> Image.Image:
-    """The colours that some frames need, as an image with a palette."""
+    """Choose the colours that some frames need, as an image with a palette."""
     sheet = Image.fromarray(np.concatenate([np.asarray(frame.reduce(2)) for frame in frames]))
     colours: list[tuple[int, ...]] = [ImageColor.getrgb(colour)[:3] for colour in MEANT]
     for method, count in ((Image.Quantize.MAXCOVERAGE, RARE), (Image.Quantize.MEDIANCUT, COMMON)):

@@ -1,102 +1,149 @@
-"""From a stored cell to the video of one of its episodes. T = decisions of the episode, A = action size, L = residual steps."""
+"""The small films of a report: the actions of the rows are carried out again, which takes the physics alone.
+
+T = decisions of the episode, A = action size.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import pairwise
-from pathlib import Path
+import io
 from typing import Any, NamedTuple
 
-import torch
+import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, features
 
-from wasp_cli.video.encode import checked, write
-from wasp_cli.video.frame import Painter
-from wasp_cli.video.timeline import Told
-from wasp_cli.video.trace import Retraced, Source, retrace
+from wasp_cli.errors import ArtifactError
+from wasp_cli.learning.playback import Played, play
+from wasp_cli.report.page.films import Sprite
+from wasp_cli.tasks.base import Floats, Pixels
+from wasp_cli.tasks.camera.appearance import HasScene
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video.map import COST, MapView, Pose, along, draw_actions
 
-Progress = Callable[[float, str], None]
+Array = NDArray[Any]
 
-SLOWER = 2.0
-"""How much slower than real time a video is: there is much to see in a decision."""
-LAST_MS = 2000
-"""How long the last frame stays."""
-_PLAYED = 0.3
-"""Share of the time that playing the cell takes."""
-
-
-class Correction(NamedTuple):
-    """What is imagined beside the commands alone."""
-
-    residuals: Sequence[NDArray[Any] | None]
-    """T times [L, A], or None where the command stood"""
-    name: str
-    """what it is, for people"""
-    hold: bool
-    """residuals are added to the present command, not to the imagined ones"""
+LIMIT = 250_000
+"""Bytes that a sprite sheet should not exceed; a page holds many."""
+LONGEST = 16_000
+"""Px of a side of a sheet at most: WebP ends a little above."""
+_QUALITIES = (80, 65, 50, 35, 20)
+TOLERANCE = 1e-4
+"""Of a reward, absolute and relative: a film that differs by less shows the same."""
 
 
-class Made(NamedTuple):
-    """A written video."""
+class Film(NamedTuple):
+    """Moments of an episode."""
 
-    frames: int
-    r2: dict[str, float] | None
-    """of the readout that draws imagined ways (forward, left, turn); None where there is none"""
+    frames: list[Pixels]
+    """uint8 [size, size, 3] each"""
+    decisions: list[int]
+    """how many decisions had been made at each frame: 0, every, 2 every, ..., T"""
+    positions: Floats
+    """[T + 1, 2] of the robot in m; NaN of a task that does not say where it is"""
 
 
-def film_episode(
-    source: Source, told: Told, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
-) -> Made:
-    """Play a cell again and write the video of an episode.
+def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int) -> Film:
+    """Draw the map of an episode with trail, commands and costs; of a task without a map, what its front camera sees.
+
+    A frame has an orange edge when cost was paid since the frame before. Arrows: see `map.stick`.
 
     Args:
-        source: the cell.
-        told: what its rows say of the episode.
-        episode: which one.
-        correction: what is imagined beside the commands alone.
-        horizon: imagined steps.
-        every: decisions between two frames; the last one has a frame too.
-        out: the file; see `video_file.checked`.
-        progress: told the share that is done.
+        task: its name.
+        action_repeat: env steps per decision.
+        layout_seed: of the world.
+        a: [T, A] executed actions.
+        a_h: [T, A] commands.
+        reward: [T]
+        every: decisions between two frames.
+        size: side of a frame in px.
 
     Raises:
-        UsageError: the file cannot be one.
-        ArtifactError: a model is damaged, or what is played is not what was recorded.
-        TaskError: the task cannot be imported.
+        ArtifactError: the episode is not the recorded one here, or the actions are none of this task.
+        UnknownName: no such task.
+        TaskError: the module of the task does not import.
     """
-    checked(out)
-    shown = sorted({*range(0, told.length, every), told.length - 1})
-    found = retrace(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
-    frames = _Frames(found, told, horizon, correction)
+    made = make_task(task, 1, action_repeat=action_repeat, observe=())
+    if not isinstance(made, HasScene):
+        made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
+    for actions in (a, a_h):
+        if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
+            raise ArtifactError(f"the rows do not have {made.action_size} finite numbers for every action", "run the spec again")
+    view = MapView(made.appearance(), size) if isinstance(made, HasScene) else None
+    frames: list[Pixels] = []
+    decisions: list[int] = []
+    positions: list[Floats] = []
+    paid: list[Floats] = []
+    costly = False
+    for played in play(made, [layout_seed], [a], [reward], TOLERANCE):
+        now = bool(played.last is not None and played.last.cost[0])
+        costly |= now
+        scene = made.scene(np.array([0])) if isinstance(made, HasScene) else None
+        if scene is not None:
+            positions.append(scene.position[0, :2].copy())
+            paid += [positions[-1]] if now else []
+        if played.t % every and played.t < len(a):
+            continue
+        if isinstance(made, HasScene) and view is not None and scene is not None:
+            picture = view.picture(scene)
+            picture.trail(along(positions), size / 160)
+            picture.dots(along(paid), COST, size / 90)
+            if played.t < len(a):
+                draw_actions(picture, made, Pose(made.appearance(), scene), a_h[played.t], a[played.t], size / 70)
+            if costly:
+                picture.edge(COST, size / 50)
+            frames.append(np.asarray(picture.finished()))
+        else:
+            frames.append(_camera(played, size, costly))
+        decisions.append(played.t)
+        costly = False
+    return Film(frames, decisions, along(positions) if positions else np.full((len(a) + 1, 2), np.nan))
 
-    def painted(index: int) -> None:
-        progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
 
-    times = [round(1000 * SLOWER * told.decision_seconds * (after - t)) for t, after in pairwise(shown)]
-    before = torch.get_num_threads()
-    torch.set_num_threads(source.threads)
-    try:
-        write(out, len(shown), frames.paint, [*times, LAST_MS], painted)
-    finally:
-        torch.set_num_threads(before)
-    names = ("forward", "left", "turn")
-    r2 = None if found.readout is None else dict(zip(names, found.explained.tolist(), strict=True))
-    return Made(len(shown), r2)
+def _camera(played: Played, size: int, costly: bool) -> Pixels:
+    assert played.observation.pixels is not None
+    image = Image.fromarray(np.ascontiguousarray(np.moveaxis(played.observation.pixels[0, :3], 0, -1))).resize(
+        (size, size), Image.Resampling.NEAREST
+    )
+    if costly:
+        edge = max(1, size // 50)
+        image.paste(COST, (0, 0, size, edge))
+        image.paste(COST, (0, size - edge, size, size))
+    return np.asarray(image)
 
 
-class _Frames:
-    """Paints the frames in any order, though a map that follows its robot is to be painted from the first one on."""
+def sprite(frames: list[Pixels], columns: int) -> tuple[bytes, str]:
+    """Put frames [size, size, 3] into one image, and name its MIME type.
 
-    def __init__(self, found: Retraced, told: Told, horizon: int, correction: Correction) -> None:
-        self._found, self._told, self._horizon, self._correction = found, told, horizon, correction
-        self._painter, self._next = self._fresh(), 0
+    WebP of the best quality that stays below LIMIT; PNG where Pillow has no WebP.
+    """
+    size = len(frames[0])
+    sheet = Image.new("RGB", (columns * size, -(-len(frames) // columns) * size))
+    for index, frame in enumerate(frames):
+        sheet.paste(Image.fromarray(frame), (index % columns * size, index // columns * size))
+    if not features.check("webp"):
+        return _saved(sheet.quantize(64, dither=Image.Dither.NONE), format="PNG", optimize=True), "image/png"
+    data = b""
+    for quality in _QUALITIES:
+        data = _saved(sheet, format="WEBP", quality=quality, method=4)
+        if len(data) <= LIMIT:
+            break
+    return data, "image/webp"
 
-    def _fresh(self) -> Painter:
-        return Painter(self._found, self._told, self._horizon, hold=self._correction.hold, corrected=self._correction.name)
 
-    def paint(self, index: int) -> Image.Image:
-        if index < self._next:
-            self._painter = self._fresh()
-        self._next = index + 1
-        return self._painter.frame(self._found.instants[index])
+def _saved(image: Image.Image, **options: Any) -> bytes:
+    file = io.BytesIO()
+    image.save(file, **options)
+    return file.getvalue()
+
+
+def sprite_of(
+    task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, columns: int = 10
+) -> Sprite:
+    """Draw the film of an episode as a sprite sheet of `columns` frames beside each other, or more where it would become too high.
+
+    See `film` for the other arguments and the errors.
+    """
+    found = film(task, action_repeat, layout_seed, a, a_h, reward, every, size)
+    columns = max(columns, -(-len(found.frames) // (LONGEST // size)))
+    data, mime = sprite(found.frames, columns)
+    return Sprite(data, mime, columns, size, found.decisions)

@@ -1,4 +1,4 @@
-"""The frames of a video of an episode.
+"""The video of an episode, frame by frame.
 
 Left the map, right what the cameras saw and what the world model made of it: decoded from the filtered latent, and from imagined ones under
 the commands alone (upper block) and under the correction (lower block); below, the course of the whole episode.
@@ -6,19 +6,21 @@ the commands alone (upper block) and under the correction (lower block); below, 
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from wasp_cli.tasks.base import Floats
-from wasp_cli.video.imagined import Ways, imagined
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions
-from wasp_cli.video.readout import integrated
-from wasp_cli.video.text import font, numbers
-from wasp_cli.video.timeline import Timeline, Told
-from wasp_cli.video.trace import Instant, Retraced
+from wasp_cli.video.encode import checked, write
+from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font
+from wasp_cli.video.timeline import EpisodeTrace, Timeline, numbers
+from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, with_threads
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18
@@ -27,37 +29,62 @@ MAP, SIDE, BETWEEN = 436, 98, 4
 """Sides of the map and of a camera image, and between images."""
 TIMELINE = 178
 ARROW = 0.15
-"""Length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for imagined ways."""
+"""Length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for imagined imagined."""
 _RIGHT = GAP + MAP + 16
 _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
 """Of the two blocks of images, below a line for what they imagine and a line for the columns."""
 POOR = 0.5
 """R2 below which a readout is said to be poor."""
+SLOWER = 2.0
+"""How much slower than real time a video is: there is much to see in a decision."""
+LAST_MS = 2000
+"""How long the last frame stays."""
+_PLAYED = 0.3
+"""Share of the time that playing the cell takes."""
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
 _SEQUENCES = (COMMAND, EXECUTED)
+
+
+class Correction(NamedTuple):
+    """What is imagined beside the commands alone."""
+
+    residuals: Sequence[NDArray[Any] | None]
+    """T times [L, A], or None where the command stood"""
+    name: str
+    """what it is, for people"""
+    hold: bool
+    """residuals are added to the present command, not to the imagined ones"""
+
+
+class WrittenVideo(NamedTuple):
+    """A written video."""
+
+    frames: int
+    r2: dict[str, float] | None
+    """of the readout that draws imagined paths (forward, left, turn); None where there is none"""
 
 
 class Painter:
     """Paints the frames of one episode."""
 
-    def __init__(self, found: Retraced, told: Told, horizon: int, *, hold: bool, corrected: str) -> None:
+    def __init__(self, played: PlayedEpisode, trace: EpisodeTrace, horizon: int, *, hold: bool, corrected: str) -> None:
         """`corrected` names what the lower block imagines."""
-        self._found, self._told, self._horizon, self._hold, self._corrected = found, told, horizon, hold, corrected
+        self._played, self._trace, self._horizon, self._hold, self._corrected = played, trace, horizon, hold, corrected
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
-        self._timeline = Timeline(told, WIDTH, TIMELINE)
-        self._view = None if found.look is None else MapView(found.look, MAP)
+        self._timeline = Timeline(trace, WIDTH, TIMELINE)
+        self._view = None if played.appearance is None else MapView(played.appearance, MAP)
 
-    def frame(self, instant: Instant) -> Image.Image:
+    def frame(self, decision: PlayedDecision) -> Image.Image:
         """RGB of WIDTH x HEIGHT."""
-        ways = imagined(self._found.model, instant.outset, self._horizon, self.shown, hold=self._hold)
+        imagined = imagine(self._played.model, decision.start, self._horizon, self.shown, hold=self._hold)
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
-        t = instant.outset.t
+        t = decision.start.t
         self._head(draw, t)
-        self._overview(image, draw, instant, ways)
-        self._images(image, draw, instant, ways)
+        self._overview(image, draw, decision, imagined)
+        self._images(image, draw, decision, imagined)
         draw.multiline_text(
-            (_RIGHT, HEADER + 2 * TITLE + 2 * SIDE + BETWEEN + 22), "\n".join(numbers(self._told, t)), _INK, font(12), spacing=5
+            (_RIGHT, HEADER + 2 * TITLE + 2 * SIDE + BETWEEN + 22), "\n".join(numbers(self._trace, t)), _INK, font(12), spacing=5
         )
         top = HEIGHT - TIMELINE
         image.paste(self._timeline.image, (0, top))
@@ -66,38 +93,38 @@ class Painter:
         return image
 
     def _head(self, draw: ImageDraw.ImageDraw, t: int) -> None:
-        draw.text((GAP, 9), self._told.title, _INK, font(15, True))
-        time = f"decision {t} of {self._told.length}    {t * self._told.decision_seconds:.2f} s"
+        draw.text((GAP, 9), self._trace.title, _INK, font(15, True))
+        time = f"decision {t} of {self._trace.length}    {t * self._trace.decision_seconds:.2f} s"
         draw.text((WIDTH - GAP - font(15).getlength(time), 9), time, _INK, font(15))
 
     # -- map --------------------------------------------------------------------------------------------------------------------
 
-    def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, instant: Instant, ways: Ways) -> None:
+    def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
         where = (GAP, HEADER + TITLE)
-        if self._view is None or instant.scene is None or self._found.look is None or instant.pose is None:
+        if self._view is None or decision.scene is None or self._played.appearance is None or decision.pose is None:
             draw.text((GAP, HEADER), "front camera (this task has no map)", _GREY, font(12))
-            image.paste(_camera(instant.pixels, 0, MAP), where)
+            image.paste(_camera(decision.pixels, 0, MAP), where)
             return
         draw.text((GAP, HEADER), "from above", _GREY, font(12))
-        t = instant.outset.t
-        picture = self._view.picture(instant.scene)
-        picture.trail(self._found.places[: t + 1], 1.2)
-        picture.dots(self._found.places[: t + 1][self._told.costly[: t + 1]], COST, 3.5)
-        pose = Pose(self._found.look, instant.scene)
-        draw_actions(picture, self._found.world, pose, self._told.a_h[t], self._told.a[t], 4, ARROW)
-        self._futures(picture, instant.pose, ways)
-        if self._told.costly[t]:
+        t = decision.start.t
+        picture = self._view.picture(decision.scene)
+        picture.trail(self._played.places[: t + 1], 1.2)
+        picture.dots(self._played.places[: t + 1][self._trace.costly[: t + 1]], COST, 3.5)
+        pose = Pose(self._played.appearance, decision.scene)
+        draw_actions(picture, self._played.world, pose, self._trace.a_h[t], self._trace.a[t], 4, ARROW)
+        self._futures(picture, decision.pose, imagined)
+        if self._trace.costly[t]:
             picture.edge(COST, 4)
         image.paste(picture.finished(), where)
         self._legend(draw)
 
-    def _futures(self, picture: MapPicture, pose: Floats, ways: Ways) -> None:
+    def _futures(self, picture: MapPicture, pose: Floats, imagined: ImaginedTrajectories) -> None:
         """All rollouts thin, the decoded one thick with a dot at each decoded step."""
-        if self._found.readout is None:
+        if self._played.readout is None:
             return
-        for sequence, colour in zip(ways.features, _SEQUENCES, strict=False):
+        for sequence, colour in zip(imagined.features, _SEQUENCES, strict=False):
             dash = 0 if colour == EXECUTED else 1
-            for number, places in reversed(list(enumerate(integrated(pose, self._found.readout(sequence))))):
+            for number, places in reversed(list(enumerate(integrated(pose, self._played.readout(sequence))))):
                 if number == 0:
                     picture.line(places, "#FFFFFFB0", 4.0)
                 picture.line(places, colour, 2.2 if number == 0 else 0.8, dash)
@@ -105,12 +132,12 @@ class Painter:
                     picture.dots(places[list(self.shown)], colour, 3.2, "#FFFFFF")
 
     def _readout_note(self) -> str:
-        if self._found.readout is None:
-            return "no imagined ways: they are read out of latents by a fit to the cell's other episodes"
+        if self._played.readout is None:
+            return "no imagined paths: they are read out of latents by a fit to the cell's other episodes"
         names = ("forward", "left", "turn")
-        r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(names, self._found.explained, strict=True))
-        poor = " (poor: a hint only)" if np.nanmin(self._found.explained) < POOR else ""
-        return f"imagined ways are read out of latents by a linear fit, R² {r2}{poor}"
+        r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(names, self._played.explained, strict=True))
+        poor = " (poor: a hint only)" if np.nanmin(self._played.explained) < POOR else ""
+        return f"imagined paths are read out of latents by a linear fit, R² {r2}{poor}"
 
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
         """Below the map."""
@@ -124,25 +151,25 @@ class Painter:
 
     # -- cameras ----------------------------------------------------------------------------------------------------------------
 
-    def _images(self, image: Image.Image, draw: ImageDraw.ImageDraw, instant: Instant, ways: Ways) -> None:
-        rows = range(self._found.cameras)
+    def _images(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
+        rows = range(self._played.cameras)
         columns = [_RIGHT + column * (SIDE + BETWEEN) for column in range(2 + len(self.shown))]
-        for column, name, images in ((columns[0], "cameras", instant.pixels), (columns[1], "decoded", _bytes(instant.decoded))):
+        for column, name, images in ((columns[0], "cameras", decision.pixels), (columns[1], "decoded", _bytes(decision.decoded))):
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
             for row in rows:
                 image.paste(_camera(images, row, SIDE), (column, _TOPS[0] + row * (SIDE + BETWEEN)))
         for block, (top, name, colour) in enumerate(zip(_TOPS, ("commands alone", self._corrected), _SEQUENCES, strict=True)):
-            there = block < len(ways.features)
+            there = block < len(imagined.features)
             what = f"imagined: {name}" if there else "no correction at this decision"
             draw.rectangle((columns[2], top - 2 * TITLE + 4, columns[2] + 10, top - 2 * TITLE + 14), colour if there else _NOTHING)
             draw.text((columns[2] + 16, top - 2 * TITLE + 2), what, _INK if there else _GREY, font(12))
             for column, step in zip(columns[2:], self.shown, strict=True):
-                text = f"+{step}  ĉ {ways.cost[block, step - 1]:.2f}" if there else ""
+                text = f"+{step}  ĉ {imagined.cost[block, step - 1]:.2f}" if there else ""
                 draw.text((column, top - TITLE + 2), text, _GREY, font(11))
                 for row in rows:
                     x, y = column, top + row * (SIDE + BETWEEN)
                     if there:
-                        image.paste(_camera(_bytes(ways.images[step][block]), row, SIDE), (x, y))
+                        image.paste(_camera(_bytes(imagined.images[step][block]), row, SIDE), (x, y))
                     else:
                         draw.rectangle((x, y, x + SIDE - 1, y + SIDE - 1), _NOTHING)
 
@@ -172,3 +199,56 @@ def _camera(images: NDArray[Any], camera: int, side: int) -> Image.Image:
 def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
     """From [0, 1] to uint8."""
     return (image * 255).round().clip(0, 255).astype(np.uint8)
+
+
+def film_episode(
+    source: Source, trace: EpisodeTrace, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
+) -> WrittenVideo:
+    """Play a cell again and write the video of an episode.
+
+    Args:
+        source: the cell.
+        trace: what its rows say of the episode.
+        episode: which one.
+        correction: what is imagined beside the commands alone.
+        horizon: imagined steps.
+        every: decisions between two frames; the last one has a frame too.
+        out: the file; see `encode.checked`.
+        progress: told the share that is done.
+
+    Raises:
+        UsageError: the file cannot be one.
+        ArtifactError: a model is damaged, or what is played is not what was recorded.
+        TaskError: the task cannot be imported.
+    """
+    checked(out)
+    shown = sorted({*range(0, trace.length, every), trace.length - 1})
+    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
+    frames = _Frames(played, trace, horizon, correction)
+
+    def painted(index: int) -> None:
+        progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
+
+    times = [round(1000 * SLOWER * trace.decision_seconds * (after - t)) for t, after in pairwise(shown)]
+    with with_threads(source.threads):
+        write(out, len(shown), frames.paint, [*times, LAST_MS], painted)
+    names = ("forward", "left", "turn")
+    r2 = None if played.readout is None else dict(zip(names, played.explained.tolist(), strict=True))
+    return WrittenVideo(len(shown), r2)
+
+
+class _Frames:
+    """Paints the frames in any order, though a map that follows its robot is to be painted from the first one on."""
+
+    def __init__(self, played: PlayedEpisode, trace: EpisodeTrace, horizon: int, correction: Correction) -> None:
+        self._played, self._trace, self._horizon, self._correction = played, trace, horizon, correction
+        self._painter, self._next = self._fresh(), 0
+
+    def _fresh(self) -> Painter:
+        return Painter(self._played, self._trace, self._horizon, hold=self._correction.hold, corrected=self._correction.name)
+
+    def paint(self, index: int) -> Image.Image:
+        if index < self._next:
+            self._painter = self._fresh()
+        self._next = index + 1
+        return self._painter.frame(self._played.decisions[index])

@@ -1,13 +1,16 @@
-"""What a decision imagines, in full: the latents along rollouts of the commands alone and of a correction, as the gates imagine them.
+"""What a decision imagines, in full: latents along rollouts of the commands alone and of a correction, and where they lead on the map.
 
-`methods.wasp.imagine` keeps only their returns. S = sequences (alone, corrected), M = rollouts, H = horizon, L = residual steps,
-A = action size, K = the operator's draws.
+`methods.wasp.imagine` keeps only the returns of such rollouts. A latent has no position, but how the robot has moved can be read out of it:
+a ridge regression from the features of an arrived latent to the robot's displacement within the decision, in the frame that it had before.
+
+S = sequences (alone, corrected), M = rollouts, H = horizon, L = residual steps, A = action size, F = features, N = decisions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,14 +20,18 @@ from torch import Tensor
 from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.operators.base import DrawnNoise, Operator
+from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.frames import wrapped
 
 ROLLOUTS = 6
 """M: enough to show how far imagined futures lie apart."""
+STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)
+"""Of the penalty; the best one on episodes that were left out is taken."""
+FOLDS = 3
 
 
-class Outset(NamedTuple):
+class RolloutStart(NamedTuple):
     """A decision from which futures are imagined."""
 
     t: int
@@ -38,7 +45,7 @@ class Outset(NamedTuple):
     """[S, L, A]: the first sequence is that of the commands alone, all zero"""
 
 
-class Ways(NamedTuple):
+class ImaginedTrajectories(NamedTuple):
     """Imagined futures of one decision."""
 
     features: NDArray[np.float32]
@@ -49,10 +56,10 @@ class Ways(NamedTuple):
     """by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout"""
 
 
-def outset(
+def rollout_start(
     t: int, latent: Latent, row: int, a_h: NDArray[np.float32], operator: Operator, residuals: NDArray[np.float32] | None, horizon: int
-) -> Outset:
-    """The outset of row `row`; `residuals` [L, A] are those of a correction, None where there is none.
+) -> RolloutStart:
+    """Begin at row `row`; `residuals` [L, A] are those of a correction, None where there is none.
 
     The sequences share the draws of their rollouts, and the draws of a decision depend on `t` alone.
     """
@@ -60,12 +67,14 @@ def outset(
     sequences = nothing if residuals is None else np.concatenate([nothing, residuals[None].astype(np.float32)])
     draws = torch.rand((horizon, ROLLOUTS, operator.draws), generator=generator(2 * t)).repeat(1, len(sequences), 1)
     forked = operator.fork(torch.tensor([row]), len(draws[0]), DrawnNoise(draws))
-    return Outset(t, latent.rows(torch.tensor([row])), a_h, forked, sequences)
+    return RolloutStart(t, latent.rows(torch.tensor([row])), a_h, forked, sequences)
 
 
 @torch.inference_mode()
-def imagined(model: SafetyWorldModel, start: Outset, horizon: int, shown: Sequence[int], *, hold: bool = False) -> Ways:
-    """Imagine the sequences of an outset; the same again gives the same.
+def imagine(
+    model: SafetyWorldModel, start: RolloutStart, horizon: int, shown: Sequence[int], *, hold: bool = False
+) -> ImaginedTrajectories:
+    """Imagine the sequences of a start; the same again gives the same.
 
     Args:
         model: the frozen world model.
@@ -94,4 +103,84 @@ def imagined(model: SafetyWorldModel, start: Outset, horizon: int, shown: Sequen
             images[k + 1] = model.decode(latent.rows(torch.arange(sequences) * ROLLOUTS)).numpy()
     start.operator.restore(begun)
     whole = torch.stack(features, 1).unflatten(0, (sequences, ROLLOUTS))
-    return Ways(whole.numpy(), torch.stack(costs, 1).numpy(), images)
+    return ImaginedTrajectories(whole.numpy(), torch.stack(costs, 1).numpy(), images)
+
+
+@dataclass(frozen=True)
+class Readout:
+    """A linear map from features [F] to (forward, left, turn): m, m and rad within one decision."""
+
+    mean: Floats
+    """[F]"""
+    weights: Floats
+    """[F, 3], of centred features"""
+    offset: Floats
+    """[3]"""
+
+    def __call__(self, features: NDArray[Any]) -> Floats:
+        """[..., F] to [..., 3]."""
+        moves: Floats = (np.asarray(features, np.float64) - self.mean) @ self.weights + self.offset
+        return moves
+
+    def explained(self, features: NDArray[Any], moves: Floats) -> Floats:
+        """R2 [3] on other decisions: features [N, F] with the displacements [N, 3] that they had; NaN where these are all the same."""
+        return _explained(self(features), moves)
+
+
+def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
+    """Fit a readout to episodes; its penalty is chosen by leaving episodes out.
+
+    Args:
+        features: [N_e, F] per episode.
+        moves: [N_e, 3] per episode.
+
+    Raises:
+        ValueError: there is no decision to learn from.
+    """
+    folds = [[*range(i, len(features), FOLDS)] for i in range(min(FOLDS, len(features)))] if len(features) > 1 else []
+    errors = np.zeros(len(STRENGTHS))
+    for held in folds:
+        rest = [e for e in range(len(features)) if e not in held]
+        candidates = _ridges(np.concatenate([features[e] for e in rest]), np.concatenate([moves[e] for e in rest]))
+        x, y = np.concatenate([features[e] for e in held]), np.concatenate([moves[e] for e in held])
+        # Forward, left and turn weigh the same, whatever their units.
+        errors += [np.nansum(1.0 - candidate.explained(x, y)) for candidate in candidates]
+    best = int(np.argmin(errors)) if folds else len(STRENGTHS) // 2
+    return _ridges(np.concatenate(features), np.concatenate(moves))[best]
+
+
+def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
+    """One readout per strength."""
+    x = np.asarray(features, np.float64)
+    if not len(x):
+        raise ValueError("no decision to fit a readout to")
+    mean, scale = x.mean(0), x.std(0)
+    # What hardly ever varies would count most of all.
+    scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
+    z, offset = (x - mean) / scale, moves.mean(0)
+    gram, right = z.T @ z, z.T @ (moves - offset)
+    return [Readout(mean, np.linalg.solve(gram + strength * np.eye(len(gram)), right) / scale[:, None], offset) for strength in STRENGTHS]
+
+
+def _explained(found: Floats, true: Floats) -> Floats:
+    spread = ((true - true.mean(0)) ** 2).sum(0)
+    error = ((found - true) ** 2).sum(0)
+    shares: Floats = 1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12)
+    return shares
+
+
+def displacements(places: Floats) -> Floats:
+    """Turn poses [T, 3] (x, y, yaw) into displacements [T - 1, 3]: forward and left of the former pose in m, turn in rad."""
+    before, after = places[:-1], places[1:]
+    way, (sin, cos) = after[:, :2] - before[:, :2], (np.sin(before[:, 2]), np.cos(before[:, 2]))
+    forward, left = way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin
+    return np.stack([forward, left, wrapped(after[:, 2] - before[:, 2])], 1)
+
+
+def integrated(start: Floats, moves: Floats) -> Floats:
+    """Turn a pose [3] (x, y, yaw) and displacements [..., H, 3] into places [..., H + 1, 2] in m."""
+    turned = start[2] + np.concatenate([np.zeros_like(moves[..., :1, 2]), np.cumsum(moves[..., 2], -1)], -1)[..., :-1]
+    cos, sin = np.cos(turned), np.sin(turned)
+    steps = np.stack([moves[..., 0] * cos - moves[..., 1] * sin, moves[..., 0] * sin + moves[..., 1] * cos], -1)
+    begun = np.broadcast_to(start[:2], (*moves.shape[:-2], 1, 2))
+    return np.concatenate([begun, start[:2] + np.cumsum(steps, -2)], -2)

@@ -1,4 +1,4 @@
-"""The map of a running episode with what people want to see on it: arrows, trails, marks.
+"""The map of a running episode with what people want to see on it: arrows, trails, marks; and the typeface of every picture.
 
 A map of a small task stands still; that of a large one follows the robot, which may move freely in its middle. Everything is drawn twice as
 large as it is shown, which smooths its edges.
@@ -7,9 +7,11 @@ large as it is shown, which smooths its edges.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
@@ -44,8 +46,8 @@ def stick(task: object, action: Floats) -> Floats | None:
 class Pose:
     """Where a robot is [2] and where it looks: unit vectors forward and left [2]."""
 
-    def __init__(self, look: Appearance, scene: Scene, row: int = 0) -> None:
-        forward = (scene.rotation[row] @ np.array([*look.forward, 0.0]))[:2]
+    def __init__(self, appearance: Appearance, scene: Scene, row: int = 0) -> None:
+        forward = (scene.rotation[row] @ np.array([*appearance.forward, 0.0]))[:2]
         self.at = scene.position[row, :2].copy()
         self.forward = forward / max(float(np.hypot(*forward)), 1e-9)
         self.left = np.array([-self.forward[1], self.forward[0]])
@@ -59,12 +61,12 @@ class Pose:
 class MapView:
     """Draws one episode, scene after scene."""
 
-    def __init__(self, look: Appearance, size: int) -> None:
-        """Draw a task of this look as images of `size` px."""
-        self._look, self._size = look, size
-        self.half = min(look.map_half_side, WIDEST)
-        whole = look.map_half_side <= WIDEST
-        self._centre = np.array(look.map_centre or (0.0, 0.0)) if whole else None
+    def __init__(self, appearance: Appearance, size: int) -> None:
+        """Draw a task of this appearance as images of `size` px."""
+        self._appearance, self._size = appearance, size
+        self.half = min(appearance.map_half_side, WIDEST)
+        whole = appearance.map_half_side <= WIDEST
+        self._centre = np.array(appearance.map_centre or (0.0, 0.0)) if whole else None
         # A map that shows everything moves only for a robot that would leave it.
         self._free = self.half * (0.9 if whole else FREE)
 
@@ -73,7 +75,7 @@ class MapView:
         at = scene.position[0, :2]
         centre = at if self._centre is None else self._centre
         self._centre = centre + (at - centre) - np.clip(at - centre, -self._free, self._free)
-        return MapPicture.of(self._look, scene, self._size, self._centre, self.half)
+        return MapPicture.of(self._appearance, scene, self._size, self._centre, self.half)
 
 
 class MapPicture:
@@ -84,12 +86,12 @@ class MapPicture:
         self._draw = ImageDraw.Draw(image, "RGBA")
 
     @classmethod
-    def of(cls, look: Appearance, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
+    def of(cls, appearance: Appearance, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
         """The only row of a scene as `size` px, `half` m from `centre` [2] to each side."""
         require_mujoco()
         from wasp_cli.tasks.camera.topdown import draw_map
 
-        image = draw_map(look, scene, 0, size * _SMOOTH, ((float(centre[0]), float(centre[1])), half))
+        image = draw_map(appearance, scene, 0, size * _SMOOTH, ((float(centre[0]), float(centre[1])), half))
         return cls(Image.fromarray(image), centre, half)
 
     def _pixels(self, places: Floats) -> list[tuple[float, float]]:
@@ -160,3 +162,12 @@ def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: 
 def along(places: Sequence[Floats]) -> Floats:
     """Places as one array [N, 2]."""
     return np.array(places, np.float64).reshape(-1, 2)
+
+
+@lru_cache
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """Load a typeface that has the paper's symbols: the one that matplotlib brings along."""
+    import matplotlib
+
+    folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+    return ImageFont.truetype(str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size)

@@ -7,20 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.explain.words import SIGNALS
+from wasp_cli.report.explain.stored import Episode, read_episode, signal_of
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.plain import printable
 from wasp_cli.store.recorded import read_recorded
+
+if TYPE_CHECKING:
+    from wasp_cli.video.frame import Correction, WrittenVideo
+    from wasp_cli.video.timeline import EpisodeTrace
+    from wasp_cli.video.trace import Source
 
 Progress = Callable[[float, str], None]
 
@@ -36,7 +40,9 @@ SAID: dict[str, tuple[type, ...]] = {
 """What its manifest has to say, with the types."""
 
 
-def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, every: int | None, progress: Progress) -> tuple[Path, Any]:
+def replay(
+    layout: Layout, cell: FoundCell, episode: int, out: Path | None, every: int | None, progress: Progress
+) -> tuple[Path, WrittenVideo]:
     """Write the video of an episode.
 
     Args:
@@ -48,7 +54,7 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
         progress: told the share that is done.
 
     Returns:
-        The written file, and `video.film.Made`.
+        The written file, and what was written.
 
     Raises:
         UsageError: no such episode, the file cannot be one, or the cell has no manifest.
@@ -57,14 +63,14 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
         TaskError: the task cannot be imported.
     """
     from wasp_cli.video.encode import checked
-    from wasp_cli.video.film import film_episode
+    from wasp_cli.video.frame import film_episode
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
     source = source_of(layout, cell)
-    found = film_episode(
+    made = film_episode(
         source,
-        told(stored),
+        episode_trace(stored),
         episode,
         correction(stored),
         stored.constants.horizon or HORIZON,
@@ -72,11 +78,11 @@ def replay(layout: Layout, cell: FoundCell, episode: int, out: Path | None, ever
         path,
         progress,
     )
-    return path, found
+    return path, made
 
 
 def default_name(stored: Episode, ending: str) -> Path:
-    """What a picture of an episode is called in the current folder."""
+    """Name a picture of an episode in the current folder."""
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["assistant_variant"] == "full" else f"-{row['assistant_variant']}"
@@ -84,13 +90,13 @@ def default_name(stored: Episode, ending: str) -> Path:
 
 
 def title_of(stored: Episode) -> str:
-    """What a picture of an episode is called on it."""
+    """Return the title on a picture of an episode."""
     row = stored.row
     return f"{printable(stored.cell.label or row['task'] + ' ' + row['method'])}, episode {row['episode']}"
 
 
-def source_of(layout: Layout, cell: FoundCell) -> Any:
-    """`video.trace.Source` of a cell.
+def source_of(layout: Layout, cell: FoundCell) -> Source:
+    """Find the rows of a cell and the models that it was evaluated with.
 
     Raises:
         UsageError: the cell has no manifest that names its models.
@@ -129,32 +135,32 @@ def source_of(layout: Layout, cell: FoundCell) -> Any:
 
 
 def upstream_of(cell: FoundCell) -> dict[str, str]:
-    """Keys of what a cell was computed from, by kind."""
+    """Return the keys of what a cell was computed from, by kind."""
     keys, kinds = cell.setting("upstream"), cell.setting("upstream_kinds")
     if not isinstance(keys, dict) or not isinstance(kinds, dict):
         return {}
     return {str(kinds[role]): str(key) for role, key in keys.items() if role in kinds}
 
 
-def told(stored: Episode) -> Any:
-    """`video.timeline.Told`: what the rows say."""
-    from wasp_cli.video.timeline import Told
+def episode_trace(stored: Episode) -> EpisodeTrace:
+    """Gather what the rows say of an episode."""
+    from wasp_cli.video.timeline import EpisodeTrace
 
     numbers, row = stored.numbers, stored.row
     names = ("deviation", "reward", "cost_env", "goals", "g_cost", "delta_g", "signal", "plan_cost", "alone_cost")
-    return Told(
+    return EpisodeTrace(
         title=title_of(stored),
         gate=stored.gate, costly=stored.costly, a_h=stored.a_h, a=stored.a, **{name: numbers[name] for name in names},
         gated=stored.gated, tau_c=stored.thresholds.tau_c, tau_r=stored.thresholds.tau_r,
-        signal_name=SIGNALS.get(row["method"], "signal"),
+        signal_name=signal_of(row["method"]).name,
         signal_limit=stored.signal_limit,
         decision_seconds=stored.constants.decision_seconds or 0.1,
     )  # fmt: skip
 
 
-def correction(stored: Episode) -> Any:
-    """`video.film.Correction`: the stored plan, or of a method without plans its one changed action."""
-    from wasp_cli.video.film import Correction
+def correction(stored: Episode) -> Correction:
+    """Return the stored plans, or of a method without plans each changed action as a correction of one step."""
+    from wasp_cli.video.frame import Correction
 
     planned = any(plan is not None for plan in stored.plan)
     actions = stored.a.shape[1]

@@ -30,8 +30,8 @@ WINDOW = 15
 
 
 @dataclass(frozen=True)
-class Scale:
-    """What branches are held against."""
+class Criterion:
+    """When an intervention counts as necessary: the window of its branches, and the reward that it has to gain."""
 
     window: int
     """W"""
@@ -103,50 +103,59 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
         StoreError: the rows cannot be read.
         TaskError: the task cannot be imported, or has no snapshots.
     """
-    from wasp_cli.video.branches import Pair
+    from wasp_cli.video.branches import BranchPair
     from wasp_cli.video.encode import STILL, checked
 
     stored = read_episode(cell, episode)
     stored.require(step)
     default = default_name(stored, f"_s{step}.gif")
     path = checked(default if out is None else out, STILL)
-    scale = scale_of(layout, cell)
-    pair = Pair(source_of(layout, cell), episode, step, scale.window, progress)
-    verdict = judged(stored, step, scale, {name: told._asdict() for name, told in pair.told.items()})
+    criterion = criterion_of(layout, cell)
+    pair = BranchPair(source_of(layout, cell), episode, step, criterion.window, progress)
+    verdict = judge(stored, step, criterion, {name: trace._asdict() for name, trace in pair.traces.items()})
     pair.film(f"{title_of(stored)}, decision {step}", verdict.lines(), path)
     return path, verdict
 
 
-def judged(stored: Episode, step: int, scale: Scale, told: dict[str, dict[str, list[Any]]]) -> Verdict:
-    """Eq. 19-21 of one decision."""
+def judge(stored: Episode, step: int, criterion: Criterion, traces: dict[str, dict[str, list[Any]]]) -> Verdict:
+    """Judge one decision by Eq. 19-21.
+
+    Args:
+        stored: its episode.
+        step: the decision.
+        criterion: W and tau_R.
+        traces: by branch, lists of at most W values by name, as `branches.BranchTrace`.
+    """
 
     def row(branch: str, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
         # As rows of branches store it: float32; what comes after the end of an episode counts as 0.
-        values = np.zeros((1, scale.window))
-        values[0, : len(told[branch][name])] = np.array(told[branch][name], np.float32)
+        values = np.zeros((1, criterion.window))
+        values[0, : len(traces[branch][name])] = np.array(traces[branch][name], np.float32)
         return values
 
-    known = scale.tau_R is not None
-    tau_R = np.inf if scale.tau_R is None else scale.tau_R
+    known = criterion.tau_R is not None
+    tau_R = np.inf if criterion.tau_R is None else criterion.tau_R
     worth = necessity(row(ALONE, "cost"), row(ASSISTED, "cost"), row(ALONE, "reward"), row(ASSISTED, "reward"), tau_R)
     deviation = float(stored.numbers["deviation"][step])
     # What avoids cost is not unnecessary, whatever tau_R is.
     decided = deviation > INTERVENED and (known or float(worth.delta_c[0]) > 0)
     return Verdict(
-        int(stored.row["episode"]), step, deviation > INTERVENED, deviation, scale.window, float(worth.rho[0]), float(worth.delta_c[0]),
-        float(worth.delta_r[0]), scale.tau_R, scale.source, bool(worth.unnecessary[0]) if decided else None, told[ASSISTED], told[ALONE],
+        episode=int(stored.row["episode"]), step=step, intervened=deviation > INTERVENED, deviation=deviation, window=criterion.window,
+        rho=float(worth.rho[0]), delta_c=float(worth.delta_c[0]), delta_r=float(worth.delta_r[0]),
+        tau_R=criterion.tau_R, tau_R_from=criterion.source, unnecessary=bool(worth.unnecessary[0]) if decided else None,
+        assisted=traces[ASSISTED], alone=traces[ALONE],
     )  # fmt: skip
 
 
-def scale_of(layout: Layout, cell: FoundCell) -> Scale:
-    """W and tau_R of a cell's own branches; else of its calibration; else the paper's W and no tau_R."""
+def criterion_of(layout: Layout, cell: FoundCell) -> Criterion:
+    """Take W and tau_R of a cell's own branches; else of its calibration; else the paper's W and no tau_R."""
     for key in sorted(filter(is_key, stored_keys(layout, COUNTERFACTUAL))) if cell.key else ():
         with suppress(WaspError):
             if cell.key in mapping(read_manifest(layout, COUNTERFACTUAL, key).get("upstream")).values():
                 path = layout.within(layout.artifact(COUNTERFACTUAL, key) / BRANCHES_FILE)
                 with odd_tables_refused(path):
                     mine = read_branches(path).cell
-                return Scale(mine.window, mine.tau_R, "the counterfactual branches of the cell")
+                return Criterion(mine.window, mine.tau_R, "the counterfactual branches of the cell")
     calibration = upstream_of(cell).get("calibration")
     if calibration is not None:
         with suppress(WaspError):
@@ -154,5 +163,5 @@ def scale_of(layout: Layout, cell: FoundCell) -> Scale:
             window = mapping(read_manifest(layout, "calibration", calibration).get("config")).get("window")
             tau_R = found.get("tau_R")
             if isinstance(tau_R, float) and number(tau_R) is not None and type(window) is int and window > 0:
-                return Scale(window, tau_R, "the calibration of the method")
-    return Scale(WINDOW, None, "nothing in the results folder says what τ_R is")
+                return Criterion(window, tau_R, "the calibration of the method")
+    return Criterion(WINDOW, None, "nothing in the results folder says what τ_R is")

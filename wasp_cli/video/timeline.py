@@ -1,4 +1,4 @@
-"""An episode as curves over its decisions, to stand under a video with a cursor. T = decisions."""
+"""What the rows say of an episode: in curves over its decisions, to stand under a video with a cursor, and in words. T = decisions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.video.map import COMMAND, COST, EXECUTED
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _STYLE: dict[Any, Any] = {"font.size": 8.5, "axes.spines.top": False, "axes.spin
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class EpisodeTrace:
     """What the rows say of an episode; arrays are [T], NaN is undefined."""
 
     title: str
@@ -63,15 +63,15 @@ class Told:
 class Timeline:
     """The drawn curves, and where the cursor is."""
 
-    def __init__(self, told: Told, width: int, height: int) -> None:
+    def __init__(self, trace: EpisodeTrace, width: int, height: int) -> None:
         """Draw them once, as an image of `width` x `height` px."""
         # Imported here: matplotlib takes most of a second.
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        self._told, self._width = told, width
-        curves = _curves(told)
+        self._trace, self._width = trace, width
+        curves = _curves(trace)
         with rc_context(_STYLE):
             figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
             FigureCanvasAgg(figure)
@@ -82,13 +82,13 @@ class Timeline:
             panels = [figure.add_subplot(grid[i]) for i in range(len(curves) + 1)]
             for panel, (name, values, limit, limit_name) in zip(panels, curves, strict=False):
                 _draw_curve(panel, name, values, limit, limit_name)
-            _draw_strip(panels[-1], told)
+            _draw_strip(panels[-1], trace)
             figure.legend(
-                handles=_marks(told), loc="lower right", bbox_to_anchor=(1 - _RIGHT / width, 0.0), ncols=4, frameon=False, fontsize=8,
+                handles=_marks(trace), loc="lower right", bbox_to_anchor=(1 - _RIGHT / width, 0.0), ncols=4, frameon=False, fontsize=8,
                 borderaxespad=0.2, handlelength=1.0, handleheight=0.8, columnspacing=1.2,
             )  # fmt: skip
             for panel in panels:
-                panel.set_xlim(-0.5, told.length - 0.5)
+                panel.set_xlim(-0.5, trace.length - 0.5)
                 panel.tick_params(labelbottom=panel is panels[-1], length=2)
             panels[-1].set_xlabel("decision", labelpad=1)
             file = io.BytesIO()
@@ -97,17 +97,17 @@ class Timeline:
 
     def cursor(self, t: int) -> float:
         """Column of decision t in px."""
-        return _LEFT + (t + 0.5) / self._told.length * (self._width - _LEFT - _RIGHT)
+        return _LEFT + (t + 0.5) / self._trace.length * (self._width - _LEFT - _RIGHT)
 
 
-def _curves(told: Told) -> list[tuple[str, Floats, float | None, str]]:
+def _curves(trace: EpisodeTrace) -> list[tuple[str, Floats, float | None, str]]:
     """Name, values, limit and its name of every panel."""
-    if told.gated:
-        found = [("$\\bar{G}^c$", told.g_cost, told.tau_c, "$\\tau_c$"), ("$\\Delta G$", told.delta_g, told.tau_r, "$\\tau_r$")]
+    if trace.gated:
+        found = [("$\\bar{G}^c$", trace.g_cost, trace.tau_c, "$\\tau_c$"), ("$\\Delta G$", trace.delta_g, trace.tau_r, "$\\tau_r$")]
         return [curve for curve in found if np.isfinite(curve[1]).any()] or found[:1]
-    found = [("$\\|a-a^H\\|$", told.deviation, None, "")]
-    if np.isfinite(told.signal).any():
-        found.append((told.signal_name, told.signal, told.signal_limit, "threshold"))
+    found = [("$\\|a-a^H\\|$", trace.deviation, None, "")]
+    if np.isfinite(trace.signal).any():
+        found.append((trace.signal_name, trace.signal, trace.signal_limit, "threshold"))
     return found
 
 
@@ -128,20 +128,51 @@ def _draw_curve(panel: Axes, name: str, values: Floats, limit: float | None, lim
     panel.set_axisbelow(True)
 
 
-def _draw_strip(panel: Axes, told: Told) -> None:
+def _draw_strip(panel: Axes, trace: EpisodeTrace) -> None:
     """Interventions by gate above, costs below."""
     for gate, colour in GATE_COLOURS.items():
-        where = np.flatnonzero(told.gate == gate)
+        where = np.flatnonzero(trace.gate == gate)
         panel.broken_barh([(t - 0.5, 1) for t in where.tolist()], (1.1, 0.8), facecolors=colour, linewidth=0)
-    panel.broken_barh([(t - 0.5, 1) for t in np.flatnonzero(told.costly).tolist()], (0.1, 0.8), facecolors=COST, linewidth=0)
+    panel.broken_barh([(t - 0.5, 1) for t in np.flatnonzero(trace.costly).tolist()], (0.1, 0.8), facecolors=COST, linewidth=0)
     panel.set_ylim(0, 2)
     panel.set_yticks([0.5, 1.5], ["cost", "gate"])
     panel.tick_params(axis="y", length=0)
 
 
-def _marks(told: Told) -> list[Any]:
+def _marks(trace: EpisodeTrace) -> list[Any]:
     """The legend of the strip."""
     from matplotlib.patches import Patch
 
-    fired = [gate for gate in GATE_COLOURS if (told.gate == gate).any()]
+    fired = [gate for gate in GATE_COLOURS if (trace.gate == gate).any()]
     return [Patch(color=GATE_COLOURS[gate], label=GATE_NAMES[gate]) for gate in fired] + [Patch(color=COST, label="cost paid")]
+
+
+def numbers(trace: EpisodeTrace, t: int) -> list[str]:
+    """Say what there is to say of decision `t`, a line each."""
+    lines = [
+        f"gate: {GATE_NAMES[int(trace.gate[t])]}" if trace.gate[t] != GATE_NONE else "gate: none, command stands",
+        f"command   {_action(trace.a_h[t])}",
+        f"executed  {_action(trace.a[t])}",
+        f"‖a − aᴴ‖  {trace.deviation[t]:.2f}" if trace.deviation[t] > INTERVENED else "‖a − aᴴ‖  0",
+    ]
+    if trace.gated:
+        lines.append(_against("Ḡᶜ", trace.g_cost[t], "τ_c", trace.tau_c))
+        if np.isfinite(trace.delta_g[t]):
+            lines.append(_against("ΔG", trace.delta_g[t], "τ_r", trace.tau_r))
+        if np.isfinite(trace.plan_cost[t]):
+            lines.append(f"plan's cost {trace.plan_cost[t]:.2f}, alone {trace.alone_cost[t]:.2f}")
+    elif np.isfinite(trace.signal[t]):
+        lines.append(_against(trace.signal_name, trace.signal[t], "limit", trace.signal_limit))
+    lines.append(f"reward {trace.reward[t]:+.3f}, so far {trace.reward[: t + 1].sum():.2f}")
+    lines.append(f"cost so far {int(trace.cost_env[: t + 1].sum())}, goals {int(trace.goals[: t + 1].sum())}")
+    return lines
+
+
+def _action(action: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+    return "(" + ", ".join(f"{part:+.2f}" for part in action) + ")"
+
+
+def _against(name: str, value: float, limit_name: str, limit: float | None) -> str:
+    if limit is None:
+        return f"{name} {value:.2f}"
+    return f"{name} {value:.2f} {'>' if value > limit else '≤'} {limit_name} {limit:.3g}"

@@ -1,11 +1,12 @@
-"""What a video of a stored episode shows, gathered while its cell is played again: scenes, images, latents, and outsets for imagination.
+"""What a video of a stored episode shows, gathered while its cell is played again: scenes, images, latents, and starts of rollouts.
 
 B = episodes of the cell, T = decisions of the episode, A = action size, F = features, L = residual steps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,14 +19,11 @@ from wasp_cli import seeds
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
-from wasp_cli.operators.base import Operator, OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import EpisodeNoise
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.tasks.base import Floats, Pixels, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.imagined import Outset, outset
-from wasp_cli.video.readout import Readout, displacements, fit
+from wasp_cli.video.imagined import Readout, RolloutStart, displacements, fit, rollout_start
 
 Progress = Callable[[float, str], None]
 
@@ -59,10 +57,21 @@ class Source:
         return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
 
 
-class Instant(NamedTuple):
+@contextmanager
+def with_threads(threads: int) -> Iterator[None]:
+    """Let matrix products use so many threads meanwhile: rounding may depend on them."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class PlayedDecision(NamedTuple):
     """What there is to show of one decision."""
 
-    outset: Outset
+    start: RolloutStart
     pixels: Pixels
     """[6, 64, 64] what the cameras saw"""
     decoded: NDArray[np.float32]
@@ -73,14 +82,14 @@ class Instant(NamedTuple):
     """[3] x, y and yaw of the robot's front"""
 
 
-class Retraced(NamedTuple):
-    """An episode, ready to be drawn."""
+class PlayedEpisode(NamedTuple):
+    """A stored episode played again, ready to be drawn."""
 
     model: SafetyWorldModel
     world: VectorTask
-    look: Appearance | None
+    appearance: Appearance | None
     cameras: int
-    instants: list[Instant]
+    decisions: list[PlayedDecision]
     """in order; the decisions that are shown"""
     places: Floats
     """[T, 2] of the robot before every decision; [0, 2] of a task without a map"""
@@ -90,14 +99,14 @@ class Retraced(NamedTuple):
     """[3] its R2 of the displacements of this episode: forward, left, turn"""
 
 
-def retrace(
+def play_episode(
     source: Source,
     episode: int,
     residuals: Sequence[NDArray[Any] | None],
     shown: Collection[int],
     horizon: int,
     progress: Progress,
-) -> Retraced:
+) -> PlayedEpisode:
     """Play a cell again and keep what is needed of one episode.
 
     Args:
@@ -113,47 +122,43 @@ def retrace(
         TaskError: the task cannot be imported.
         UnknownName: there is no such task or operator.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(source.threads)
-    try:
-        return _retrace(source, episode, residuals, shown, horizon, progress)
-    finally:
-        torch.set_num_threads(before)
+    with with_threads(source.threads):
+        return _play_episode(source, episode, residuals, shown, horizon, progress)
 
 
-def _retrace(
+def _play_episode(
     source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
-) -> Retraced:
+) -> PlayedEpisode:
     world, model = source.world(), load_world_model(source.world_model)
-    look = world.appearance() if isinstance(world, HasScene) else None
+    appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []
-    instants: list[Instant] = []
+    decisions: list[PlayedDecision] = []
     for moment in rerun:
         t = moment.t
-        if look is not None and isinstance(world, HasScene):
-            poses.append(_poses(look, world.scene(everyone)))
+        if appearance is not None and isinstance(world, HasScene):
+            poses.append(_poses(appearance, world.scene(everyone)))
             features.append(moment.latent.features.numpy().copy())
         if t in shown and t < length:
             assert moment.seen.pixels is not None
-            begun = outset(t, moment.latent, episode, moment.a_h[episode].numpy().copy(), rerun.operator, residuals[t], horizon)
+            begun = rollout_start(t, moment.latent, episode, moment.a_h[episode].numpy().copy(), rerun.operator, residuals[t], horizon)
             with torch.inference_mode():
                 decoded = model.decode(begun.latent)[0].numpy()
             scene = world.scene(np.array([episode])) if isinstance(world, HasScene) else None
             pose = poses[-1][episode] if poses else None
-            instants.append(Instant(begun, moment.seen.pixels[episode].copy(), decoded, scene, pose))
+            decisions.append(PlayedDecision(begun, moment.seen.pixels[episode].copy(), decoded, scene, pose))
         if t % 25 == 0:
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))
     readout, explained = _read_out(features, poses, rerun.lengths, episode)
-    return Retraced(model, world, look, getattr(world, "cameras", 2), instants, places, readout, explained)
+    return PlayedEpisode(model, world, appearance, getattr(world, "cameras", 2), decisions, places, readout, explained)
 
 
-def _poses(look: Appearance, scene: Scene) -> Floats:
+def _poses(appearance: Appearance, scene: Scene) -> Floats:
     """[B, 3] x, y and yaw of the robots' fronts."""
-    front = scene.rotation[:, :2, :2] @ np.array(look.forward)
+    front = scene.rotation[:, :2, :2] @ np.array(appearance.forward)
     return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)
 
 

@@ -17,9 +17,8 @@ from wasp_cli.methods.noise import normal
 from wasp_cli.methods.wasp.assistant import WASP, effective
 from wasp_cli.methods.wasp.gates import probe
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.residual import plan_residuals, propose
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.methods.wasp.planner import plan_residuals, propose
+from wasp_cli.operators.base import DrawnNoise, Operator
 
 GAMMA_R, GAMMA_C, LAM = 0.9, 0.8, 0.7
 LOW, HIGH, JITTER = 0.3, 0.6, 0.05

@@ -7,9 +7,8 @@ from torch import Tensor
 from tests.worlds import Corridor, LinearCritics
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
-from wasp_cli.operators.base import Operator
+from wasp_cli.operators.base import DrawnNoise, Operator
 from wasp_cli.operators.laggy import LaggyOperator
-from wasp_cli.operators.noise import DrawnNoise
 
 H, L, M, N, B = 6, 3, 2, 4, 3
 

@@ -13,12 +13,10 @@ from wasp_cli.learning.world_model import build
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.gates import probe
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
-from wasp_cli.methods.wasp.residual import plan_residuals, propose
+from wasp_cli.methods.wasp.planner import plan_residuals, propose
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
-from wasp_cli.operators.base import OperatorContext
-from wasp_cli.operators.build import build_operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.operators.base import DrawnNoise, OperatorContext, build_operator
 
 B, H, L, A, N, M = 3, 4, 2, 2, 12, 2
 SMALL = WorldModelConfig(deter=16, hidden=16, variables=4, classes=4, depth=2, head=16)

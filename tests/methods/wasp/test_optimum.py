@@ -22,7 +22,7 @@ from torch import Tensor
 
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
-from wasp_cli.methods.wasp.residual import Plan, plan_residuals
+from wasp_cli.methods.wasp.planner import Plan, plan_residuals
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.delayed import DelayedOperator
 

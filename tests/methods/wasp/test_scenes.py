@@ -22,9 +22,8 @@ from torch import Tensor
 from wasp_cli.methods.wasp.imagine import Draws, Situation
 from wasp_cli.metrics.episode import GATE_NONE, GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
-from wasp_cli.operators.base import Operator, OperatorContext
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
 from wasp_cli.operators.laggy import LaggyOperator
-from wasp_cli.operators.noise import EpisodeNoise
 
 SMALL = {"probe": 64, "candidates": 64, "elites": 16, "feasible": 16, "iterations": 3}
 Kind = type[Corridor] | type[Fork]

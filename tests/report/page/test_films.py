@@ -17,7 +17,7 @@ from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.sprite import sprite_of
+from wasp_cli.video.film import sprite_of
 
 REPEAT = 100
 """Ten decisions an episode."""

@@ -15,10 +15,9 @@ from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, normal, uniform
 from wasp_cli.methods.record import Planned, blank_record
-from wasp_cli.methods.wasp.calibration import TAU_R_FALLBACK, Signals
-from wasp_cli.methods.wasp.gates import Gain, probe, safety_gate
+from wasp_cli.methods.wasp.gates import TAU_R_FALLBACK, Gain, Signals, probe, safety_gate
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.residual import Plan, plan_residuals, propose
+from wasp_cli.methods.wasp.planner import Plan, plan_residuals, propose
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
@@ -27,14 +26,14 @@ from wasp_cli.operators.base import Operator
 
 
 def effective(config: WASPConfig) -> WASPConfig:
-    """The configuration that a variant stands for: `no-rollout` is a single imagined step with both critics."""
+    """Return the configuration that a variant stands for: `no-rollout` is a single imagined step with both critics."""
     if config.variant == "no-rollout":
         return config.model_copy(update={"horizon": 1, "residual_steps": 1, "bootstrap_cost": True})
     return config
 
 
 def wasp(config: Config, parts: Parts) -> WASP:
-    """WASP over the trained world model and critics."""
+    """Build WASP over the trained world model and critics."""
     critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors")
     whole = cast(WASPConfig, config)
     imagination = Imagination(parts.world_model, critics, effective(whole), parts.gamma_r, parts.gamma_c, parts.lam)
@@ -70,7 +69,14 @@ class WASP:
         self.warm, self.kept_for = self.warm & ~rows, torch.where(rows, 0, self.kept_for)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        """Both gates, then a plan for the decisions where one fired."""
+        """Ask both gates, and plan a correction for the decisions where one fired.
+
+        Args:
+            latent: [B, .] filtered.
+            a_h: [B, A] commands within the bounds.
+            operator: of B rows; it has just issued them.
+        """
+        # Begin with the commands: no gate fired, nothing is planned.
         batch = len(a_h)
         start = Situation(latent, a_h, operator, torch.arange(batch))
         generators = self.noise.next()
@@ -80,15 +86,19 @@ class WASP:
         plan, warm = torch.zeros_like(self.plan), torch.zeros_like(self.warm)
         recovering = torch.zeros_like(self.warm)
 
+        # Imagine the operator alone: G^(c) and G^(r) of the nominal rollouts (Eq. 9-10).
         nominal, gate_draws = self._nominal(start, generators)
-        fired = safety_gate(nominal.cost, self.tau_c)  # Eq. 9
+
+        # Safety gate: fires where the nominal cost return exceeds tau_c (Eq. 9).
+        fired = safety_gate(nominal.cost, self.tau_c)
         if self.config.variant == "task-only":
             fired = torch.zeros_like(fired)
-        # The candidates meet the gate's own draws: where it fired, doing nothing is not suddenly safe.
+        # Candidates meet the gate's own draws: where it fired, doing nothing is not suddenly safe.
         search_draws = gate_draws.first(self.config.rollouts)
 
         def carry_out(rows: Tensor, made: Plan, kind: int) -> None:
-            action[rows] = (a_h[rows] + made.residuals[:, 0]).clamp(-1, 1)  # Eq. 18
+            # Execute the first residual of the plan (Eq. 18), and note the plan.
+            action[rows] = (a_h[rows] + made.residuals[:, 0]).clamp(-1, 1)
             gate[rows] = kind
             plan[rows], warm[rows], recovering[rows] = made.residuals, True, ~made.found_safe
             found = (
@@ -98,28 +108,32 @@ class WASP:
             for field, value in zip(planned, found, strict=True):
                 field[rows] = value
 
+        # Where the safety gate fired: search a residual plan (Eq. 13-17), and look again whether the command needs it.
         rows = fired.nonzero().flatten()
         if len(rows):
             made = self._plan(start.select(rows), search_draws.rows(rows), generators, None)
             carry_out(rows, self._rechecked(made), GATE_SAFETY)
 
+        # Task gate, where the safety gate is silent: the best safe probe candidate must gain more return than tau_r (Eq. 11-12).
         rows = (~fired).nonzero().flatten()
         if len(rows) and self.config.variant != "safety-only":
             quiet = start.select(rows)
             candidates = self._candidates(rows, generators)
             gain = self._probe(quiet, candidates, search_draws.rows(rows), generators)
             delta_g[rows] = gain.delta_g
-            worth = (gain.delta_g > self.tau_r).nonzero().flatten()  # Eq. 12
+            worth = (gain.delta_g > self.tau_r).nonzero().flatten()
             if len(worth):
+                # Where it fired: search on from the probe, which is the first iteration (Eq. 13-17).
                 first = (candidates[worth], Returns(*(field[worth] for field in gain.returns)))
                 chosen = rows[worth]
                 carry_out(chosen, self._plan(start.select(chosen), search_draws.rows(chosen), generators, first), GATE_TASK)
 
+        # Keep the plans as the next decision's starting point.
         self._remember(plan, warm, recovering)
         return Decision(action, record._replace(g_cost=nominal.cost, g_return=nominal.reward), planned)
 
     def nominal(self, latent: Latent, a_h: Tensor, operator: Operator) -> Returns:
-        """What the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
+        """Return what the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
         return self._nominal(Situation(latent, a_h, operator, torch.arange(len(a_h))), self.noise.next())[0]
 
     def _nominal(self, start: Situation, generators: Sequence[np.random.Generator]) -> tuple[Returns, Draws]:
@@ -134,7 +148,7 @@ class WASP:
         self.kept = torch.where((self.kept_for > 0).view(-1, 1, 1), kept, 0.0)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """The distribution of both gates' signals under the unimpaired expert: tau_r and quantiles for tau_c."""
+        """Return tau_r, tau_c, and the distributions of both gates' signals under the unimpaired expert."""
         everyone = torch.ones(len(heldout.a_h), dtype=torch.bool)
         self.reset(everyone, [seed + i for i in range(len(heldout.a_h))])
         generators = self.noise.next()
@@ -176,7 +190,7 @@ class WASP:
         return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first=first, fresh=fresh, kept=kept)
 
     def _rechecked(self, made: Plan) -> Plan:
-        """The command stands where the gate had fired by chance: it is safe on fresh rollouts, and the plan gains no more than noise."""
+        """Let the command stand where the gate had fired by chance: it is safe on fresh rollouts, and the plan gains no more than noise."""
         if not (self.config.recheck and self.config.finalists):
             return made
         worth = made.predicted.reward - made.alone.reward > (torch.inf if self.config.variant == "safety-only" else self.tau_r)
@@ -187,7 +201,7 @@ class WASP:
         )
 
     def _start_distribution(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""
+        """Return mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""
         mean = torch.where(self.warm[rows].view(-1, 1, 1), shifted(self.plan[rows]), 0.0)
         return mean, torch.full_like(mean, self.config.initial_std)
 
@@ -199,5 +213,5 @@ class WASP:
 
 
 def shifted(plan: Tensor) -> Tensor:
-    """What is left of plans [B, L, A] one decision later, with 0 appended."""
+    """Return what is left of plans [B, L, A] one decision later, with 0 appended."""
     return torch.cat([plan[:, 1:], torch.zeros_like(plan[:, :1])], 1)

@@ -1,4 +1,7 @@
-"""The two model-predictive intervention functions (section 4.2): safety first, task only when safety is silent."""
+"""The two model-predictive intervention functions (section 4.2), and the calibration of their thresholds.
+
+Safety comes first; the task gate is asked only where safety is silent. B = decisions, K = held-out decisions.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
+
+TAU_R_FALLBACK = 0.5
+"""tau_r where it is to be calibrated and no calibration exists yet."""
 
 
 class Gain(NamedTuple):
@@ -22,12 +29,12 @@ class Gain(NamedTuple):
 
 
 def safety_gate(nominal_cost: Tensor, tau_c: float) -> Tensor:
-    """Eq. 9: intervene where the nominal cost return [B] exceeds tau_c."""
+    """Return where to intervene [B]: the nominal cost return [B] exceeds tau_c (Eq. 9)."""
     return nominal_cost > tau_c
 
 
 def probe(imagination: Imagination, start: Situation, candidates: Tensor, draws: Draws, fresh: Draws, tau_c: float) -> Gain:
-    """Eq. 11-12: the feasible candidate of highest penalised return, and its gain over the operator alone.
+    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over the operator alone (Eq. 12).
 
     The maximum of many noisy estimates is biased, so the winner and the operator are scored again with fresh rollouts, common to both.
 
@@ -51,12 +58,51 @@ def probe(imagination: Imagination, start: Situation, candidates: Tensor, draws:
 
 
 def task_score(returns: Returns, alpha: float) -> Tensor:
-    """S_task of Eq. 16 (and the objective of Eq. 11): G^(r) - alpha sum ||delta||^2; minus infinity where undefined."""
+    """Return S_task [B, N] of Eq. 16 (the objective of Eq. 11): G^(r) - alpha sum ||delta||^2; minus infinity where undefined."""
     score = returns.reward - alpha * returns.effort
     return torch.where(score.isnan(), -torch.inf, score)
 
 
 def safe_score(returns: Returns, alpha: float, tau_c: float) -> Tensor:
-    """S_safe of Eq. 17: [G^(c) - tau_c]_+ + alpha sum ||delta||^2, to be minimised; infinity where undefined."""
+    """Return S_safe [B, N] of Eq. 17, to be minimised: [G^(c) - tau_c]_+ + alpha sum ||delta||^2; infinity where undefined."""
     score = (returns.cost - tau_c).clamp(min=0) + alpha * returns.effort
     return torch.where(score.isnan(), torch.inf, score)
+
+
+class Signals(NamedTuple):
+    """Nominal cost returns of K held-out decisions."""
+
+    cost: Tensor
+    """[K] of the variant (Eq. 9)"""
+    whole_cost: Tensor
+    """[K] of the whole method"""
+    cost_ahead: Tensor
+    """[K] costly decisions that really followed within the window; NaN where the episode has fewer left"""
+
+    def own_tau_c(self, tau_c: float) -> float:
+        """Return the threshold that lets through as many of the expert's decisions as `tau_c` does for the whole method."""
+        rate = float((self.whole_cost > tau_c).float().mean())
+        return quantile(self.cost, 1.0 - rate)
+
+    def thresholds(self, tau_c: float, gains: Tensor, config: WASPConfig) -> dict[str, float]:
+        """Return tau_c and tau_r, and the distributions that they stand in.
+
+        Args:
+            tau_c: in force.
+            gains: [K] Delta G of Eq. 12; minus infinity where no candidate was feasible.
+            config: of the variant.
+        """
+        quiet = gains[(self.cost <= tau_c) & gains.isfinite()]  # the task gate is asked only where safety is silent
+        free = self.cost[self.cost_ahead == 0]
+        tau_r = max(quantile(quiet, config.tau_r_quantile), config.tau_r_floor) if len(quiet) else TAU_R_FALLBACK
+        spread = {
+            f"{name}_{label}": quantile(values, q)
+            for name, values in (("gain", quiet), ("g_cost", self.cost), ("g_cost_free", free))
+            for label, q in (("median", 0.5), ("p90", 0.90), ("p95", 0.95))
+        }
+        return {"tau_c": tau_c, "tau_r": tau_r, **spread, "safety_rate": float((self.cost > tau_c).float().mean())}
+
+
+def quantile(values: Tensor, q: float) -> float:
+    """Return a quantile of values [K]; NaN of nothing."""
+    return float(torch.quantile(values, q)) if len(values) else float("nan")

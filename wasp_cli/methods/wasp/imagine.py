@@ -17,8 +17,7 @@ from torch import Tensor
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
 from wasp_cli.models.base import Critics, Latent
-from wasp_cli.operators.base import Operator
-from wasp_cli.operators.noise import DrawnNoise
+from wasp_cli.operators.base import DrawnNoise, Operator
 
 
 class Dynamics(Protocol):
@@ -34,7 +33,7 @@ class Dynamics(Protocol):
     def cost(self, latent: Latent) -> Tensor: ...
 
     def continues(self, latent: Latent) -> Tensor:
-        """[...] probability that the episode has not ended at the arrived state."""
+        """Return the probability [...] that the episode has not ended at the arrived state."""
         ...
 
 
@@ -43,12 +42,12 @@ class Arrived(Latent):
 
     @cached_property
     def features(self) -> Tensor:
-        """[..., D + Z]"""
+        """Join h and z: [..., D + Z]."""
         return super().features
 
     @classmethod
     def stack(cls, steps: Sequence[Arrived]) -> Arrived:
-        """Steps [R, .] as one [K, R, .]."""
+        """Stack K steps [R, .] as one [K, R, .]."""
         features = torch.stack([step.features for step in steps])
         size = steps[0].h.shape[-1]
         made = cls(features[..., :size], features[..., size:])
@@ -65,15 +64,15 @@ class Draws(NamedTuple):
     """uniform [B, H, M, K]"""
 
     def rows(self, index: Tensor) -> Draws:
-        """The draws of some of the decisions."""
+        """Select the draws of some of the decisions."""
         return Draws(self.latent[index], self.operator[index])
 
     def first(self, rollouts: int) -> Draws:
-        """The draws of the first rollouts."""
+        """Select the draws of the first rollouts."""
         return Draws(self.latent[:, :, :rollouts], self.operator[:, :, :rollouts])
 
     def steps(self, horizon: int) -> Draws:
-        """The draws of the first imagined steps."""
+        """Select the draws of the first imagined steps."""
         return Draws(self.latent[:, :horizon], self.operator[:, :horizon])
 
 
@@ -89,7 +88,7 @@ class Situation(NamedTuple):
     """[B] the operator's rows that these decisions belong to"""
 
     def select(self, index: Tensor) -> Situation:
-        """Some of the decisions."""
+        """Select some of the decisions."""
         return Situation(self.latent.rows(index), self.a_h[index], self.operator, self.rows[index])
 
 
@@ -151,14 +150,14 @@ class Imagination:
         return Returns(reward.view(shape).mean(-1), cost.view(shape).mean(-1), effort.view(shape).mean(-1))
 
     def nominal(self, start: Situation, draws: Draws) -> Returns:
-        """The operator alone: one candidate without residuals (Eq. 9-10). Fields are [B]."""
+        """Roll out the operator alone: one candidate without residuals (Eq. 9-10). Fields are [B]."""
         batch, actions = start.a_h.shape
         nothing = start.a_h.new_zeros(batch, 1, self.config.residual_steps, actions)
         found = self.returns(start, nothing, draws)
         return Returns(found.reward.squeeze(1), found.cost.squeeze(1), found.effort.squeeze(1))
 
     def _cost_return(self, arrived: Latent, keep: Tensor | None) -> Tensor:
-        """G^(c) over arrived latents [H, R, .]: Eq. 8 in full, or the discounted sum over H without V_c."""
+        """Return G^(c) [R] over arrived latents [H, R, .]: Eq. 8 in full, or the discounted sum over H without V_c."""
         cost = self.model.cost(arrived)
         if self.config.bootstrap_cost:
             return td_lambda(cost, self.critics.value_c(arrived), self.gamma_c, self.lam, keep)
@@ -166,7 +165,7 @@ class Imagination:
 
 
 def _over_candidates(draws: Tensor, candidates: int) -> Tensor:
-    """[B, H, M, K] to [H, B * N * M, K]: the same draws for each of the N candidates."""
+    """Repeat [B, H, M, K] as [H, B * N * M, K]: the same draws for each of the N candidates."""
     batch, horizon, rollouts, size = draws.shape
     spread = draws.unsqueeze(1).expand(-1, candidates, -1, -1, -1)  # [B, N, H, M, K]
     return spread.permute(2, 0, 1, 3, 4).reshape(horizon, batch * candidates * rollouts, size)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def td_lambda(signal: Tensor, value: Tensor, gamma: float, lam: float, keep: Tensor | None = None) -> Tensor:
-    """G_t of Eq. 8 for rollouts of H steps.
+    """Return G_t of Eq. 8 for rollouts of H steps.
 
     Args:
         signal: x-hat_{t+k} for k = 0..H-1, read at the arrived state k + 1: [H, ...].
@@ -24,7 +24,7 @@ def td_lambda(signal: Tensor, value: Tensor, gamma: float, lam: float, keep: Ten
 
 
 def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float, keep: Tensor | None = None) -> Tensor:
-    """G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`."""
+    """Return G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`."""
     future = value[-1]
     found = []
     for k in range(len(signal) - 1, -1, -1):
@@ -35,5 +35,5 @@ def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float, keep:
 
 
 def discounted_sum(signal: Tensor, gamma: float, keep: Tensor | None = None) -> Tensor:
-    """sum_k gamma^k x_{t+k} over [H, ...]: Eq. 8 with lambda = 1 and nothing beyond the horizon."""
+    """Return sum_k gamma^k x_{t+k} over [H, ...]: Eq. 8 with lambda = 1 and nothing beyond the horizon."""
     return td_lambda(signal, torch.zeros_like(signal), gamma, 1.0, keep)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.claims.verdict import Beside, VerdictReport
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
@@ -50,8 +49,8 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
 
 
 def title_of(who: Who) -> str:
-    """Return the name of a row in tables; the whole method has none for its ablation."""
-    return METHODS[who.method].title if who.variant == "full" else who_title(who.method, who.variant)
+    """Return the name of a row in tables."""
+    return who_title(who.method, who.variant)
 
 
 def _columns(verdict: VerdictReport, row: Beside) -> tuple[str, ...]:

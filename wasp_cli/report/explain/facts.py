@@ -1,4 +1,4 @@
-"""The facts of an episode and of a decision. What is undefined is None.
+"""The facts of an episode and of a decision; None is undefined.
 
 Letters: T decisions of the episode, A actions, L residual steps, I iterations of the planner.
 """
@@ -97,17 +97,17 @@ class Run:
 
     @property
     def decisions(self) -> int:
-        """How many."""
+        """Return how many."""
         return self.last - self.first + 1
 
     @property
     def gate(self) -> str:
-        """The most frequent gate."""
+        """Return the most frequent gate."""
         return max(self.gates, key=self.gates.__getitem__)
 
 
 @dataclass(frozen=True, eq=False)
-class Story:
+class EpisodeSummary:
     """An episode as facts."""
 
     who: Who
@@ -124,6 +124,8 @@ class Story:
     """[T] each: `gate` (metrics.episode.GATE_*), `g_cost`, `deviation`, `cost_env`"""
     unknown: tuple[str, ...]
     """what the file does not know"""
+    signal_limit: float | None
+    """what the method's own signal must exceed for an intervention"""
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ class Gate:
 
     @property
     def above(self) -> bool:
-        """Whether the value exceeds the threshold."""
+        """Tell whether the value exceeds the threshold."""
         return exceeds(self.value, self.threshold)
 
 
@@ -158,8 +160,8 @@ class Planned:
     alone_return: float | None
 
     @property
-    def nothing(self) -> bool:
-        """Whether the sequence leaves every command as it is."""
+    def empty(self) -> bool:
+        """Tell whether the sequence leaves every command as it is."""
         return not any(any(step) for step in self.residuals)
 
 
@@ -182,12 +184,12 @@ class Happened:
 
     @property
     def decisions(self) -> int:
-        """How many."""
+        """Return how many."""
         return self.last - self.first + 1
 
 
 @dataclass(frozen=True)
-class Look:
+class DecisionFacts:
     """One decision as facts."""
 
     who: Who
@@ -207,6 +209,8 @@ class Look:
     signal: float | None
     tau_q: float | None
     tau_c: float | None
+    signal_limit: float | None
+    """what the signal must exceed for an intervention"""
     plan: Planned | None
     now: Happened
     """this decision"""
@@ -219,18 +223,18 @@ class Look:
 
 
 def exceeds(value: float | None, limit: float | None) -> bool:
-    """Whether a stored value is above a threshold. Gates compare in single precision, and rows hold it."""
+    """Tell whether a stored value is above a threshold. Gates compare in single precision, and rows hold it."""
     return value is not None and limit is not None and bool(np.float32(value) > np.float32(limit))
 
 
-def as_json(facts: Story | Look) -> dict[str, Any]:
-    """As plain values; what is undefined is null."""
+def as_json(facts: EpisodeSummary | DecisionFacts) -> dict[str, Any]:
+    """Convert facts to JSON values; what is undefined is null."""
     plain: dict[str, Any] = plain_values(asdict(facts))
     return plain
 
 
 def plain_values(value: Any) -> Any:
-    """JSON has no NaN; seven digits are all that single precision knows."""
+    """Convert to JSON values: no NaN, and seven digits, which is all that single precision has."""
     if isinstance(value, Mapping):
         return {str(name).rstrip("_"): plain_values(part) for name, part in value.items()}
     if isinstance(value, np.ndarray):

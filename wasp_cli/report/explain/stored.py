@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.methods.registry import METHODS, Signal
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
@@ -28,6 +29,7 @@ GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHO
 """The gate that called for a correction; `method` is a rule of a method without WASP's gates."""
 
 NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
+THRESHOLDS = ("tau_c", "tau_r", "tau_q")
 PREDICTED = ("plan_cost", "plan_return", "alone_cost", "alone_return")
 
 
@@ -89,11 +91,11 @@ class Episode:
 
     @property
     def decisions(self) -> int:
-        """T"""
+        """Return T."""
         return len(self.gate)
 
     def require(self, t: int) -> None:
-        """See that there is a decision t.
+        """Check that there is a decision t.
 
         Raises:
             UsageError: there is none.
@@ -103,44 +105,53 @@ class Episode:
 
     @property
     def thresholds(self) -> Thresholds:
-        """In force; None where the method has none."""
-        return Thresholds(*(number(self.row[name]) for name in ("tau_c", "tau_r", "tau_q")))
+        """Return the thresholds; None where the method has none."""
+        return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
 
     @property
     def signal_limit(self) -> float | None:
-        """Above which the method's own signal calls for a correction; None where nothing says it."""
-        return self.thresholds.tau_c if self.constants.vote is None else self.constants.vote
+        """Return the value above which the method's own signal calls for a correction; None where there is no such value."""
+        limit = signal_of(str(self.row["method"])).limit
+        if limit in THRESHOLDS:
+            return number(self.row[limit])
+        stated = self.cell.setting("axes", "method_config", limit) if limit else None
+        return float(stated) if isinstance(stated, (int, float)) and not isinstance(stated, bool) else None
 
     def at(self, name: str, t: int) -> float | None:
-        """A number of decision t; None where it is undefined."""
+        """Return a number of decision t; None where it is undefined."""
         return number(float(self.numbers[name][t]))
 
     @property
     def gated(self) -> bool:
-        """Whether it has WASP's gates."""
+        """Tell whether the method has WASP's gates."""
         fired = np.isin(self.gate, (GATE_SAFETY, GATE_TASK)).any()
         return bool(fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_r is not None)  # others may bound a cost too
 
     @property
     def selective(self) -> bool:
-        """Whether it decides when to intervene, so that it can miss a cost. Human-only never does, a blend of all commands always does."""
+        """Tell whether the method decides when to intervene, so that it can miss a cost. Human-only never does, a blend always."""
         return bool(self.gated or np.isfinite(self.numbers["signal"]).any() or len(set(self.gate.tolist())) > 1)
 
     @property
     def intervened(self) -> Bools:
-        """[T]"""
+        """Return whether the executed action is not the command [T]."""
         deviated: Bools = self.numbers["deviation"] > INTERVENED
         return deviated
 
     @property
     def missed(self) -> Bools:
-        """[T] cost was paid and no gate had fired."""
+        """Return where there was cost and no gate fired [T]."""
         missed: Bools = self.costly & (self.gate == GATE_NONE) & self.selective
         return missed
 
 
+def signal_of(method: str) -> Signal:
+    """Return what a method decides by; of one that no registry knows, a signal without a meaning."""
+    return METHODS[method].signal if method in METHODS else Signal()
+
+
 def read_episode(cell: FoundCell, episode: int) -> Episode:
-    """One episode of a cell.
+    """Read one episode of a cell.
 
     Raises:
         UsageError: the cell has no such episode.
@@ -220,5 +231,5 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
 
 
 def number(value: float | None) -> float | None:
-    """None where it is undefined."""
+    """Return a number; None where it is undefined."""
     return None if value is None or not math.isfinite(value) else float(value)

@@ -49,7 +49,7 @@ class Sprite(NamedTuple):
 
 
 Draw = Callable[..., Sprite]
-"""Draws an episode: `video.sprite.sprite_of`, which needs MuJoCo and is handed over by who has it."""
+"""Draws an episode: `video.film.sprite_of`, which needs MuJoCo and is handed over by who has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
         return None
     every = max(1, math.ceil(episode.decisions / FRAMES))
     repeat = episode.constants.action_repeat
-    if repeat is None or repeat > TASKS[identity.task].env_steps:  # an untrusted one might last for hours here
+    if repeat is None or repeat > TASKS[identity.task].env_steps:  # an untrusted decision might last for hours here
         return MethodFilm(identity.method, episode, None, every, "its manifest does not say how long a decision is")
     seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
     try:

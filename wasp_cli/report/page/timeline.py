@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.stored import Episode, Floats
+from wasp_cli.report.explain.stored import Episode, Floats, signal_of
 
 CURVE, STRIP = 36, 8
 """Heights in px of a curve and of a row of marks."""
@@ -51,7 +51,7 @@ def _curves(episode: Episode) -> list[tuple[str, Floats, float | None]]:
     if episode.gated:
         return [("Ḡᶜ", numbers["g_cost"], limits.tau_c), ("ΔG", numbers["delta_g"], limits.tau_r)]
     if np.isfinite(numbers["signal"]).any():
-        return [("signal", numbers["signal"], episode.signal_limit)]
+        return [(signal_of(str(episode.row["method"])).name, numbers["signal"], episode.signal_limit)]
     return [("|a−aᴴ|", numbers["deviation"], None)] if episode.intervened.any() else []
 
 

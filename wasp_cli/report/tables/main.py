@@ -107,7 +107,7 @@ def _order(found: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:
     tasks = list(dict.fromkeys(group.task for group in found))
 
     def key(group: Group) -> tuple[int, str, int, str]:
-        known = METHODS[group.method].variants
+        known = list(METHODS[group.method].variants)
         place = known.index(group.assistant_variant) if group.assistant_variant in known else len(known)
         return tasks.index(group.task), group.method, place, group.assistant_variant
 

@@ -7,15 +7,6 @@ from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.stats.frame import Group
 from wasp_cli.tasks.registry import TASKS
 
-ABLATIONS = {
-    "full": "full",
-    "safety-only": "safety gate only",
-    "task-only": "task gate only",
-    "no-case2": "no Case II recovery",
-    "no-rollout": "no rollouts (H = 1)",
-}
-"""A variant of a plugin is printed as it is."""
-
 
 def task_title(task: str) -> str:
     """Return the name of a task in tables."""
@@ -29,12 +20,23 @@ def operator_title(variant: str) -> str:
 
 def assistant_title(group: Group, ablation: bool = False) -> str:
     """Return the label of a row; an incomplete one says of how many cells it is the mean."""
-    title = who_title(group.method, group.assistant_variant) if ablation else METHODS[group.method].title
+    title = METHODS[group.method].title
+    if ablation:
+        title += f", {variant_title(group.method, group.assistant_variant)}"
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
     return title
 
 
 def who_title(method: str, variant: str) -> str:
-    """Return the name of a method with one of its ablations."""
-    return f"{METHODS[method].title}, {ABLATIONS.get(variant, variant)}"
+    """Return the title of a method, with that of its ablation unless it is the whole method.
+
+    What no registry knows, of a plugin that is gone or of another version, keeps its name.
+    """
+    title = METHODS[method].title if method in METHODS else method
+    return title if variant == "full" else f"{title}, {variant_title(method, variant)}"
+
+
+def variant_title(method: str, variant: str) -> str:
+    """Return the title of an ablation; of an unknown one its name."""
+    return METHODS[method].variants.get(variant, variant) if method in METHODS else variant

@@ -1,0 +1,1 @@
+"""An assistant that is trained, and an operator, for `wasp`."""

@@ -1,0 +1,178 @@
+"""Two results folders side by side: which cells are alike, what changed behind those that are not, and what is more than noise."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.compare.two_runs import episodes, write_results
+from wasp_cli.compare.paired import MEASURES
+from wasp_cli.compare.runs import Compared, Side, State, compare
+from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
+from wasp_cli.store.artifact import write_record
+from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_episodes
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Side:
+    return write_results(tmp_path_factory.mktemp("one") / "results")
+
+
+def copied(side: Side, folder: Path) -> Side:
+    """The same results elsewhere."""
+    shutil.copytree(side.layout.root, folder)
+    return Side(type(side.layout)(folder), side.run_id, side.spec, side.cells)
+
+
+STATES: tuple[State, ...] = ("same", "same rows", "differs", "not compared", "only first", "only second")
+
+
+def states(compared: Compared) -> dict[str, int]:
+    return {**{state: len(compared.having(state)) for state in STATES}, "beyond": len(compared.beyond)}
+
+
+NONE = {"same": 0, "same rows": 0, "differs": 0, "not compared": 0, "only first": 0, "only second": 0, "beyond": 0}
+
+
+def test_a_folder_beside_itself_has_no_difference(first: Side) -> None:
+    compared = compare(first, first)
+    assert states(compared) == NONE | {"same": 8}
+    assert compared.alike
+    assert (compared.causes, cells_table(compared), summary_table(compared)) == ([], None, None)
+    assert headline(compared) == "8 cells: 8 the same; none differ by more than noise."
+    assert {estimate.value for each in compared.summary for estimate in each.estimates.values() if estimate} == {0.0}
+
+
+def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> None:
+    second = copied(first, tmp_path / "copy")
+    altered = CellIdentity("goal1", "wasp", "full", "laggy", 0.5, 1)
+    other = write_results(tmp_path / "other", lambda identity: episodes(identity, risk=0.9 if identity == altered else 0.1))
+    key = next(key for cell, key in first.cells if (cell.method, cell.operator, cell.seed) == ("wasp", "laggy", 1))
+    shutil.copy(other.layout.artifact("evaluate", key) / CELL_FILE, second.layout.artifact("evaluate", key) / CELL_FILE)
+    compared = compare(first, second)
+    assert states(compared) == NONE | {"same": 7, "differs": 1, "beyond": 1}
+    (cell,) = compared.having("differs")
+    assert (cell.identity, cell.keys) == (altered, (key, key))
+    assert cell.beyond == ("cost", "viol")
+    assert cell.paired is not None
+    costs = [sum(read_episodes([side.layout.artifact("evaluate", key) / CELL_FILE])["cost"].to_pylist()) / 8 for side in (first, second)]
+    assert cell.paired.differences["cost"].value == pytest.approx(costs[1] - costs[0])
+    assert cell.paired.differences["return"].value == 0.0
+    assert not compared.alike
+    text = "\n".join(remarks(compared))
+    assert "1 cell has other rows under the same key: computed on another machine, or the file was changed since" in text
+    assert cell.label in text
+
+
+def test_other_decision_times_are_no_difference(first: Side, tmp_path: Path) -> None:
+    """Only timing differs: the bytes are others, the rows are not."""
+    second = copied(first, tmp_path / "copy")
+    key = first.cells[0][1]
+    path = second.layout.artifact("evaluate", key) / CELL_FILE
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    index = table.schema.get_field_index("decision_p50_ms")
+    pq.write_table(table.set_column(index, table.schema.field(index), pa.array([99.0] * len(table), pa.float32())), path)
+    assert states(compare(first, second)) == NONE | {"same": 8}
+
+
+def test_what_changed_in_the_spec_is_named_for_the_cells_that_it_reaches(first: Side, tmp_path: Path) -> None:
+    second = write_results(tmp_path / "results", wasp={"tau_c": 0.7})
+    compared = compare(first, second)
+    assert states(compared) == NONE | {"same": 4, "same rows": 4}
+    assert compared.causes == [("spec changed: wasp.tau_c 0.5 -> 0.7", 4)]
+    assert compared.alike
+
+
+def test_what_changed_upstream_is_followed_to_where_it_began(first: Side, tmp_path: Path) -> None:
+    second = write_results(tmp_path / "results", world_model={"updates": 30})
+    compared = compare(first, second)
+    assert states(compared) == NONE | {"same rows": 8}
+    assert compared.causes == [("spec changed: world_model.updates 20 -> 30", 8)]
+
+
+def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) -> None:
+    second = write_results(tmp_path / "results", wasp={"tau_c": 0.7}, provenance={"versions": {"torch": "2.14.0"}})
+    key = next(key for cell, key in second.cells if cell.method == "wasp" and cell.operator == "laggy" and cell.seed == 0)
+    path = second.layout.manifest("evaluate", key)
+    record = json.loads(path.read_text())
+    write_record(path, {**record, "sources": {"wasp_cli.tasks.base": "other", "wasp_cli.new": "x"}})
+    causes = dict(compare(first, second).causes)
+    assert causes["library changed: torch 2.13.0 -> 2.14.0"] == 4
+    assert causes["code changed: wasp_cli.new, wasp_cli.tasks.base"] == 1
+    assert causes["spec changed: wasp.tau_c 0.5 -> 0.7"] == 4
+
+
+def test_the_machine_is_named_where_one_key_has_other_rows(first: Side, tmp_path: Path) -> None:
+    second = write_results(tmp_path / "results", lambda identity: episodes(identity, risk=0.2), provenance={"processor": "two"})
+    compared = compare(first, second)
+    assert states(compared)["differs"] == 8
+    assert compared.causes == [("processor one -> two", 8)]
+
+
+def test_a_cause_without_its_record_is_told(first: Side, tmp_path: Path) -> None:
+    second = write_results(tmp_path / "results", world_model={"updates": 30})
+    for path in second.layout.kind("world_model").glob("*/manifest.json"):
+        path.unlink()
+    assert ("another world_model, of which not both folders have the record", 8) in compare(first, second).causes
+
+
+def test_cells_of_one_side_only_are_named(first: Side, tmp_path: Path) -> None:
+    second = write_results(tmp_path / "results", operators={"noisy": {"mild": 0.2}}, seeds=[0, 2])
+    compared = compare(first, second)
+    assert states(compared) == NONE | {"same": 2, "only first": 6, "only second": 2}
+    assert not compared.alike
+    lines = list(remarks(compared, shown=3))
+    assert sum(line.startswith("  in the first only: goal1") for line in lines) == 3
+    assert "  in the first only: 3 more" in lines
+
+
+def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(first: Side, tmp_path: Path) -> None:
+    second = copied(first, tmp_path / "copy")
+    paths = [second.layout.artifact("evaluate", key) / CELL_FILE for _, key in first.cells]
+    paths[0].unlink()
+    paths[1].write_bytes(b"PAR1 no table PAR1")
+    compared = compare(first, second)
+    assert states(compared) == NONE | {"same": 6, "not compared": 2}
+    assert [cell.reason.partition(":")[0] for cell in compared.having("not compared")] == ["second"] * 2
+    assert "not computed yet" in compared.cells[0].reason
+    assert "damaged" in compared.cells[1].reason
+    assert not compared.alike
+
+
+def test_few_episodes_cannot_show_a_difference_in_one_cell_among_many(first: Side, tmp_path: Path) -> None:
+    few = write_results(tmp_path / "one", lambda identity: episodes(identity, count=5))
+    many = write_results(tmp_path / "two", lambda identity: episodes(identity, count=5, risk=0.9))
+    compared = compare(few, many)
+    assert (len(compared.having("differs")), compared.beyond) == (8, [])
+    table, summary = cells_table(compared), summary_table(compared)
+    assert table is not None
+    assert table.notes[0].startswith("Too few episodes in 8 of 8 cells to differ by more than noise")
+    assert summary is not None
+    cost = [each for row in summary.rows for column, each in zip(summary.columns, row.values, strict=True) if column.key == "cost"]
+    assert all(each.interval is not None and each.interval.low > 0 for each in cost)
+    assert {each.interval.unit for each in cost if each.interval} == {"seed"}
+
+
+def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path) -> None:
+    second = write_results(tmp_path / "results", lambda identity: episodes(identity, risk=0.1 * (1 + identity.seed) + 0.1))
+    compared = compare(first, second)
+    differing = compared.having("differs")
+    text, facts = page([compared]), as_json(compared)
+    assert len(differing) == 8
+    assert all(cell.label in text for cell in differing)
+    assert [table.name for table in tables(compared)] == ["tiny-cells", "tiny-summary"]
+    assert json.loads(json.dumps(facts)) == facts
+    told_of: list[dict[str, Any]] = facts["cells"]
+    for entry, cell in zip(told_of, compared.cells, strict=True):
+        assert (entry["label"], entry["state"], entry["beyond"]) == (cell.label, cell.state, list(cell.beyond))
+        assert cell.paired is not None
+        for name in MEASURES:
+            assert entry["paired"]["differences"][name]["value"] == pytest.approx(cell.paired.differences[name].value, rel=1e-6)
+    assert facts["alike"] is compared.alike

@@ -1,0 +1,48 @@
+"""What the closed loop asks of every decision."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from wasp_cli.errors import WaspError
+from wasp_cli.methods.base import Decision, checked
+from wasp_cli.methods.record import blank_record
+
+COMMANDS = torch.tensor([[0.5, -0.5], [0.0, 1.0]])
+CHANGED = torch.tensor([[0.5, -0.5], [0.0, 0.9]])
+
+
+class Mine:
+    """The assistant that is named in messages."""
+
+
+def test_commands_may_stand_without_a_record() -> None:
+    decision = Decision(COMMANDS.clone())
+    assert checked(decision, Mine(), COMMANDS) is decision
+
+
+def test_a_command_may_change_where_a_gate_fired() -> None:
+    record = blank_record(2)
+    record.gate[1] = 3
+    checked(Decision(CHANGED, record), Mine(), COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("decision", "message"),
+    [
+        (CHANGED, "'Mine' returned a Tensor, not a Decision"),
+        (None, "'Mine' returned a NoneType, not a Decision"),
+        (Decision(CHANGED), "'Mine' changed a command without a record"),
+        (Decision(CHANGED, blank_record(2)), "although its record says that no gate fired"),
+        (Decision(CHANGED[0]), r"shape \[2\] for commands of shape \[2, 2\]"),
+    ],
+)
+def test_what_breaks_the_contract_is_said(decision: object, message: str) -> None:
+    with pytest.raises(WaspError, match=message):
+        checked(decision, Mine(), COMMANDS)
+
+
+def test_an_undefined_command_is_the_tasks_to_refuse() -> None:
+    commands = torch.full((1, 2), torch.nan)
+    checked(Decision(commands.clone()), Mine(), commands)

@@ -1,0 +1,57 @@
+"""What registry entries say of assistants, and what readers are told where they say nothing."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import pytest
+
+from wasp_cli.errors import WaspError
+from wasp_cli.methods.configs import WASPVariant
+from wasp_cli.methods.registry import METHODS, MethodInfo
+from wasp_cli.report.explain.layout import decider
+from wasp_cli.report.explain.stored import signal_of
+from wasp_cli.report.tables.titles import variant_title, who_title
+from wasp_cli.store.tables import Thresholds
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_an_entry_says_how_its_method_decides(name: str) -> None:
+    info = METHODS[name]
+    assert info.rule.endswith(".")
+    config = info.config_model()
+
+    limit = info.signal.limit
+    assert not limit or limit in vars(Thresholds()) or limit in config.model_fields
+    if len(info.variants) > 1:
+        assert "variant" in config.model_fields
+
+
+def test_the_variants_of_wasp_are_those_of_its_configuration() -> None:
+    assert tuple(METHODS["wasp"].variants) == get_args(WASPVariant)
+
+
+def test_titles_of_variants() -> None:
+    assert who_title("wasp", "full") == "WASP"
+    assert who_title("wasp", "no-case2") == "WASP, no Case II recovery"
+    assert variant_title("wasp", "of a later version") == "of a later version"
+
+
+def test_a_method_that_no_registry_knows_keeps_its_name() -> None:
+    assert who_title("gone", "fast") == "gone, fast"
+    assert variant_title("gone", "fast") == "fast"
+    assert signal_of("gone").name == "signal"
+    assert decider("gone") == "gone"
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ("wasp_cli.methods.human:HumanOnly", "is no configuration"),
+        ("wasp_cli.methods.human:Nobody", "does not load"),
+        ("wasp_cli.methods.nowhere:Config", "does not load"),
+    ],
+)
+def test_what_is_no_configuration_is_said(config: str, message: str) -> None:
+    with pytest.raises(WaspError, match=message):
+        MethodInfo("mine", "Mine", "wasp_cli.methods.human:HumanOnly", config).config_model()

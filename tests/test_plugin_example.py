@@ -1,0 +1,162 @@
+"""The package of docs/extending.md, as its author runs it: installed by pip, checked, planned, run, reported and explained."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "docs" / "examples" / "wasp_example"
+PAGE = ROOT / "docs" / "extending.md"
+SMALL = (
+    "preset=smoke", "rounds=1", "episodes=2", "stages=[]", "operators={sluggish: {moderate: 0.8}}", "expert.interactions=1000",
+    "careful.limit=0.02",
+)  # fmt: skip
+"""Everything runs, nothing is learned; an untrained network warns of any command, so that the assistant acts."""
+CELL = "goal1 s0 careful sluggish=0.8"
+
+
+class Home:
+    """A folder with a copy of the package, the place where it is installed, and its spec."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.source, self.site = folder, folder / "source", folder / "site"
+        shutil.copytree(EXAMPLE, self.source)
+        shutil.copy(EXAMPLE / "careful.yaml", folder)
+        offline = ("--no-index", "--no-deps", "--no-build-isolation", "--target", str(self.site))
+        installed = self.python("-m", "pip", "install", "--quiet", *offline, str(self.source))
+        assert installed.returncode == 0, installed.stderr
+
+    def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(self.site), str(ROOT)]), "NO_COLOR": "1", "COLUMNS": "200"}
+        command = [sys.executable, "-P", *arguments]
+        return subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
+
+    def wasp(self, *arguments: str, sets: tuple[str, ...] = ()) -> str:
+        done = self.python("-m", "wasp_cli", *arguments, *(part for each in sets for part in ("--set", each)))
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    @cached_property
+    def first_keys(self) -> dict[str, str]:
+        """Of the package as it is."""
+        return self.keys()
+
+    def keys(self) -> dict[str, str]:
+        return {node["label"]: node["key"] for node in json.loads(self.wasp("plan", "careful.yaml", "--json"))["nodes"]}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
+    return Home(tmp_path_factory.mktemp("plugin"))
+
+
+def files() -> list[Path]:
+    return sorted(path for path in EXAMPLE.rglob("*") if path.suffix in {".py", ".toml", ".yaml"} and path.name != "__init__.py")
+
+
+def blocks() -> list[tuple[str, str]]:
+    """(language, text) of every block of the page that is a file."""
+    return re.findall(r"^```(python|toml|yaml)\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda path: path.name)
+def test_the_page_shows_every_file_as_it_is(path: Path) -> None:
+    language = {".py": "python", ".toml": "toml", ".yaml": "yaml"}[path.suffix]
+    assert (language, path.read_text(encoding="utf-8")) in blocks()
+
+
+def test_every_block_of_the_page_is_a_file() -> None:
+    known = {path.read_text(encoding="utf-8") for path in files()}
+    assert {text for _, text in blocks()} == known
+
+
+def test_its_own_tests_pass(home: Home) -> None:
+    done = home.python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(home.source / "tests"))
+    assert done.returncode == 0, done.stdout
+
+
+def test_its_spec_is_checked_and_planned(home: Home) -> None:
+    assert "ok, 5 cells" in home.wasp("check", "careful.yaml")
+    assert {"goal1 s0 risk", "goal1 s0 careful sluggish=0.8"} <= set(home.first_keys)
+    wrong = home.python("-m", "wasp_cli", "check", "careful.yaml", "--set", "careful.limit=2", "--set", "operators.sluggish.wild=3")
+    assert wrong.returncode == 3
+    assert "careful.limit: should be less than 1" in wrong.stderr
+    assert "should lie between 0 and 1 (weight of the last command)" in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "moved"),
+    [
+        ("entries.py", "Careful executes", "It executes", ""),
+        ("assistant.py", "risk.argmin(1)", "risk.argmax(1)", "careful"),
+        ("operator.py", "(1 - self.weight) * intended", "intended", "sluggish"),
+        ("risk.py", "config.batch", "2 * config.batch", "risk|careful"),
+    ],
+)
+def test_a_key_covers_what_its_node_runs(home: Home, file: str, old: str, new: str, moved: str) -> None:
+    path, before = home.site / "wasp_example" / file, home.first_keys
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    try:
+        after = home.keys()
+    finally:
+        path.write_text(text, encoding="utf-8")
+    assert {label for label in before if before[label] != after[label]} == {label for label in before if moved and re.search(moved, label)}
+
+
+def test_its_stage_trains_what_its_assistant_reads(home: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(home.site))
+    import torch
+
+    from tests.learning.recordings import SOURCES, recording
+    from wasp_cli.learning.latents import Latents, save_latents
+    from wasp_cli.learning.shards import write_shard
+    from wasp_cli.stages.base import Job
+
+    stage, configs, risk = (_imported(f"wasp_example.{name}") for name in ("stage", "configs", "risk"))
+    rows = recording((30, 30, 30))
+    write_shard(tmp_path / "shard-00000.parquet", rows, SOURCES)
+    # One class of the latent says whether the next decisions cost.
+    where, costly = risk.examples(rows, 2)
+    telling = torch.zeros(len(rows.first), 1, dtype=torch.uint8)
+    telling[where, 0] = torch.from_numpy(costly).to(torch.uint8)
+    save_latents(Latents(torch.zeros(len(rows.first), 3), telling, 2), tmp_path)
+    config = configs.RiskConfig(window=2, updates=300, batch=32, hidden=(16,))
+    inputs = {"dataset": tmp_path, "latents": tmp_path}
+    made = [stage.RiskStage().run(Job("risk", "goal1", 0, config, {}, {}, inputs, tmp_path, tmp_path)) for _ in range(2)]
+    assert made[0] == made[1]
+    assert made[0]["loss"] < 0.2
+    assert made[0]["auprc"] == pytest.approx(1.0)
+    assert (tmp_path / "risk.safetensors").is_file()
+
+
+def _imported(name: str) -> Any:
+    import importlib
+
+    return importlib.import_module(name)
+
+
+@pytest.mark.slow
+def test_the_whole_chain_runs_and_every_command_knows_the_plugin(home: Home) -> None:
+    home.wasp("run", "careful.yaml", "-j", "2", sets=SMALL)
+    printed = home.wasp("report", "results")
+    assert re.search(r"Careful +\S+", printed)
+    story = home.wasp("explain", CELL, "--episode", "0")
+    assert re.search(r"operator +sluggish 0.8 \(weight of the last command\)", story)
+    assert "Careful executes the least risky of the command" in story
+    assert re.search(r"Careful +risk > 0.020 +\d+ +[1-9]", story)
+    decision = home.wasp("explain", CELL, "--episode", "0", "--step", "0")
+    assert "risk: the predicted probability that the command leads to cost" in decision
+    plan = json.loads(home.wasp("plan", "careful.yaml", "--json", sets=SMALL))
+    assert not [node["label"] for node in plan["nodes"] if node["state"] != "cached"]

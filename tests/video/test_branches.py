@@ -1,0 +1,92 @@
+"""Both branches of a decision as they are watched: the same numbers as the counterfactual stage, and the same paths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.cells import Evaluated, evaluated
+from tests.learning.test_counterfactual import branched
+from tests.video.test_video import source_of
+from wasp_cli.errors import TaskError, UsageError
+from wasp_cli.learning.rerun import Recorded
+from wasp_cli.metrics.necessity import ALONE, ASSISTED
+from wasp_cli.store.recorded import read_recorded
+from wasp_cli.video.branches import BranchPair
+from wasp_cli.video.film import film
+
+EPISODE, WINDOW = 1, 5
+
+
+def intervened(cell: Evaluated, wanted: bool) -> int:
+    recorded = Recorded(**read_recorded(cell.path))
+    apart = np.linalg.norm(recorded.a[EPISODE] - recorded.a_h[EPISODE], axis=1) > 1e-3
+    return int(np.flatnonzero(apart[:20] == wanted)[0])
+
+
+def pair(cell: Evaluated, t: int, window: int = WINDOW) -> BranchPair:
+    return BranchPair(source_of(cell), EPISODE, t, window, lambda share, text: None)
+
+
+def test_an_intervention_has_the_branches_of_the_stage(cell: Evaluated) -> None:
+    t = intervened(cell, True)
+    found = pair(cell, t)
+    for branch in branched(cell, [[], [t], []], WINDOW):
+        trace = found.traces[branch.name]
+        assert trace.cost == branch.cost.tolist()
+        assert trace.cost_env == branch.cost_env.tolist()
+        assert trace.reward == branch.reward.tolist()
+    assert found.traces[ASSISTED].reward != found.traces[ALONE].reward
+
+
+def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> None:
+    t, recorded = intervened(cell, True), Recorded(**read_recorded(cell.path))
+    states = pair(cell, t)._states
+    parts = recorded.layouts[EPISODE], recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE]
+    places = film(cell.task, 20, *parts, 99, 8).positions
+    for name in (ASSISTED, ALONE):
+        assert len(states[name].scenes) == len(states[name].actions) + 1 == WINDOW + 1
+        np.testing.assert_array_equal(states[name].scenes[0].position[0, :2], places[t])
+    np.testing.assert_array_equal(states[ASSISTED].scenes[1].position[0, :2], places[t + 1])
+    np.testing.assert_array_equal(states[ASSISTED].actions[0].astype(np.float32), recorded.a[EPISODE][t])
+    np.testing.assert_array_equal(states[ALONE].actions[0].astype(np.float32), recorded.a_h[EPISODE][t])
+
+
+def test_where_the_command_stood_both_branches_are_the_same(cell: Evaluated) -> None:
+    trace = pair(cell, intervened(cell, False)).traces
+    assert trace[ASSISTED] == trace[ALONE]
+
+
+def test_a_branch_ends_with_its_episode(cell: Evaluated, tmp_path: Path) -> None:
+    found = pair(cell, 23)
+    assert [len(trace.reward) for trace in found.traces.values()] == [2, 2]
+    found.film("the end", ["nothing follows"], tmp_path / "a.gif")
+    video: Any = Image.open(tmp_path / "a.gif")
+    assert video.n_frames == 3
+
+
+def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
+    found = pair(cell, intervened(cell, True))
+    for name in ("a.gif", "a.png"):
+        found.film("title", ["one line", "another"], tmp_path / name)
+    video: Any = Image.open(tmp_path / "a.gif")
+    still: Any = Image.open(tmp_path / "a.png")
+    assert (video.n_frames, getattr(still, "n_frames", 1)) == (WINDOW + 1, 1)
+    video.seek(WINDOW)
+    last = np.asarray(video.convert("RGB")).astype(int)
+    assert np.abs(last - np.asarray(still.convert("RGB"))).mean() < 4
+    video.seek(0)
+    assert (np.asarray(video.convert("RGB")) != last).any()
+    with pytest.raises(UsageError, match="unsupported video format"):
+        found.film("title", [], tmp_path / "a.txt")
+
+
+def test_a_task_without_snapshots_says_so(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    cell = evaluated(inputs, tmp_path, task="FilmMeter-v0", episodes=3)
+    with pytest.raises(TaskError, match="has no method 'snapshot'"):
+        pair(cell, 0)

@@ -1,0 +1,232 @@
+"""Films of stored episodes: they show the world that was recorded, or nothing."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from PIL import Image, ImageColor
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.learning.playback import play
+from wasp_cli.tasks.camera.appearance import HasScene
+from wasp_cli.tasks.driver import drive
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video import film as films
+from wasp_cli.video.film import film, sprite, sprite_of
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, FREE, MapView, Pose, stick
+
+SIZE = 96
+ORANGE = np.array(ImageColor.getrgb(COST))
+
+
+class Meter(gymnasium.Env[Any, Any]):
+    """Shows its clock as a colour, rewards it, costs at times, and ends early."""
+
+    metadata = {"render_modes": [], "render_fps": 25}
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
+    observation_space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.clock = 0
+        return self.seen(), {}
+
+    def seen(self):
+        return np.full((64, 64, 3), 40 + self.clock // 2, np.uint8)
+
+    def step(self, action):
+        self.clock += 1
+        return self.seen(), float(self.clock), self.clock >= 20, False, {"cost": float(self.clock in (5, 6))}
+
+
+gymnasium.register("FilmMeter-v0", entry_point=Meter, max_episode_steps=40)
+
+
+def pose(task: Any) -> Pose:
+    return Pose(task.appearance(), task.scene(np.array([0])))
+
+
+class Driven:
+    """An episode of a task, driven by the script, with some commands overruled."""
+
+    def __init__(self, name: str, seed: int) -> None:
+        task = make_task(name, 1, observe=())
+        task.reset([seed])
+        self.name, self.seed = name, seed
+        actions, rewards, costs, places = [], [], [], [pose(task).at]
+        for _ in range(task.max_decisions):
+            action = np.clip(8 * drive(task), -1, 1).astype(np.float32)
+            step = task.step(action)
+            actions.append(action[0])
+            rewards.append(np.float32(step.reward[0]))
+            costs.append(bool(step.cost[0]))
+            places.append(pose(task).at)
+            if step.ended[0]:
+                break
+        self.a, self.reward, self.cost, self.places = np.array(actions), np.array(rewards), np.array(costs), np.array(places)
+        self.a_h = self.a.copy()
+        self.a_h[::5] = -self.a[::5]
+
+    def arguments(self) -> tuple[Any, ...]:
+        return self.name, 4, self.seed, self.a, self.a_h, self.reward
+
+
+@pytest.fixture(scope="module", params=["goal1", "race1"])
+def driven(request: pytest.FixtureRequest) -> Driven:
+    return Driven(request.param, 3)
+
+
+def edged(frame: Any) -> bool:
+    return bool((np.abs(frame[0].astype(int) - ORANGE) < 12).all())
+
+
+def test_a_film_shows_the_recorded_way_and_its_costs(driven: Driven) -> None:
+    found = film(*driven.arguments(), every=7, size=SIZE)
+    length = len(driven.a)
+    assert found.decisions == [*range(0, length, 7), length]
+    assert {frame.shape for frame in found.frames} == {(SIZE, SIZE, 3)}
+    np.testing.assert_array_equal(found.positions, driven.places)
+    since = [driven.cost[a:b].any() for a, b in zip([0, *found.decisions], found.decisions, strict=False)]
+    assert driven.cost.any()
+    assert [edged(frame) for frame in found.frames] == since
+
+
+def test_what_was_executed_is_shown_where_it_is_not_the_command(driven: Driven) -> None:
+    changed = film(*driven.arguments(), every=5, size=SIZE).frames
+    same = film(driven.name, 4, driven.seed, driven.a, driven.a, driven.reward, every=5, size=SIZE).frames
+    apart = [np.abs(one.astype(int) - other).max() > 60 for one, other in zip(changed, same, strict=True)]
+    moved = [bool(np.abs(action).max() > 0.05) for action in driven.a[::5]]
+    assert apart[: len(moved)] == moved
+    assert not apart[-1] or len(apart) == len(moved), "after the last decision nothing is commanded"
+
+
+@pytest.mark.parametrize("spoil", ["reward", "shorter", "longer", "world"])
+def test_a_film_of_another_world_is_refused(driven: Driven, spoil: str) -> None:
+    a, reward, seed = driven.a, driven.reward.copy(), driven.seed
+    if spoil == "reward":
+        reward[4] += 0.01
+    elif spoil == "shorter":
+        a, reward = a[:-1], reward[:-1]
+    elif spoil == "longer":
+        a, reward = np.concatenate([a, a[:1]]), np.concatenate([reward, reward[:1]])
+    else:
+        seed += 1
+    with pytest.raises(ArtifactError, match="the same actions lead elsewhere") as caught:
+        film(driven.name, 4, seed, a, a, reward, every=50, size=16)
+    assert "other libraries" in str(caught.value.hint)
+
+
+def test_rewards_count_as_stored(driven: Driven) -> None:
+    task = make_task(driven.name, 1, observe=())
+    moments = list(play(task, [driven.seed], [driven.a], [driven.reward.astype(np.float32)]))
+    assert [moment.t for moment in moments] == list(range(len(driven.a) + 1))
+    assert moments[0].last is None
+    assert [bool(moment.alive[0]) for moment in moments] == [True] * len(driven.a) + [False]
+
+
+def test_others_tasks_show_what_their_camera_sees() -> None:
+    rewards = np.array([[1 + i, 2 + i] for i in range(0, 20, 2)], float).sum(1)
+    actions = np.zeros((10, 2), np.float32)
+    found = film("FilmMeter-v0", 2, 0, actions, actions, rewards, every=3, size=32)
+    assert found.decisions == [0, 3, 6, 9, 10]
+    assert [int(frame[16, 16, 0]) for frame in found.frames] == [40 + t for t in found.decisions]
+    assert [edged(frame) for frame in found.frames] == [False, True, False, False, False]
+    assert np.isnan(found.positions).all()
+
+
+@pytest.mark.parametrize("name", ["goal1", "race1"])
+def test_arrows_point_to_where_actions_lead(name: str) -> None:
+    task = make_task(name, 1, observe=())
+    assert isinstance(task, HasScene)
+    full = {"goal1": 0.05, "race1": 0.02}[name]
+    pushes = {"forward": [1.0, 0.0] if name == "goal1" else [full, full], "left": [0.0, 1.0] if name == "goal1" else [full, -full]}
+    for way, action in pushes.items():
+        push = stick(task, np.array(action))
+        assert push is not None
+        assert (np.abs(push) > 1e-9).tolist() == [way == "forward", way == "left"]
+        assert (push >= 0).all()
+        task.reset([3])
+        before = pose(task)
+        for _ in range(6):
+            task.step(np.array([action]))
+        after = pose(task)
+        if way == "forward":
+            assert (after.at - before.at) @ before.forward > 0.05
+        else:
+            assert after.forward @ before.left > 0.1
+
+
+def test_a_task_that_does_not_say_how_it_is_driven_has_no_arrows() -> None:
+    assert stick(object(), np.array([1.0, 0.0])) is None
+
+
+@pytest.mark.parametrize("name", ["goal1", "race1", "formula1"])
+def test_the_map_follows_a_robot_that_leaves_it(name: str) -> None:
+    task = make_task(name, 1, observe=())
+    assert isinstance(task, HasScene)
+    task.reset([5])
+    view = MapView(task.appearance(), 40)
+    centres = []
+    for decision in range(60):
+        if decision % 20 == 0:
+            picture = view.picture(task.scene(np.array([0])))
+            centres.append(picture._centre)
+            assert np.abs(pose(task).at - picture._centre).max() <= view.half * (FREE if name == "formula1" else 0.9) + 1e-9
+        task.step(np.full((1, 2), 1.0) if name == "goal1" else np.clip(8 * drive(task), -1, 1))  # type: ignore[arg-type]
+    assert len(centres) == 3
+
+
+def test_marks_lie_where_their_places_are() -> None:
+    task = make_task("goal1", 1, observe=())
+    assert isinstance(task, HasScene)
+    task.reset([0])
+    picture = MapView(task.appearance(), 200).picture(task.scene(np.array([0])))
+    place = np.array([[1.0, -0.5]])  # of 2 m: three quarters to the right, a quarter below the middle
+    picture.dots(place, "#FF00FF", 3)
+    shown = np.asarray(picture.finished()).astype(int)
+    rows, columns = np.nonzero((np.abs(shown - [255, 0, 255]) < 9).all(-1))
+    assert (columns.mean(), rows.mean()) == pytest.approx((149.5, 124.5), abs=1.0)
+    assert len({COMMAND, EXECUTED, COST}) == 3
+
+
+def test_a_sprite_sheet_holds_the_frames_in_order(driven: Driven) -> None:
+    made = sprite_of(*driven.arguments(), every=7, size=SIZE, columns=4)
+    shown = film(*driven.arguments(), every=7, size=SIZE)
+    assert made.decisions == shown.decisions
+    assert len(made.data) <= films.LIMIT
+    sheet = np.asarray(Image.open(io.BytesIO(made.data)).convert("RGB")).astype(int)
+    assert sheet.shape == (-(-len(shown.frames) // 4) * SIZE, 4 * SIZE, 3)
+    assert made.mime == "image/webp"
+    for index, frame in enumerate(shown.frames):
+        y, x = index // 4 * SIZE, index % 4 * SIZE
+        assert np.abs(sheet[y : y + SIZE, x : x + SIZE] - frame).mean() < 6
+
+
+def test_a_sheet_that_would_be_too_high_becomes_wider(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(films, "LONGEST", 4 * 16 + 3)
+    made = sprite_of(*driven.arguments(), every=5, size=16, columns=2)
+    width, height = Image.open(io.BytesIO(made.data)).size
+    assert len(made.decisions) > 8
+    assert (width, height <= 4 * 16) == (16 * made.columns, True)
+    assert 4 * (made.columns - 1) < len(made.decisions), "no wider than it has to be"
+
+
+def test_a_sheet_is_made_smaller_until_it_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (4, 64, 64, 3), np.uint8)
+    fine, _ = sprite(list(noise), 2)
+    monkeypatch.setattr(films, "LIMIT", len(fine) // 2)
+    coarse, _ = sprite(list(noise), 2)
+    assert len(coarse) < len(fine)
+
+
+def test_without_webp_a_sheet_is_png(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(films.features, "check", lambda name: False)
+    frames = [np.full((8, 8, 3), shade, np.uint8) for shade in (0, 100, 200)]
+    data, mime = sprite(frames, 2)
+    shown = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+    assert mime == "image/png"
+    assert [int(shown[4, 4, 0]), int(shown[4, 12, 0]), int(shown[12, 4, 0])] == [0, 100, 200]

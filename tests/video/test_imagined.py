@@ -1,0 +1,99 @@
+"""Imagined trajectories are those whose returns the gates look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.worlds import NoCritics
+from wasp_cli.learning.sampling import generator, gumbel
+from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
+from wasp_cli.models.base import Latent
+from wasp_cli.models.policy import load_skills
+from wasp_cli.models.world_model import load_world_model
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.video.imagined import ROLLOUTS, RolloutStart, imagine, rollout_start
+
+HORIZON, ROWS, ROW, T = 6, 3, 1, 9
+GAMMA = 0.9
+PLAN = np.array([[0.4, -0.7], [-0.3, 0.2]], np.float32)
+
+
+@pytest.fixture(params=[("laggy", 0.7), ("noisy", 0.5), ("reaction-time", 0.24), ("none", None)], ids=lambda each: each[0])
+def decided(request: pytest.FixtureRequest, inputs: Mapping[str, Path]) -> tuple[Any, Operator, Latent, torch.Tensor]:
+    """Model, operator, latents and commands in the middle of three episodes."""
+    model = load_world_model(inputs["world_model"])
+    operator = build_operator(*request.param, OperatorContext(load_skills(inputs["policies"]).at, 2, 0.08), EpisodeNoise([3, 4, 5]), ROWS)
+    source = generator(7)
+    for _ in range(4):
+        latent = Latent(torch.randn(ROWS, model.sizes.deter, generator=source), torch.rand(ROWS, model.rssm.flat, generator=source))
+        with torch.inference_mode():
+            a_h = operator.command(latent.features).clamp(-1, 1)
+    return model, operator, latent, a_h
+
+
+def start(decided: tuple[Any, Operator, Latent, torch.Tensor], plan: np.ndarray | None = PLAN) -> RolloutStart:
+    _, operator, latent, a_h = decided
+    return rollout_start(T, latent, ROW, a_h[ROW].numpy(), operator, plan, HORIZON)
+
+
+@pytest.mark.parametrize("composition", ["per_step", "hold"])
+def test_returns_are_those_of_the_planner(decided: tuple[Any, Operator, Latent, torch.Tensor], composition: str) -> None:
+    model, operator, latent, a_h = decided
+    found = imagine(model, start(decided), HORIZON, [2, 6], hold=composition == "hold")
+
+    config = WASPConfig(horizon=HORIZON, residual_steps=len(PLAN), continuation=False, composition=composition)  # type: ignore[arg-type]
+    imagination = Imagination(model, NoCritics(), config, GAMMA, GAMMA, 1.0)
+    draws = Draws(
+        gumbel((HORIZON, ROLLOUTS, model.noise_size), generator(2 * T + 1))[None],
+        torch.rand((HORIZON, ROLLOUTS, operator.draws), generator=generator(2 * T))[None],
+    )
+    residuals = torch.from_numpy(np.stack([np.zeros_like(PLAN), PLAN]))[None]
+    row = torch.tensor([ROW])
+    with torch.inference_mode():
+        expected = imagination.returns(Situation(latent.rows(row), a_h[row], operator, row), residuals, draws).cost[0].numpy()
+    discount = GAMMA ** np.arange(HORIZON)
+    np.testing.assert_allclose((found.cost * discount).sum(1), expected, rtol=1e-4)
+    assert abs(expected[0] - expected[1]) > 1e-6, "the plan changes nothing here"
+
+
+def test_a_start_gives_the_same_again_and_leaves_the_operator_alone(
+    decided: tuple[Any, Operator, Latent, torch.Tensor],
+) -> None:
+    model, operator, _, _ = decided
+    before, begun = operator.snapshot(), start(decided)
+    one, other = imagine(model, begun, HORIZON, [3]), imagine(model, begun, HORIZON, [3])
+    np.testing.assert_array_equal(one.features, other.features)
+    np.testing.assert_array_equal(one.images[3], other.images[3])
+    after = operator.snapshot()
+    assert before.keys() == after.keys()
+    assert all(torch.equal(before[name], after[name]) for name in before)
+
+
+def test_without_a_correction_there_is_one_sequence_the_same_as_beside_one(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
+    model = decided[0]
+    alone = imagine(model, start(decided, None), HORIZON, [HORIZON])
+    beside = imagine(model, start(decided), HORIZON, [HORIZON])
+    assert alone.features.shape == (1, ROLLOUTS, HORIZON, model.feature_size)
+    assert beside.features.shape[0] == 2
+    np.testing.assert_allclose(alone.features[0], beside.features[0], atol=1e-5)
+    nothing = imagine(model, start(decided, 0 * PLAN), HORIZON, [])
+    np.testing.assert_allclose(nothing.features[0], nothing.features[1], atol=1e-6)
+
+
+def test_images_are_decoded_from_the_first_rollout(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
+    model = decided[0]
+    found = imagine(model, start(decided), HORIZON, [1, 4])
+    assert sorted(found.images) == [1, 4]
+    for step, images in found.images.items():
+        features = torch.from_numpy(found.features[:, 0, step - 1])
+        size = model.sizes.deter
+        with torch.inference_mode():
+            expected = model.decode(Latent(features[:, :size], features[:, size:])).numpy()
+        np.testing.assert_allclose(images, expected, atol=1e-5)

@@ -1,0 +1,83 @@
+"""Paths that are read out of latents: the geometry, and that the fit finds what is linear and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wasp_cli.video.imagined import displacements, fit, integrated
+
+FEATURES = 12
+
+
+def world(seed: int, noise: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Six episodes whose displacements are linear in the features, but for noise."""
+    random = np.random.default_rng(seed)
+    weights = random.normal(size=(FEATURES, 3)) * [0.02, 0.01, 0.1]
+    features = [random.normal(size=(80, FEATURES)).astype(np.float32) for _ in range(6)]
+    moves = [x @ weights + [0.05, 0.0, 0.01] + noise * random.normal(size=(80, 3)) * weights.std(0) for x in features]
+    return features, moves
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
+def test_displacements_put_together_are_the_way(seed: int, length: int) -> None:
+    random = np.random.default_rng(seed)
+    poses = np.concatenate([random.normal(size=(length + 1, 2)), random.uniform(-3.1, 3.1, (length + 1, 1))], 1)
+    found = integrated(poses[0], displacements(poses))
+    np.testing.assert_allclose(found, poses[:, :2], atol=1e-9)
+
+
+def test_displacements_are_seen_from_the_robot() -> None:
+    # It looks along +y and goes to the left of where it looks, which is -x, while it turns by a quarter to the left.
+    poses = np.array([[1.0, 2.0, np.pi / 2], [0.5, 2.0, np.pi]])
+    np.testing.assert_allclose(displacements(poses), [[0.0, 0.5, np.pi / 2]], atol=1e-12)
+
+
+def test_rollouts_are_put_together_one_by_one() -> None:
+    moves = np.random.default_rng(0).normal(size=(4, 7, 3))
+    start = np.array([0.3, -0.2, 1.0])
+    together = integrated(start, moves)
+    assert together.shape == (4, 8, 2)
+    for one, places in zip(moves, together, strict=True):
+        x, y, yaw = start
+        for (forward, left, turn), place in zip(one, places[1:], strict=True):
+            x, y = x + forward * np.cos(yaw) - left * np.sin(yaw), y + forward * np.sin(yaw) + left * np.cos(yaw)
+            yaw += turn
+            np.testing.assert_allclose(place, [x, y], atol=1e-9)
+
+
+def test_what_is_linear_is_found() -> None:
+    features, moves = world(0, noise=0.0)
+    readout = fit(features[1:], moves[1:])
+    assert (readout.explained(features[0], moves[0]) > 0.999).all()
+    np.testing.assert_allclose(readout(features[0][3]), moves[0][3], atol=2e-3)
+
+
+def test_what_is_noise_is_not_explained() -> None:
+    features, moves = world(1, noise=0.0)
+    random = np.random.default_rng(2)
+    moves = [random.normal(size=each.shape) for each in moves]
+    assert (fit(features[1:], moves[1:]).explained(features[0], moves[0]) < 0.1).all()
+
+
+def test_the_share_explained_is_that_of_the_variance() -> None:
+    features, moves = world(3, noise=0.5)
+    readout = fit(features[1:], moves[1:])
+    error = ((readout(features[0]) - moves[0]) ** 2).mean(0)
+    np.testing.assert_allclose(readout.explained(features[0], moves[0]), 1 - error / moves[0].var(0), rtol=1e-9)
+
+
+def test_what_never_moves_has_no_share() -> None:
+    features, moves = world(4, noise=0.0)
+    still = [each * [1.0, 0.0, 1.0] for each in moves]
+    shares = fit(features[1:], still[1:]).explained(features[0], still[0])
+    assert np.isnan(shares).tolist() == [False, True, False]
+
+
+def test_one_episode_is_enough_and_none_is_not() -> None:
+    features, moves = world(5, noise=0.1)
+    assert (fit(features[:1], moves[:1]).explained(features[1], moves[1]) > 0.5).all()
+    with pytest.raises(ValueError, match="no decision"):
+        fit([features[0][:0]], [moves[0][:0]])

@@ -1,0 +1,282 @@
+"""`wasp replay`: an episode, or one decision, from a results folder to a picture."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import Result
+from PIL import Image
+
+from tests.commands import run_here
+from tests.report.explained import Invented
+from tests.video.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
+from wasp_cli.metrics.episode import GATE_SAFETY
+from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+from wasp_cli.report.explain.stored import read_episode
+from wasp_cli.store.artifact import commit, staging_folder
+from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, write_branches
+from wasp_cli.store.find import find_cell
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CellIdentity, Thresholds
+from wasp_cli.video.replay import correction, default_name, episode_trace
+from wasp_cli.video.replay_step import Criterion, criterion_of, judge
+
+LABEL = "race1 s0 wasp noisy=0.4"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_store(tmp_path_factory.mktemp("replay"))
+
+
+@pytest.fixture
+def copied(results: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(results, tmp_path / "results"))
+
+
+def replayed(results: Path, *arguments: str | Path) -> Result:
+    return run_here("replay", *arguments, "--results", results, columns=200)
+
+
+def intervened(results: Path) -> tuple[int, int]:
+    """Decisions of episode 1 with and without an intervention."""
+    apart = read_episode(find_cell(Layout(results), CELL), 1).intervened
+    return int(np.flatnonzero(apart)[0]), int(np.flatnonzero(~apart)[0])
+
+
+# -- an episode -----------------------------------------------------------------------------------------------------------------
+
+
+def test_the_video_lies_in_the_current_folder_under_the_name_of_the_cell(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = replayed(results, LABEL, "--episode", "1", "--every", "12")
+    assert (done.exit_code, done.stdout) == (0, "race1_wasp_noisy-0.4_e1.gif: 3 frames\n"), done.output
+    video: Any = Image.open("race1_wasp_noisy-0.4_e1.gif")
+    assert video.n_frames == 3
+
+
+def test_the_corrected_future_is_that_of_the_stored_plan(results: Path) -> None:
+    stored = read_episode(find_cell(Layout(results), CELL), 1)
+    found = correction(stored)
+    assert found.name == "with the plan"
+    planned = [t for t, plan in enumerate(found.residuals) if plan is not None]
+    assert planned
+    for t in planned:
+        assert found.residuals[t].shape == (EAGER["residual_steps"], 2)
+        np.testing.assert_allclose(np.clip(stored.a_h[t] + found.residuals[t][0], -1, 1), stored.a[t], atol=1e-6)
+
+
+def test_a_plan_that_was_dropped_is_no_correction(tmp_path: Path) -> None:
+    made = Invented()
+    made.fire(2, GATE_SAFETY)
+    made.fire(4, GATE_SAFETY, residuals=((0.0, 0.0), (0.0, 0.0)))
+    found = correction(made.read(tmp_path))
+    assert [t for t, plan in enumerate(found.residuals) if plan is not None] == [2]
+
+
+def test_of_a_method_without_plans_the_changed_action_is_the_correction(tmp_path: Path) -> None:
+    made = Invented(method="diffusion", config={}, thresholds=Thresholds())
+    made.a[3] = [-0.25, 0.5]
+    stored = made.read(tmp_path)
+    found = correction(stored)
+    assert [t for t, plan in enumerate(found.residuals) if plan is not None] == [3]
+    np.testing.assert_allclose(found.residuals[3], [[-0.75, 0.75]])
+    assert "executed action" in found.name
+    assert (episode_trace(stored).gated, episode_trace(stored).signal_name) == (False, "signal")
+    assert default_name(stored, ".gif") == Path("goal1_diffusion_laggy-0.7_e0.gif")
+
+
+def test_the_words_of_the_rows_reach_the_frames(tmp_path: Path) -> None:
+    from wasp_cli.video.timeline import numbers
+
+    made = Invented()
+    made.fire(2, GATE_SAFETY)
+    made.pay(1, 2)
+    said = numbers(episode_trace(made.read(tmp_path)), 2)
+    assert "gate: safety gate" in said
+    assert "Ḡᶜ 0.50 > τ_c 0.3" in said
+    assert "plan's cost 0.20, alone 0.60" in said
+    assert "cost so far 4, goals 0" in said
+    assert numbers(episode_trace(made.read(tmp_path)), 0)[0] == "gate: none, command stands"
+
+
+# -- one decision ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_decision_is_judged_and_drawn(results: Path, tmp_path: Path) -> None:
+    t, _ = intervened(results)
+    done = replayed(results, CELL[:6], "-e", "1", "--step", str(t), "--out", tmp_path / "a.png", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert (found["step"], found["window"], found["tau_R"], found["intervened"]) == (t, WINDOW, TAU_R, True)
+    assert found["tau_R_from"] == "the calibration of the method"
+    cost = [np.array([found[name]["cost"]], float) for name in ("alone", "assisted")]
+    reward = [np.array([found[name]["reward"]], np.float32).astype(float) for name in ("alone", "assisted")]
+    expected = necessity(*cost, *reward, tau_R=TAU_R)  # type: ignore[misc]
+    assert found["rho"] == pytest.approx(float(expected.rho[0]))
+    assert found["delta_c"] == pytest.approx(float(expected.delta_c[0]))
+    assert found["delta_r"] == pytest.approx(float(expected.delta_r[0]))
+    assert found["unnecessary"] is bool(expected.unnecessary[0])
+    assert Image.open(tmp_path / "a.png").size[0] > 800
+
+
+def test_a_decision_without_an_intervention_says_so(results: Path, tmp_path: Path) -> None:
+    _, t = intervened(results)
+    done = replayed(results, LABEL, "-e", "1", "-s", str(t), "-o", tmp_path / "a.gif")
+    assert done.exit_code == 0, done.output
+    assert "both branches are the same" in done.stdout
+    assert "ΔC +0   ΔR +0.000" in done.stdout
+    assert done.stdout.endswith(f"{tmp_path / 'a.gif'}\n")
+
+
+@pytest.mark.parametrize(
+    ("saved", "gained", "tau_R", "expected", "words"),
+    [
+        (True, -1.0, None, False, "it avoided cost"),
+        (True, -1.0, 0.1, False, "it avoided cost"),
+        (False, 0.5, 0.1, False, "it gained more"),
+        (False, 0.05, 0.1, True, "counts as unnecessary"),
+        (False, 0.5, None, None, "undefined"),
+    ],
+)
+def test_the_verdict_is_eq_21(tmp_path: Path, saved: bool, gained: float, tau_R: float | None, expected: bool | None, words: str) -> None:
+    made = Invented()
+    made.a[2] = [1.0, 1.0]
+    branches = {
+        ASSISTED: {"cost": [False, False], "cost_env": [0, 0], "reward": [gained, 0.0]},
+        ALONE: {"cost": [saved, False], "cost_env": [3 * saved, 0], "reward": [0.0, 0.0]},
+    }
+    found = judge(made.read(tmp_path), 2, Criterion(4, tau_R, "nobody"), branches)
+    assert found.unnecessary is expected
+    assert found.rho == (0.25 if saved else 0.0)
+    assert words in found.lines()[1]
+
+
+def test_tau_R_comes_from_the_cells_own_branches_before_the_calibration(copied: Path) -> None:
+    layout, cell = Layout(copied), find_cell(Layout(copied), CELL)
+    assert criterion_of(layout, cell) == Criterion(WINDOW, TAU_R, "the calibration of the method")
+    for key, upstream in (("eeee5555eeee5555eeee", "another"), ("ffff6666ffff6666ffff", CELL)):
+        staging = staging_folder(layout, key)
+        identity = CellIdentity("race1", "wasp", "full", "noisy", 0.4, 0)
+        write_branches(staging / BRANCHES_FILE, BranchedCell(identity, 7, 1, 0.5 if upstream == CELL else 9.0, 2), [])
+        commit(layout, "counterfactual", key, staging, {"kind": "counterfactual", "key": key, "upstream": {"evaluate": upstream}})
+    assert criterion_of(layout, cell) == Criterion(7, 0.5, "the counterfactual branches of the cell")
+    shutil.rmtree(copied / "store" / "counterfactual")
+    (layout.artifact("calibration", KEYS["calibration"]) / "calibration.json").write_text("{")
+    assert criterion_of(layout, cell).tau_R is None
+
+
+# -- what can go wrong ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([LABEL, "-e", "7"], "this cell has the episodes 0 to 1"),
+        ([LABEL, "-e", "0", "-s", "25"], "episode 0 has the decisions 0 to 24"),
+        (["race1 s0 wasp noisi=0.4", "-e", "0"], "did you mean"),
+        ([LABEL, "-e", "0", "--out", "a.mp4"], "endings: .gif, .png, .apng, .webp"),
+        ([LABEL, "-e", "0", "--out", "nowhere/a.gif"], "create the folder 'nowhere'"),
+        ([LABEL, "-e", "0", "--every", "0"], "Invalid value for '--every'"),
+        ([LABEL, "-e", "0", "--json"], "--json needs --step"),
+        ([LABEL, "-e", "0", "-s", "1", "--every", "2"], "--every cannot be used with --step"),
+        ([LABEL], "Missing option"),
+    ],
+)
+def test_wrong_usage_ends_with_2_before_anything_is_played(
+    arguments: list[str], expected: str, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("wasp_cli.video.trace.Source.world", lambda self: pytest.fail("played"))
+    done = replayed(results, *arguments)
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert expected in done.stderr
+
+
+def test_a_cell_without_a_manifest_says_what_is_missing(results: Path, tmp_path: Path) -> None:
+    shutil.copy(results / "store" / "evaluate" / CELL / "cell.parquet", tmp_path / "cell.parquet")
+    done = replayed(results, tmp_path / "cell.parquet", "-e", "0", "-o", tmp_path / "a.gif")
+    assert done.exit_code == 2
+    assert "does not say how it was evaluated" in done.stderr
+    assert "--results" in done.stderr
+
+
+def broken_bytes(results: Path) -> None:
+    path = results / "store" / "world_model" / KEYS["world_model"] / "world_model.safetensors"
+    whole = bytearray(path.read_bytes())
+    whole[-1] ^= 1
+    path.write_bytes(whole)
+
+
+def gone(results: Path) -> None:
+    shutil.rmtree(results / "store" / "policies" / KEYS["policies"])
+
+
+@pytest.mark.parametrize(
+    ("harm", "expected"),
+    [(broken_bytes, "the world model of this cell cannot be used"), (gone, "the policies of this cell cannot be used: no artifact")],
+)
+def test_models_that_are_not_there_end_with_1(copied: Path, tmp_path: Path, harm: Callable[[Path], None], expected: str) -> None:
+    harm(copied)
+    done = replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif")
+    assert (done.exit_code, done.stdout) == (1, "")
+    assert expected in done.stderr
+    assert "run the spec of the cell again" in done.stderr
+    assert not (tmp_path / "a.gif").exists()
+
+
+@pytest.mark.parametrize(
+    "path", [("task",), ("seed",), ("axes", "variant"), ("axes", "value"), ("settings", "action_repeat"), ("upstream",)]
+)
+def test_a_manifest_with_something_odd_is_no_traceback(copied: Path, tmp_path: Path, path: tuple[str, ...]) -> None:
+    file = copied / "store" / "evaluate" / CELL / "manifest.json"
+    manifest = json.loads(file.read_text())
+    place = manifest
+    for name in path[:-1]:
+        place = place[name]
+    place[path[-1]] = ["odd"]
+    file.write_text(json.dumps(manifest))
+    done = replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif")
+    assert done.exit_code == 2
+    assert "does not say how it was evaluated" in done.stderr
+
+
+def test_a_mujoco_that_does_not_import_is_said(results: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "wasp_cli", "replay", LABEL, "-e", "0", "-o", str(tmp_path / "a.gif"), "--results", str(results)]
+    variables = {**os.environ, "MUJOCO_GL": "nonsense", "NO_COLOR": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False, cwd=Path(__file__).parents[2])
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "MUJOCO_GL" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_other_states_than_the_recorded_ones_end_with_1(copied: Path, tmp_path: Path) -> None:
+    path = copied / "store" / "evaluate" / CELL / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["axes"]["value"] = 0.6  # another operator than the one who drove
+    path.write_text(json.dumps(manifest))
+    done = replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif")
+    assert done.exit_code == 1
+    assert "is not the recorded one" in done.stderr
+    assert "other libraries" in done.stderr
+
+
+def test_a_task_that_does_not_import_ends_as_an_expected_error(copied: Path, tmp_path: Path) -> None:
+    path = copied / "store" / "evaluate" / CELL / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["task"] = "no_such_package:Env-v0"
+    path.write_text(json.dumps(manifest))
+    done = replayed(copied, LABEL, "-e", "0", "-o", tmp_path / "a.gif")
+    assert done.exit_code == 1
+    assert "no_such_package" in done.stderr
+    assert os.listdir(tmp_path) == ["results"]

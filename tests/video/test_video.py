@@ -1,0 +1,257 @@
+"""Videos of episodes: what is gathered is what was recorded, and what is drawn is where it should be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image, ImageColor
+
+from tests.cells import REPEAT, Evaluated, evaluated
+from tests.video.test_film import Meter
+from wasp_cli.errors import ArtifactError, UsageError, WaspError
+from wasp_cli.learning.rerun import Recorded
+from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
+from wasp_cli.report.figures.style import PALETTE
+from wasp_cli.store.recorded import read_recorded
+from wasp_cli.tasks.camera.appearance import HasScene
+from wasp_cli.video import encode as video_file
+from wasp_cli.video.encode import MEANT, checked, palette_of, write
+from wasp_cli.video.film import film
+from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, film_episode
+from wasp_cli.video.imagined import displacements
+from wasp_cli.video.map import COST, Pose
+from wasp_cli.video.timeline import GATE_COLOURS, EpisodeTrace, Timeline
+from wasp_cli.video.trace import PlayedEpisode, Source, play_episode
+
+EPISODE, HORIZON = 1, 4
+assert Meter  # registers an environment without a map
+
+
+def source_of(cell: Evaluated, **changes: Any) -> Source:
+    recorded = Recorded(**read_recorded(cell.path))._replace(**changes)
+    return Source(
+        cell.task, REPEAT, cell.seed, cell.variant, cell.value, recorded, cell.inputs["world_model"], cell.inputs["policies"]
+    )  # fmt: skip
+
+
+def played(cell: Evaluated, shown: set[int], **changes: Any) -> PlayedEpisode:
+    source = source_of(cell, **changes)
+    return play_episode(source, EPISODE, [None] * len(source.recorded.a[EPISODE]), shown, HORIZON, lambda share, text: None)
+
+
+def trace_of(cell: Evaluated, **changes: Any) -> EpisodeTrace:
+    recorded = Recorded(**read_recorded(cell.path))
+    length = len(recorded.a[EPISODE])
+    nothing, zero = np.full(length, np.nan), np.zeros(length)
+    values: dict[str, Any] = {
+        "title": "race1 s0 ida noisy=0.4, episode 1", "gate": np.zeros(length, int), "costly": np.zeros(length, bool),
+        "a_h": recorded.a_h[EPISODE].astype(float), "a": recorded.a[EPISODE].astype(float),
+        "deviation": np.linalg.norm(recorded.a[EPISODE] - recorded.a_h[EPISODE], axis=1), "reward": recorded.reward[EPISODE],
+        "cost_env": zero, "goals": zero, "g_cost": nothing, "delta_g": nothing, "signal": zero, "plan_cost": nothing,
+        "alone_cost": nothing, "gated": False, "tau_c": None, "tau_r": None, "signal_name": "vote", "signal_limit": 0.5,
+        "decision_seconds": 0.8,
+    }  # fmt: skip
+    return EpisodeTrace(**(values | changes))
+
+
+# -- what is gathered -----------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_shown_is_what_the_cameras_saw_and_where_the_robot_was(cell: Evaluated) -> None:
+    found = played(cell, {0, 3, 7})
+    recorded = Recorded(**read_recorded(cell.path))
+    world = cell.world()
+    seen = world.reset(recorded.layouts)
+    shown = {decision.start.t: decision for decision in found.decisions}
+    assert sorted(shown) == [0, 3, 7]
+    for t in range(8):
+        if t in shown:
+            assert seen.pixels is not None
+            np.testing.assert_array_equal(shown[t].pixels, seen.pixels[EPISODE])
+            np.testing.assert_array_equal(shown[t].start.a_h, recorded.a_h[EPISODE][t])
+            with torch.inference_mode():
+                np.testing.assert_array_equal(shown[t].decoded, found.model.decode(shown[t].start.latent)[0].numpy())
+        seen = world.step(np.stack([actions[t] for actions in recorded.a])).observation
+    alone = film(cell.task, REPEAT, recorded.layouts[EPISODE], recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE], 99, 8)
+    np.testing.assert_array_equal(found.places, alone.positions[:-1])
+    pose = shown[3].pose
+    assert pose is not None
+    np.testing.assert_array_equal(pose[:2], found.places[3])
+
+
+def test_the_readout_has_not_seen_the_shown_episode(cell: Evaluated) -> None:
+    found = played(cell, set())
+    recorded = Recorded(**read_recorded(cell.path))
+    world = cell.world()
+    assert isinstance(world, HasScene)
+    world.reset(recorded.layouts)
+    poses = []
+    for t in range(25):
+        made = [Pose(world.appearance(), world.scene(np.arange(3)), row) for row in range(3)]
+        poses.append([[*pose.at, pose.yaw] for pose in made])
+        world.step(np.stack([actions[t] for actions in recorded.a]))
+    others = np.concatenate([displacements(np.array(poses)[:, row]) for row in (0, 2)])
+    assert found.readout is not None
+    np.testing.assert_allclose(found.readout.offset, others.mean(0), rtol=1e-9)
+
+
+def test_another_episode_than_the_recorded_one_is_refused(cell: Evaluated) -> None:
+    recorded = Recorded(**read_recorded(cell.path))
+    reward = [values.copy() for values in recorded.reward]
+    reward[2][5] += 0.01
+    with pytest.raises(ArtifactError, match="episode 2 is not the recorded one from decision 5 on"):
+        played(cell, {0}, reward=reward)
+
+
+# -- what is drawn --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: Evaluated, tmp_path: Path) -> None:
+    trace = trace_of(cell)
+    changed = [(trace.a[t] - trace.a_h[t])[None] if trace.deviation[t] > 0 else None for t in range(trace.length)]
+    assert any(each is not None for each in changed)
+    path = tmp_path / "a.gif"
+    shares: list[float] = []
+    made = film_episode(
+        source_of(cell), trace, EPISODE, Correction(changed, "executed", False), HORIZON, 9, path, lambda share, text: shares.append(share)
+    )
+    video: Any = Image.open(path)
+    assert (video.n_frames, made.frames) == (4, 4)  # decisions 0, 9, 18 and 24 of 25
+    assert video.size == (WIDTH, HEIGHT)
+    assert made.r2 is not None
+    assert sorted(made.r2) == ["forward", "left", "turn"]
+    assert shares == sorted(shares)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
+    frames, times = [], []
+    for index in range(4):
+        video.seek(index)
+        times.append(video.info["duration"])
+        frames.append(np.asarray(video.convert("RGB")).astype(int))
+    assert times == [2 * 9 * 800, 2 * 9 * 800, 2 * 6 * 800, 2000]
+    cursors = []
+    for frame in frames:
+        dark = (np.abs(frame[HEIGHT - TIMELINE + 6 : HEIGHT - TIMELINE + 12] - 105) < 12).all((0, 2))
+        cursors.append(np.flatnonzero(dark).mean())
+    assert (np.diff(cursors) > 20).all()
+    np.testing.assert_allclose(cursors[1] - cursors[0], cursors[2] - cursors[1], atol=2.5)
+
+
+def test_a_cell_of_one_episode_says_that_it_has_no_readout(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    cell = evaluated(inputs, tmp_path / "cell", episodes=1)
+    trace = trace_of_row(cell, 0)
+    nothing = Correction([None] * trace.length, "", False)
+    made = film_episode(source_of(cell), trace, 0, nothing, HORIZON, 30, tmp_path / "a.apng", lambda share, text: None)
+    assert (made.r2, made.frames) == (None, 2)
+
+
+def trace_of_row(cell: Evaluated, row: int) -> EpisodeTrace:
+    recorded = Recorded(**read_recorded(cell.path))
+    moved = recorded._replace(**{name: [getattr(recorded, name)[row]] * 2 for name in ("a_h", "a", "reward")})
+    length = len(moved.a[0])
+    zero, nothing = np.zeros(length), np.full(length, np.nan)
+    return EpisodeTrace(
+        "one", np.zeros(length, int), np.zeros(length, bool), moved.a_h[0].astype(float), moved.a[0].astype(float), zero, zero, zero, zero,
+        nothing, nothing, nothing, nothing, nothing, False, None, None, "signal", None, 0.1,
+    )  # fmt: skip
+
+
+def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    cell = evaluated(inputs, tmp_path / "cell", task="FilmMeter-v0", episodes=2)
+    trace = trace_of_row(cell, 1)
+    source = source_of(cell)
+    found = play_episode(source, 1, [None] * trace.length, {0}, HORIZON, lambda share, text: None)
+    assert found.decisions[0].scene is None
+    assert (found.readout, found.appearance, found.cameras) == (None, None, 1)
+    nothing = Correction([None] * trace.length, "", False)
+    made = film_episode(source, trace, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
+    assert made.frames == trace.length
+
+
+def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
+    gate = np.zeros(25, int)
+    gate[4], gate[5], gate[20] = GATE_SAFETY, GATE_SAFETY, GATE_TASK
+    costly = np.arange(25) == 12
+    curve = np.linspace(0, 1, 25)
+    trace = trace_of(cell, gate=gate, costly=costly, gated=True, g_cost=curve, delta_g=curve, tau_c=0.5, tau_r=0.4)
+    timeline = Timeline(trace, 900, 180)
+    picture = np.asarray(timeline.image).astype(int)
+    assert picture.shape == (180, 900, 3)
+    marks = {GATE_COLOURS[GATE_SAFETY]: [4, 5], GATE_COLOURS[GATE_TASK]: [20], COST: [12]}
+    for colour, decisions in marks.items():
+        # Above the legend, whose samples have the same colours.
+        columns = (np.abs(picture[:-30] - ImageColor.getrgb(colour)) < 4).all(-1).sum(0) > 6
+        inside = [t for t in range(25) if columns[round(timeline.cursor(t))]]
+        assert inside == decisions
+
+
+# -- files ----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("a.mp4", "unsupported video format"),
+        ("a", "unsupported video format"),
+        ("missing/a.gif", "its folder does not exist"),
+        ("b.gif", "is a folder"),
+    ],
+)
+def test_a_file_that_cannot_be_one_is_refused(name: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "b.gif").mkdir()
+    with pytest.raises(UsageError, match=message) as caught:
+        checked(tmp_path / name)
+    assert caught.value.hint
+
+
+def plain(index: int) -> Image.Image:
+    image = Image.new("RGB", (60, 40), "#FFFFFF")
+    image.paste(MEANT[index], (10 * index, 0, 10 * index + 10, 10))
+    return image
+
+
+@pytest.mark.parametrize("ending", [".gif", ".apng", ".png", ".webp", ".GIF"])
+def test_every_format_brings_the_frames_back(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{ending}"
+    told: list[int] = []
+    write(path, 5, plain, [100, 200, 100, 100, 500], told.append)
+    video: Any = Image.open(path)
+    assert video.n_frames == 5
+    assert told == [0, 1, 2, 3, 4]
+    for index in range(5):
+        video.seek(index)
+        shown = np.asarray(video.convert("RGB")).astype(int)
+        assert np.abs(shown - np.asarray(plain(index))).mean() < 2
+        if ending != ".webp":
+            np.testing.assert_array_equal(shown[5, 10 * index + 5], ImageColor.getrgb(MEANT[index]))
+
+
+def test_colours_that_mean_something_stay_among_many_others() -> None:
+    random = np.random.default_rng(0)
+    crowd = Image.fromarray(random.integers(0, 255, (80, 80, 3), np.uint8))
+    palette = palette_of([crowd])
+    for colour in MEANT:
+        shown = Image.new("RGB", (4, 4), colour).quantize(palette=palette, dither=Image.Dither.NONE).convert("RGB")
+        assert np.abs(np.asarray(shown).astype(int) - ImageColor.getrgb(colour)).max() <= 4
+    assert set(PALETTE) >= set(GATE_COLOURS.values()) | set(MEANT[:3])
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [(OSError(28, "No space left on device", "a.gif.part"), WaspError), (KeyboardInterrupt(), KeyboardInterrupt)],
+)
+def test_a_file_that_cannot_be_written_leaves_nothing(
+    error: BaseException, expected: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        (tmp_path / "a.gif.part").write_bytes(b"half")
+        raise error
+
+    monkeypatch.setattr(video_file.Image.Image, "save", full)
+    with pytest.raises(expected):
+        write(tmp_path / "a.gif", 2, plain, [100, 100], lambda index: None)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,228 @@
+"""The commands about single nodes and episodes: `wasp status`, `logs`, `show`, `explain` and `replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wasp_cli.cli.options import (
+    EpisodeOption,
+    JsonOption,
+    NodeArgument,
+    ResultsArgument,
+    ResultsOption,
+    StoredCellArgument,
+    expected_errors,
+    print_json,
+)
+
+NODES, EPISODES = "Runs and nodes", "Episodes"
+WIDTH = 140
+"""Columns of `wasp explain` where the output is no terminal."""
+
+inspect_app = typer.Typer()
+
+RunOption = Annotated[
+    str | None,
+    typer.Option("--run", metavar="ID", help="The run: a folder name in runs/, or its end. (default: the newest)", show_default=False),
+]
+
+
+@inspect_app.command(
+    rich_help_panel=NODES,
+    epilog="[bold]wasp status[/]   ·   [bold]watch -n 5 wasp status results/[/]   ·   [bold]wasp status --json | jq '.[0]'[/]",
+)
+@expected_errors
+def status(folder: ResultsArgument = Path("results"), run: RunOption = None, json: JsonOption = False) -> None:
+    """Show active runs, or the latest: progress, failures, time left.
+
+    It reads what a run writes to the results folder, so it also works from another terminal, and after a run was killed.
+    """
+    from wasp_cli.console import out
+    from wasp_cli.errors import StoreError
+    from wasp_cli.plan.recorded import named_run, planned_runs
+    from wasp_cli.run.record import results_of
+    from wasp_cli.run.show import as_json, show_status
+    from wasp_cli.run.watch import shown_runs, state_of
+
+    layout = results_of(folder)
+    runs = planned_runs(layout)
+    if not runs:
+        raise StoreError(f"no results in '{folder}': it holds no runs", "wasp run SPEC --results DIR writes there")
+    states = shown_runs(layout, runs) if run is None else [state_of(layout, named_run(runs, run))]
+    if json:
+        print_json(as_json(states))
+    else:
+        show_status(states, out())
+
+
+@inspect_app.command(
+    rich_help_panel=NODES,
+    epilog="[bold]wasp logs 'goal1 s0 world_model'[/]   ·   [bold]tail -f $(wasp logs 611a4993 --path)[/]\n\n"
+    "Exit codes: 0 done, 1 the results cannot be read, 2 no such node.",
+)
+@expected_errors
+def logs(
+    node: NodeArgument,
+    run: RunOption = None,
+    results: ResultsOption = Path("results"),
+    path: Annotated[bool, typer.Option("--path", help="Print the path of the log, not the log.")] = False,
+) -> None:
+    """Print the log of a node: a training stage or an evaluation, running, finished or failed."""
+    import sys
+
+    from wasp_cli.plan.recorded import named_run, planned_runs
+    from wasp_cli.run.logs import find_log, write_log
+    from wasp_cli.run.record import results_of
+
+    layout = results_of(results)
+    runs = planned_runs(layout)
+    found = find_log(layout, runs if run is None else [named_run(runs, run)], node)
+    if path:
+        print(found.path)
+    else:
+        write_log(found, sys.stdout)
+
+
+@inspect_app.command(
+    rich_help_panel=NODES,
+    epilog="[bold]wasp show 611a4993[/]   ·   [bold]wasp show 'goal1 s0 world_model' --json | jq .provenance.git[/]\n\n"
+    "Exit codes: 0 done, 1 the manifest cannot be read, 2 no such node.",
+)
+@expected_errors
+def show(node: NodeArgument, results: ResultsOption = Path("results"), json: JsonOption = False) -> None:
+    """Show a node: its numbers, configuration, inputs, files, provenance, and last failure."""
+    from dataclasses import asdict
+
+    from wasp_cli.console import out
+    from wasp_cli.report.node import node_facts, node_lines
+    from wasp_cli.run.record import results_of
+    from wasp_cli.store.find import find_node
+
+    layout = results_of(results)
+    facts = node_facts(layout, find_node(layout, node))
+    if json:
+        print_json(asdict(facts))
+        return
+    for line in node_lines(facts):
+        out().print(line, soft_wrap=True)
+
+
+@inspect_app.command(
+    rich_help_panel=EPISODES,
+    epilog="[bold]wasp explain 611a4993 --episode 3[/]   ·   [bold]wasp explain 'goal1 s0 wasp laggy=0.7' --episode 3 --step 57[/]\n\n"
+    "Exit codes: 0 done, 1 the rows cannot be read, 2 no such cell, episode or step.",
+)
+@expected_errors
+def explain(
+    cell: StoredCellArgument,
+    episode: EpisodeOption,
+    step: Annotated[
+        int | None,
+        typer.Option(
+            "--step", "-s", metavar="T", help="One decision, with its plan. (default: a summary of the episode)", show_default=False
+        ),
+    ] = None,
+    results: ResultsOption = Path("results"),
+    json: JsonOption = False,
+) -> None:
+    """Explain what an assistant did, in an episode or at one decision.
+
+    Shows which gate fired and by how much, what was planned, and what then happened. Only stored rows are read.
+    """
+    import shlex
+
+    from wasp_cli.console import out
+    from wasp_cli.report.explain.collect import decision_facts, summarize
+    from wasp_cli.report.explain.decision_text import decision_lines
+    from wasp_cli.report.explain.episode_text import episode_lines
+    from wasp_cli.report.explain.facts import EpisodeSummary, as_json
+    from wasp_cli.report.explain.stored import read_episode
+    from wasp_cli.store.find import find_cell
+    from wasp_cli.store.layout import Layout
+
+    stored = read_episode(find_cell(Layout(results), cell), episode)
+    facts = summarize(stored) if step is None else decision_facts(stored, step)
+    if json:
+        print_json(as_json(facts))
+        return
+    width = out().width if out().is_terminal else WIDTH
+    again = "wasp explain " + shlex.quote(stored.cell.key[:8] if stored.cell.key else str(stored.cell.path))
+    if results != Path("results"):
+        again += f" --results {shlex.quote(str(results))}"
+    lines = episode_lines(facts, width, again) if isinstance(facts, EpisodeSummary) else decision_lines(facts, width)
+    for line in lines:
+        out().print(line, soft_wrap=True)
+
+
+@inspect_app.command(
+    rich_help_panel=EPISODES,
+    epilog="[bold]wasp replay 'goal1 s1 wasp laggy=0.7' --episode 0[/]   ·   [bold]wasp replay 611a4993 -e 3 --every 2 --out a.webp[/]\n\n"
+    "Exit codes: 0 done, 1 the episode cannot be replayed, 2 no such cell, episode or step, or an unsupported file format.",
+)
+@expected_errors
+def replay(
+    cell: StoredCellArgument,
+    episode: EpisodeOption,
+    step: Annotated[
+        int | None,
+        typer.Option(
+            "--step",
+            "-s",
+            metavar="T",
+            help="One decision: with the executed action, and with the command. (default: the whole episode)",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="A .gif, .apng or .webp; a .png is animated too, but a still with --step. (default: a GIF here)",
+            show_default=False,
+        ),
+    ] = None,
+    every: Annotated[
+        int | None,
+        typer.Option("--every", min=1, metavar="N", help="Decisions per frame. (default: at most 125 frames)", show_default=False),
+    ] = None,
+    results: ResultsOption = Path("results"),
+    json: Annotated[bool, typer.Option("--json", help="With --step: print the numbers as JSON.")] = False,
+) -> None:
+    """Show an episode as a video: map, cameras, imagined futures, gates.
+
+    The cell is replayed with its own models, bit for bit. A replay that differs from the recording is an error. With --step, the task
+    goes on twice from one decision: once with the executed action, once with the command. Then both follow the operator.
+
+    This runs the task. For a gymnasium environment it imports the module that the cell names: only do so if you trust it.
+    """
+    from wasp_cli.console import following
+    from wasp_cli.console import out as stdout
+    from wasp_cli.errors import UsageError
+    from wasp_cli.store.find import find_cell
+    from wasp_cli.store.layout import Layout
+    from wasp_cli.video.replay import replay as written
+    from wasp_cli.video.replay_step import replay_step
+
+    if json and step is None:
+        raise UsageError("--json needs --step", "for the numbers of an episode: wasp explain CELL --episode E --json")
+    if every is not None and step is not None:
+        raise UsageError("--every cannot be used with --step", "the video of one decision has a frame for every decision")
+    layout = Layout(results.absolute())
+    found = find_cell(layout, cell)
+    with following("replay") as progress:
+        if step is None:
+            path, made = written(layout, found, episode, out, every, progress)
+        else:
+            path, verdict = replay_step(layout, found, episode, step, out, progress)
+    if step is None:
+        stdout().print(f"{path}: {made.frames} frames", markup=False, soft_wrap=True)
+    elif json:
+        print_json(verdict.as_json() | {"cell": found.label, "key": found.key, "file": str(path)})
+    else:
+        for line in (*verdict.lines(), str(path)):
+            stdout().print(line, markup=False, soft_wrap=True)

@@ -1,0 +1,223 @@
+"""The commands about whole results folders: `wasp report` and `wasp compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wasp_cli.cli.options import JsonOption, ResultsArgument, expected_errors, parse_folder, print_json
+
+if TYPE_CHECKING:
+    from wasp_cli.compare.runs import Compared, Side
+    from wasp_cli.plan.node import Cell, Part
+    from wasp_cli.report.document import Report
+    from wasp_cli.report.page.films import Draw
+    from wasp_cli.spec.model import Spec
+    from wasp_cli.spec.paper import Paper
+    from wasp_cli.store.layout import Layout
+
+PANEL = "Results"
+
+report_app = typer.Typer()
+
+
+@report_app.command(
+    rich_help_panel=PANEL,
+    epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1 --strict[/]\n\n"
+    "Exit codes: 0 done, 1 part of the results cannot be read (with --strict also: something is missing), 2 usage, 3 invalid paper.",
+)
+@expected_errors
+def report(
+    folder: ResultsArgument = Path("results"),
+    spec: Annotated[
+        str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
+    ] = None,
+    paper: Annotated[
+        Path | None,
+        typer.Option(
+            "--paper",
+            metavar="FILE",
+            help="File with a paper's numbers and claims. (default: specs/paper.yaml)",
+            show_default=False,
+        ),
+    ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
+    films: Annotated[bool, typer.Option("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
+    trained: Annotated[bool, typer.Option("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
+) -> None:
+    """Print the tables of a results folder; write tables, figures and an HTML report."""
+    from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
+    from wasp_cli.report.document import missing_words
+    from wasp_cli.report.provenance import last_runs
+    from wasp_cli.run.record import read_run, results_of
+    from wasp_cli.spec.paper import load_paper
+
+    claimed, layout = load_paper(paper), results_of(folder)
+    runs, damaged = last_runs(layout)
+    if not runs and not damaged:
+        raise StoreError(f"no results in '{folder}': it holds no runs", "wasp run SPEC --results DIR writes there")
+    if spec is not None and runs and spec not in runs:
+        raise UnknownName("spec in these results", spec, runs)
+    gaps: list[str] = []
+    missing: list[str] = []
+    for name, run_id in runs.items():
+        if spec in (None, name):
+            try:
+                recorded = read_run(layout, run_id)
+                shown = show_report(
+                    layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, claimed, films=films, trained=trained
+                )
+                damaged += shown.damaged
+                gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
+                missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
+            except WaspError as error:  # the other specs are still worth seeing
+                damaged.append(error.message)
+    if damaged:
+        found = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
+        raise ArtifactError(f"part of the results cannot be read:\n{found}", "run the spec again: only damaged results are computed again")
+    if strict and missing:
+        more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
+        raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
+
+
+def show_report(
+    layout: Layout,
+    spec: Spec,
+    cells: list[tuple[Cell, str]],
+    parts: list[tuple[Part, str]],
+    branched: list[tuple[Cell, str]],
+    paper: Paper,
+    *,
+    films: bool = False,
+    trained: bool = False,
+) -> Report:
+    """Write the report of one spec, then print it.
+
+    Args:
+        layout: the results folder.
+        spec: what ran.
+        cells: its cells, each with its key.
+        parts: its trained parts, each with its key.
+        branched: the cells whose interventions were tested, each with the key of its branches.
+        paper: numbers and claims to compare with.
+        films: whether the HTML report has films of episodes.
+        trained: whether each trained part is drawn.
+    """
+    from wasp_cli.console import err, out
+    from wasp_cli.report.summarize import report_run
+
+    report = report_run(layout.root, spec, cells, parts, paper, branched)
+    # Written first: a terminal that goes away costs no file.
+    with err().status("report") as status:
+        draw = _film_drawing() if films else None
+        _, page, *_ = report.write(layout.reports(spec.name), draw, lambda text: status.update(f"drawing {text}"), evidence=trained)
+    report.terminal(out())
+    beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
+    left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
+    further = f"; wasp report adds {' and '.join(left_out)}" if left_out else ""
+    out().print(f"report: {page} ({beside}{further})", markup=False, soft_wrap=True)
+    out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
+    return report
+
+
+def _film_drawing() -> Draw:
+    from wasp_cli.video.film import sprite_of  # needs MuJoCo
+
+    return sprite_of
+
+
+@report_app.command(
+    rich_help_panel=PANEL,
+    epilog="[bold]wasp compare results/ ../before/results[/]   ·   "
+    "[bold]wasp compare results/ results/ --spec-a table1 --spec-b mine[/]\n\n"
+    "Exit codes: 0 compared, 1 with --strict: they differ, 2 a folder or a spec does not exist.",
+)
+@expected_errors
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A", parser=parse_folder, help="A results folder.", show_default=False)],
+    second: Annotated[Path, typer.Argument(metavar="B", parser=parse_folder, help="Another results folder.", show_default=False)],
+    spec: Annotated[
+        str | None,
+        typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran in both)", show_default=False),
+    ] = None,
+    spec_a: Annotated[
+        str | None, typer.Option("--spec-a", metavar="NAME", help="The spec in A; needs --spec-b.", show_default=False)
+    ] = None,
+    spec_b: Annotated[
+        str | None, typer.Option("--spec-b", metavar="NAME", help="The spec in B; needs --spec-a.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            parser=parse_folder,
+            help="Also write the comparison there, as Markdown, CSV, LaTeX and HTML.",
+            show_default=False,
+        ),
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 1 if a cell differs by more than noise, or is missing in A or B.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Compare two results folders cell by cell: what changed, and is it more than noise?
+
+    The last run of each spec counts. Only stored rows are read; nothing is computed.
+    """
+    from wasp_cli.compare.runs import compare as compared_runs
+    from wasp_cli.compare.text import as_json, show, write
+    from wasp_cli.console import out as console
+    from wasp_cli.errors import NotAccepted, UsageError
+
+    if out is not None and out.exists() and not out.is_dir():
+        raise UsageError(f"'{out}' is not a folder", "--out names a folder; it is created if it does not exist")
+    found: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
+    paths = [] if out is None else write(found, out)
+    if json:
+        print_json([as_json(each) for each in found])
+    else:
+        for each in found:
+            show(each, console())
+        if paths:
+            console().print(f"written: {paths[0]} (its tables are in the same folder)", markup=False, soft_wrap=True)
+    unlike = [each.first.spec.name for each in found if not each.alike]
+    if strict and unlike:
+        raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names the cells that are missing or differ by more than noise")
+
+
+def _pairs(first: Path, second: Path, spec: str | None, spec_a: str | None, spec_b: str | None) -> list[tuple[Side, Side]]:
+    """Return the pairs of runs to compare: two named specs, or every spec that has run in both folders.
+
+    Raises:
+        UsageError: a folder has no readable results, or not this spec; or no spec has run in both.
+    """
+    from wasp_cli.compare.runs import Side
+    from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
+    from wasp_cli.report.provenance import last_runs
+    from wasp_cli.run.record import read_run, results_of
+
+    if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):
+        what = "--spec-a and --spec-b need each other, and exclude --spec"
+        raise UsageError(what, "wasp compare A B --spec-a mine --spec-b other")
+    spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
+    try:
+        layouts = [results_of(folder) for folder in (first, second)]
+        runs = [last_runs(layout)[0] for layout in layouts]
+        for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
+            if name is not None and name not in known:
+                raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
+        names = [(spec_a, spec_b)] if spec_a is not None and spec_b is not None else [(name, name) for name in runs[0] if name in runs[1]]
+        if not names:
+            which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))
+            raise UsageError(f"no spec has run in both folders: {which}", "choose one of each with --spec-a and --spec-b")
+        found = []
+        for pair in names:
+            sides = [(layout, read_run(layout, known[name])) for layout, known, name in zip(layouts, runs, pair, strict=True)]
+            a, b = (Side(layout, run.run_id, run.spec, run.cells) for layout, run in sides)
+            found.append((a, b))
+    except (StoreError, ArtifactError) as error:
+        raise UsageError(error.message, error.hint) from error
+    return found
