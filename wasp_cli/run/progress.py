@@ -73,7 +73,7 @@ class Lines:
             doing = f"what it could have been doing runs again, one at a time: {', '.join(labels)}" if labels else "it was doing nothing"
             self._note(f"a worker was killed; {doing}")
         elif kind == "draining":
-            self._note("ending after what runs now; once more ends it at once")
+            self._note("finishing running nodes; Ctrl-C again stops now")
 
     def _started(self) -> None:
         for path in sorted((self._layout.run(self._run_id) / "running").glob("*.json")):
