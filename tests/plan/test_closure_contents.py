@@ -76,7 +76,8 @@ MAY_HAVE = {
     "calibration": f"{METHOD} metrics.windows learning.heldout",
     "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.parquet store.tables",
     "counterfactual": (
-        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout learning.playback learning.rerun"
+        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
+        "learning.playback learning.rerun"
     ),
 }
 """By node kind, names and patterns without the package's own name; its stage and what EVERY node has come on top."""
