@@ -50,7 +50,7 @@ def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> No
         os.kill(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "finishing the running nodes" in errors
+    assert "finishing running nodes" in errors
     ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/manifest.json")))
     assert ran == there < 18
 

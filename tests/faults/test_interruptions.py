@@ -45,7 +45,7 @@ def test_the_first_signal_lets_finish_what_runs(
     _, errors = end(process)
     assert process.returncode == 130
     assert errors.count("\ninterrupted: ") == 1
-    assert errors.count("finishing the running nodes") == 1
+    assert errors.count("finishing running nodes") == 1
     assert "Traceback" not in errors
     wait_until(lambda: group_is_gone(process.pid))
     assert begun <= finished(results)

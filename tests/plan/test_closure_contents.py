@@ -43,7 +43,7 @@ METHOD = f"{ASSISTANT} learning.assistants methods.* metrics metrics.episode mod
 WASP = f"{ASSISTANT} learning.assistants methods.configs methods.noise methods.record methods.wasp methods.wasp.* metrics metrics.episode"
 CRITICS = "models.critics methods.wasp methods.wasp.returns"
 PPO = "learning.lagrangian learning.vec_env"
-BRANCHES = "store store.branches store.recorded store.tables metrics metrics.episode metrics.necessity metrics.windows"
+BRANCHES = "store store.branches store.parquet store.recorded store.tables metrics metrics.episode metrics.necessity metrics.windows"
 
 MAY_HAVE = {
     "expert": f"{POLICY} {PPO} learning.expert learning.privileged stages.finite",
@@ -74,9 +74,10 @@ MAY_HAVE = {
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
     ),
     "calibration": f"{METHOD} metrics.windows learning.heldout",
-    "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.tables",
+    "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.parquet store.tables",
     "counterfactual": (
-        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout learning.rerun"
+        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
+        "learning.playback learning.rerun"
     ),
 }
 """By node kind, names and patterns without the package's own name; its stage and what EVERY node has come on top."""
@@ -124,7 +125,7 @@ def test_nothing_is_allowed_that_no_node_has(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["evaluate", "calibration", "heldout", "counterfactual"])
 def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> None:
     reached = {module for module in short(closures()[kind]) if module.startswith("learning.")}
-    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "rerun"}
+    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "playback", "rerun"}
     assert reached <= {f"learning.{name}" for name in known}
 
 

@@ -73,7 +73,7 @@ class Lines:
             after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
             self._note(f"a worker process was killed{after}")
         elif kind == "draining":
-            self._note("finishing the running nodes; Ctrl-C again stops now")
+            self._note("finishing running nodes; Ctrl-C again stops now")
 
     def _started(self) -> None:
         for path in sorted((self._layout.run(self._run_id) / "running").glob("*.json")):

@@ -80,7 +80,7 @@ def _life(state: RunState, now: datetime) -> str:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        ending = "finishing the running nodes" if state.draining else ""
+        ending = "finishing running nodes" if state.draining else ""
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)

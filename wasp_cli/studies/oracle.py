@@ -40,7 +40,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Cell:
-    """Whom to assist, where, and how often."""
+    """The operator to assist, the task, and the episodes."""
 
     task: str
     seed: int

@@ -58,7 +58,7 @@ def draw_sheet(task: str, seed: int, steps: int, path: Path | None) -> Path:
     if path is not None and path.suffix.lower() != ".png":
         raise UsageError(f"'{path}' is no name of a picture", "the sheet is a PNG: --out map.png")
     if path is not None and not path.parent.is_dir():
-        raise UsageError(f"'{path}' lies in no folder", f"create the folder '{path.parent}'")
+        raise UsageError(f"cannot write '{path}': its parent folder does not exist", f"create the folder '{path.parent}'")
     require_mujoco()
     made = make_task(name, 1, observe=("pixels",))
     first = _seen(made.reset([seed]), 0)
