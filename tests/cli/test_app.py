@@ -10,7 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
+from click.testing import Result
 
+from tests.commands import run_here
 from tests.run.harness import Fakes, fakes, prepared, small_spec
 from wasp_cli import __version__
 from wasp_cli.errors import CellsFailed
@@ -29,6 +31,13 @@ def wasp(*arguments: str | Path, fake: bool = False, **environment: str) -> subp
     variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", **environment}
     command = [sys.executable, *program, *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=variables, check=False)
+
+
+def here(*arguments: str | Path) -> Result:
+    """The same in this process, where nothing but the answer matters."""
+    done = run_here(*arguments, columns=200)
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exc_info
+    return done
 
 
 def spec_with(tmp_path: Path, old: str, new: str) -> Path:
@@ -64,8 +73,8 @@ def test_help_names_every_command_and_an_example() -> None:
     "command", ["run", "plan", "check", "schema", "report", "ablate", "operators", "sweep", "explain", "bench", "tasks", "doctor"]
 )
 def test_every_command_has_help(command: str) -> None:
-    done = wasp(command, "--help")
-    assert done.returncode == 0
+    done = here(command, "--help")
+    assert done.exit_code == 0
     assert f"{command} [OPTIONS]" in done.stdout
 
 
@@ -157,8 +166,8 @@ def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
 def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp_path: Path) -> None:
     path = spec_with(tmp_path, old, new)
     for command in ("run", "plan", "check"):
-        done = wasp(command, path, *([] if command == "check" else ["--results", tmp_path / "results"]))
-        assert done.returncode == 3
+        done = here(command, path, *([] if command == "check" else ["--results", tmp_path / "results"]))
+        assert done.exit_code == 3
         assert expected in done.stderr
         assert f"error: {path}:" in done.stderr
         assert "Traceback" not in done.stderr
@@ -179,10 +188,19 @@ def test_bad_specs_end_with_3_and_a_place(old: str, new: str, expected: str, tmp
     ],
 )
 def test_wrong_usage_ends_with_2(arguments: list[str], expected: str, tmp_path: Path) -> None:
-    done = wasp(*arguments, *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]))
-    assert done.returncode == 2
+    done = here(*arguments, *([] if arguments[0] == "runn" else ["--results", tmp_path / "results"]))
+    assert done.exit_code == 2
     assert expected in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_process_ends_with_the_same_codes_and_says_the_same(tmp_path: Path) -> None:
+    bad = spec_with(tmp_path, "episodes: 2", "episode: 2")
+    for arguments, code in ((("plan", bad, "--results", tmp_path / "results"), 3), (("plan", SMOKE, "--set", "seeds"), 2)):
+        done = wasp(*arguments)
+        expected = here(*arguments)
+        assert (done.returncode, done.stdout, done.stderr) == (expected.exit_code, expected.stdout, expected.stderr)
+        assert done.returncode == code
 
 
 def test_results_that_cannot_be_written_end_with_1(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-@pytest.mark.parametrize("jobs", [2, 0])
+@pytest.mark.parametrize("jobs", [2, pytest.param(0, marks=pytest.mark.slow)])
 def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
     jobs: int, fakes: Fakes, small_spec: Path, small_disk: Path, tmp_path: Path
 ) -> None:

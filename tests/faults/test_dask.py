@@ -41,6 +41,7 @@ def test_a_grid_through_dask_has_the_same_bytes(fakes: Fakes, small_spec: Path, 
     assert sum("s0 ida_q" in line for line in ran) == 3
 
 
+@pytest.mark.slow
 def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     fakes.set(seconds=0.5)
@@ -66,6 +67,7 @@ def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fa
     assert len(list(results.glob("store/*/*/manifest.json"))) == 17
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     """dask would wait for ever."""
     results = tmp_path / "results"

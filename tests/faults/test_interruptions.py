@@ -25,13 +25,12 @@ def end(process: subprocess.Popen[str]) -> tuple[str, str]:
 @pytest.mark.parametrize(
     ("number", "whole_group", "jobs"),
     [
-        (signal.SIGINT, True, 2),
-        (signal.SIGINT, False, 1),
-        (signal.SIGTERM, False, 2),
-        (signal.SIGTERM, True, 2),
-        (signal.SIGINT, True, 0),
+        pytest.param(signal.SIGINT, True, 2, id="ctrl-c"),
+        pytest.param(signal.SIGTERM, False, 2, id="sigterm"),
+        pytest.param(signal.SIGINT, False, 1, id="sigint to the parent, one worker", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, True, 2, id="sigterm to the whole group", marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, True, 0, id="ctrl-c without workers", marks=pytest.mark.slow),
     ],
-    ids=["ctrl-c", "sigint to the parent, one worker", "sigterm", "sigterm to the whole group", "ctrl-c without workers"],
 )
 def test_the_first_signal_lets_finish_what_runs(
     number: signal.Signals, whole_group: bool, jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
@@ -61,7 +60,7 @@ def test_the_first_signal_lets_finish_what_runs(
     assert data_of(results) == data_of_undisturbed(small_spec, tmp_path)
 
 
-@pytest.mark.parametrize("jobs", [2, 1, 0])
+@pytest.mark.parametrize("jobs", [2, pytest.param(1, marks=pytest.mark.slow), pytest.param(0, marks=pytest.mark.slow)])
 def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     fakes.set(free=6)
@@ -86,7 +85,10 @@ def test_the_second_signal_ends_it_at_once_and_keeps_what_is_finished(jobs: int,
     assert data_of(results) == data_of_undisturbed(small_spec, tmp_path)
 
 
-@pytest.mark.parametrize("everything", [False, True], ids=["parent killed", "everything killed"])
+@pytest.mark.parametrize(
+    "everything",
+    [pytest.param(False, id="parent killed"), pytest.param(True, id="everything killed", marks=pytest.mark.slow)],
+)
 def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything: bool, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     fakes.set(free=6)

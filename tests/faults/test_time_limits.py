@@ -33,7 +33,14 @@ def limited_run(spec: Path, results: Path, pool: Pool, limit: float | None, retr
         pool.close(kill=True)
 
 
-@pytest.mark.parametrize("pool", [InlinePool, lambda: LokyPool(1), lambda: LokyPool(2)], ids=["inline", "one worker", "two workers"])
+@pytest.mark.parametrize(
+    "pool",
+    [
+        pytest.param(InlinePool, id="inline"),
+        pytest.param(lambda: LokyPool(1), id="one worker", marks=pytest.mark.slow),
+        pytest.param(lambda: LokyPool(2), id="two workers"),
+    ],
+)
 def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(
     pool: type[InlinePool], fakes: Fakes, small_spec: Path, tmp_path: Path
 ) -> None:
@@ -50,7 +57,7 @@ def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(
     assert data_of(tmp_path / "results") == data_of(tmp_path / "calm")
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(
     jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
 ) -> None:

@@ -11,7 +11,7 @@ from wasp_cli.run.pool import LokyPool
 from wasp_cli.run.worker import KILLED
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_node_that_kills_its_worker_is_named_and_the_others_finish(jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill"}, seconds=0.05)
     pool = LokyPool(jobs)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from tests.commands import run_here
 from tests.store.attacks import ATTACKS
@@ -25,6 +26,15 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("replay", "{key}", "-e", "0", "-s", "0", "--json", "--results", "{results}", "--out", "{results}/made.png"),
     ("gc", "{results}", "--dry-run"), ("gc", "{results}", "--runs", "--yes"),
 )  # fmt: skip
+ONCE: tuple[tuple[str, ...], ...] = (
+    ("report", "{results}"), ("status", "{results}"), ("status", "{results}", "--run", "0000"), ("logs", "{label}", "--results", "{results}"),
+    ("show", "{label}", "--results", "{results}"), ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"),
+    ("compare", "{results}", "{results}"), ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"),
+    ("gc", "{results}", "--runs", "--yes"),
+)  # fmt: skip
+"""Every command in the form that reads and shows the most."""
+ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal", "rows_that_command_the_terminal", "cells_that_are_markup")
+"""Attacks on what is printed: every form prints in its own way."""
 
 
 @pytest.fixture
@@ -47,12 +57,30 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-@pytest.mark.parametrize("name", ATTACKS)
-def test_nothing_is_obeyed(name: str, outside: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [name for name in ATTACKS if name not in ON_EVERY_FORM])
+def test_nothing_is_obeyed(name: str, outside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The pictures of a report are made and written, but not painted.
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: Path(path).write_bytes(b"a picture"))
+    obeys_nothing(name, ONCE, outside, tmp_path)
+
+
+@pytest.mark.parametrize("name", ON_EVERY_FORM)
+def test_nothing_is_obeyed_by_any_form_of_a_command(name: str, outside: Path, tmp_path: Path) -> None:
+    obeys_nothing(name, COMMANDS, outside, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in ATTACKS if name not in ON_EVERY_FORM])
+def test_no_attack_is_obeyed_by_any_form_of_a_command(name: str, outside: Path, tmp_path: Path) -> None:
+    obeys_nothing(name, COMMANDS, outside, tmp_path)
+
+
+def obeys_nothing(name: str, commands: tuple[tuple[str, ...], ...], outside: Path, tmp_path: Path) -> None:
+    """Attack a store, and give it to the commands one after the other."""
     it = UntrustedStore(tmp_path)
     ATTACKS[name](it, outside)
     codes = {}
-    for command in COMMANDS:
+    for command in commands:
         arguments = [part.format(results=it.layout.root, label=LABEL, key=it.key[:8]) for part in command]
         done = run_here(*arguments, columns=100)
         assert done.exception is None or isinstance(done.exception, SystemExit), (arguments, done.exc_info)
