@@ -27,7 +27,11 @@ variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
 stages: [diagnostics, gate_signals, counterfactual]
-action_repeat: 8                     # half as many decisions as usual: the episodes are whole all the same
+action_repeat: 20                    # a fifth of the decisions of usual episodes, which are whole all the same
+dataset: {steps: 300}
+expert: {interactions: 500, evaluation_episodes: 1}
+policies: {labelling_episodes: 1}
+rollouts: {steps: 100}
 seeds: [4]
 episodes: 2
 wasp: {tau_c: 0.05, tau_r: 0.0}      # untrained models see little: gates that fire all the same
@@ -71,7 +75,7 @@ def test_every_method_and_variant_has_its_cell_of_whole_episodes(results: Path) 
         episodes = read_episodes([path])
         assert episodes.num_rows == 2
         assert set(episodes["env_steps"].to_pylist()) == {1000}
-        assert read_steps(path).num_rows == 2 * 125
+        assert read_steps(path).num_rows == 2 * 50
 
 
 def test_methods_act_and_human_only_does_not(results: Path) -> None:

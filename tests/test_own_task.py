@@ -83,7 +83,7 @@ def test_no_file_is_named_by_what_a_file_name_cannot_hold(home: Path) -> None:
 
 
 def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home: Path) -> None:
-    assert "0 computed, 13 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
+    assert "0 computed, 14 computed before" in wasp(home, "run", "puddle.yaml", *SMALL).stderr
     module = home / "puddle.py"
     text = module.read_text(encoding="utf-8")
     module.write_text(text.replace("WET, REACHED, STEP = 0.3", "WET, REACHED, STEP = 0.35"), encoding="utf-8")
@@ -91,8 +91,8 @@ def test_a_second_run_computes_nothing_and_a_changed_environment_runs_again(home
         planned = wasp(home, "plan", "puddle.yaml", *SMALL)
     finally:
         module.write_text(text, encoding="utf-8")
-    assert re.search(r"total +13 +0 +0 +13", planned.stdout), planned.stdout
-    assert "puddle:Puddle-v0 s0 expert and 12 more: code changed: puddle\n" in planned.stdout
+    assert re.search(r"total +14 +0 +0 +14", planned.stdout), planned.stdout
+    assert "puddle:Puddle-v0 s0 expert and 13 more: code changed: puddle\n" in planned.stdout
 
 
 def test_the_report_needs_no_environment(home: Path, tmp_path: Path) -> None:

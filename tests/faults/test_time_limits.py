@@ -155,7 +155,7 @@ def test_the_time_is_typed_as_people_write_it(fakes: Fakes, small_spec: Path, tm
     wait_until(lambda: process.poll() is not None)
     _, errors = process.communicate()
     assert process.returncode == 1
-    assert f"{LABEL}: it took longer than the limit of 1.0 s\n      give more with --timeout" in errors
+    assert f"{LABEL}: it took longer than the limit of 1.0 s\n      allow more time with --timeout" in errors
     refused = start("run", small_spec, "--timeout", "soon")
     _, errors = refused.communicate(timeout=30)
     assert refused.returncode == 2

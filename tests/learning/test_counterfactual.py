@@ -18,6 +18,8 @@ from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampl
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.methods.base import Decision, Heldout
 from wasp_cli.methods.human import HumanOnly
+from wasp_cli.methods.record import blank_record
+from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import load_world_model
@@ -59,7 +61,7 @@ class Script(HumanOnly):
         action = torch.from_numpy(np.stack([actions[min(self.now, len(actions) - 1)] for actions in self.recorded.a]))
         if self.now > self.t or (self.now == self.t and not self.assisted):
             action[self.row] = a_h[self.row]
-        return Decision(action)
+        return Decision(action, blank_record(len(action), GATE_METHOD))
 
 
 def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention_give(cell: Evaluated) -> None:
