@@ -168,6 +168,7 @@ def test_wasp_records_its_gates_and_cases_as_its_variants_allow(results: Path) -
     assert set(thresholds["tau_c"].to_pylist()) == {0.05}
 
 
+@pytest.mark.slow  # the nox session `smoke` asks the same of every run
 def test_a_second_run_computes_nothing(results: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (results / "store").rglob("*") if path.is_file()}
     again = wasp("run", str(results.parent / "chain.yaml"), "--results", str(results))
