@@ -27,10 +27,10 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("gc", "{results}", "--dry-run"), ("gc", "{results}", "--runs", "--yes"),
 )  # fmt: skip
 ONCE: tuple[tuple[str, ...], ...] = (
-    ("report", "{results}"), ("status", "{results}"), ("status", "{results}", "--run", "0000"), ("logs", "{label}", "--results", "{results}"),
-    ("show", "{label}", "--results", "{results}"), ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"),
-    ("compare", "{results}", "{results}"), ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"),
-    ("gc", "{results}", "--runs", "--yes"),
+    ("report", "{results}"), ("status", "{results}"), ("status", "{results}", "--run", "0000"),
+    ("logs", "{label}", "--results", "{results}"), ("show", "{label}", "--results", "{results}"),
+    ("explain", "{label}", "-e", "0", "-s", "0", "--results", "{results}"), ("compare", "{results}", "{results}"),
+    ("replay", "{label}", "-e", "0", "--results", "{results}", "--out", "{results}/made.gif"), ("gc", "{results}", "--runs", "--yes"),
 )  # fmt: skip
 """Every command in the form that reads and shows the most."""
 ON_EVERY_FORM = ("nothing_at_all", "labels_that_command_the_terminal", "rows_that_command_the_terminal", "cells_that_are_markup")
