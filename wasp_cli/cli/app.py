@@ -46,7 +46,7 @@ def main_options(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of expected errors too (or set WASP_DEBUG=1).")] = False,
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")] = False,
 ) -> None:
-    """Options of every command."""
+    """Take the options of every command."""
     if debug:
         os.environ["WASP_DEBUG"] = "1"
 

@@ -28,7 +28,7 @@ class Causes:
         self._known: dict[tuple[str, str, str], tuple[str, ...]] = {}
 
     def of(self, kind: str, before: str, after: str) -> tuple[str, ...]:
-        """In words, what differs between two artifacts that should be alike.
+        """Say in words what differs between two artifacts that should be alike.
 
         Args:
             kind: of both.

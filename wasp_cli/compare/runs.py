@@ -82,7 +82,7 @@ class Compared:
     summary: tuple[Summary, ...]
 
     def having(self, *states: State) -> list[ComparedCell]:
-        """The cells in some state."""
+        """Return the cells in one of the given states."""
         return [cell for cell in self.cells if cell.state in states]
 
     @property

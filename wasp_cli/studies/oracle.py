@@ -70,17 +70,17 @@ class Outcome:
     """wall time of all episodes"""
 
     def pooled(self) -> dict[str, float | None]:
-        """The numbers of the cell: rates are ratios of sums; undefined ones are None."""
+        """Return the numbers of the cell: rates are ratios of sums; undefined ones are None."""
         numbers = {name: float(values[0]) for name, values in pool(self._columns()).items()}
         return {name: value if np.isfinite(value) else None for name, value in numbers.items()}
 
     def column(self, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """One of `WEIGHTS` or their weights by episode [E]; NaN where it is undefined."""
+        """Return one of `WEIGHTS` or their weights by episode [E]; NaN where it is undefined."""
         attribute = "return_" if name == "return" else name
         return np.array([getattr(row, attribute) for row in self.rows], np.float64)
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """Return everything as JSON values."""
         rows = [{field.name.rstrip("_"): getattr(row, field.name) for field in fields(row)} for row in self.rows]
         return {"method": "human" if self.variant is None else "wasp", "variant": self.variant, "seconds": self.seconds,
                 **self.pooled(), "episodes": rows}  # fmt: skip
@@ -91,7 +91,7 @@ class Outcome:
 
 
 def assisted(cell: Cell, config: WASPConfig | None, threads: int, progress: Progress) -> Outcome:
-    """All episodes of a cell under WASP with a perfect model, or without assistance.
+    """Run all episodes of a cell under WASP with a perfect model, or without assistance.
 
     Args:
         cell: what to run.

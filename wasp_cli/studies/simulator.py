@@ -31,7 +31,7 @@ Build = Callable[[int], VectorTask]
 
 
 def on_features(policy: Policy) -> Policy:
-    """A policy on privileged observations [R, P] as one on the features [R, D] of a simulator's latents."""
+    """Wrap a policy on privileged observations [R, P] as one on the features [R, D] of a simulator's latents."""
     return lambda features: policy(features[:, SEEN:])
 
 
@@ -96,11 +96,11 @@ class SimulatorModel:
         self._imagined: _Simulation | None = None
 
     def initial(self, batch: int) -> Latent:
-        """Before anything is known; nothing can be imagined from it."""
+        """Return the latent before anything is known; nothing can be imagined from it."""
         return Latent(torch.zeros(batch, SEEN + self._task.privileged_size), torch.zeros(batch, 0))
 
     def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
-        """The state of the task as it is now [B, .], whatever the arguments say."""
+        """Return the state of the task as it is now [B, .], whatever the arguments say."""
         self._snapshot = self._task.snapshot()
         for name, array in self._snapshot.items():
             if len(array) != self._task.batch:
@@ -110,7 +110,7 @@ class SimulatorModel:
         return present.latent()
 
     def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
-        """The state [R, .] to which `action` [R, A] leads in the real task; of `noise` there is none.
+        """Return the state [R, .] to which `action` [R, A] leads in the real task; of `noise` there is none.
 
         Raises:
             TaskError: the latent is neither of the newest snapshot, nor what has just been imagined.
@@ -124,15 +124,15 @@ class SimulatorModel:
         return self._imagined.advance(action.numpy())
 
     def reward(self, latent: Latent) -> Tensor:
-        """[...] reward of the decision step that led there."""
+        """Return the reward [...] of the decision step that led there."""
         return latent.h[..., REWARD]
 
     def cost(self, latent: Latent) -> Tensor:
-        """[...] 1 where that decision step cost."""
+        """Return 1 where that decision step cost, else 0 [...]."""
         return latent.h[..., COST]
 
     def continues(self, latent: Latent) -> Tensor:
-        """[...] 1 where the episode has not ended."""
+        """Return 1 where the episode has not ended, else 0 [...]."""
         return latent.h[..., GOES_ON]
 
     def _restored(self, rows: NDArray[np.intp]) -> _Simulation:
@@ -150,7 +150,7 @@ class NoCritics:
     """Nothing beyond the horizon."""
 
     def value_r(self, latent: Latent) -> Tensor:
-        """[...] zeros."""
+        """Return zeros [...]."""
         return torch.zeros_like(latent.h[..., 0])
 
     value_c = value_r

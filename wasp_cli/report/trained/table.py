@@ -67,9 +67,11 @@ class Training:
         return cls(wanted, told, {part: failures[key] for part, key in parts if key in failures})
 
     def tasks(self) -> list[str]:
+        """List the tasks that have a part."""
         return list(dict.fromkeys(task for task, _, _ in self.wanted))
 
     def rounds(self, task: str) -> list[int]:
+        """List the rounds of a task."""
         return sorted({number for named, _, number in self.wanted if named == task})
 
     def parts(self, task: str, stage: str, number: int) -> tuple[Part, ...]:
@@ -91,6 +93,7 @@ class Training:
         return any(name in self.summaries.get(part, {}) for part in parts)
 
     def missing(self, parts: Sequence[Part]) -> list[Part]:
+        """List the parts that are not there."""
         return [part for part in parts if part not in self.summaries]
 
 
