@@ -74,8 +74,8 @@ def logs(
     import sys
 
     from wasp_cli.plan.recorded import named_run, planned_runs
-    from wasp_cli.run.logs import find_log, write_log
     from wasp_cli.run.record import results_of
+    from wasp_cli.run.show import find_log, write_log
 
     layout = results_of(results)
     runs = planned_runs(layout)

@@ -193,7 +193,7 @@ def sweep(
     from wasp_cli.errors import UsageError
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
-    from wasp_cli.run.sweep import on_task, run_sweep
+    from wasp_cli.run.session import on_task, run_sweep
     from wasp_cli.spec.sweep import read_sweep
 
     if len(vary) > 1:

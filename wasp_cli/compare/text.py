@@ -12,7 +12,7 @@ from rich.text import Text
 
 from wasp_cli.compare.paired import LEVEL, MEASURES
 from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
-from wasp_cli.report.claims.table import title_of
+from wasp_cli.report.claims.text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.render.text import markdown, terminal

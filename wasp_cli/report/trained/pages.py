@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
 from wasp_cli.report.trained.part_figures import POOLED
-from wasp_cli.report.trained.read import UNREADABLE, read_json
 from wasp_cli.store.layout import Layout
 
 ALL = "all"
