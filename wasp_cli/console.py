@@ -13,6 +13,7 @@ from wasp_cli.errors import Interrupted, WaspError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 
 @cache
@@ -49,6 +50,12 @@ def silence(stream: TextIO) -> None:
             os.dup2(nowhere, stream.fileno())
         finally:
             os.close(nowhere)
+
+
+def say(*lines: str | Text) -> None:
+    """Print lines to stdout as they are, whatever brackets they hold."""
+    for line in lines:
+        out().print(line, markup=False, soft_wrap=True)
 
 
 def plain(text: str) -> None:

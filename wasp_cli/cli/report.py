@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli.options import JsonOption, ResultsArgument, expected_errors, parse_folder, print_json
+from wasp_cli.cli.options import JsonOption, ResultsArgument, argument, expected_errors, option, parse_folder, print_json
 
 if TYPE_CHECKING:
     from wasp_cli.compare.runs import Compared, Side
@@ -31,17 +31,9 @@ report_app = typer.Typer()
 @expected_errors
 def report(
     folder: ResultsArgument = Path("results"),
-    spec: Annotated[
-        str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
-    ] = None,
+    spec: Annotated[str | None, option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)")] = None,
     paper: Annotated[
-        Path | None,
-        typer.Option(
-            "--paper",
-            metavar="FILE",
-            help="File with a paper's numbers and claims. (default: specs/paper.yaml)",
-            show_default=False,
-        ),
+        Path | None, option("--paper", metavar="FILE", help="File with a paper's numbers and claims. (default: specs/paper.yaml)")
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
     films: Annotated[bool, typer.Option("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
@@ -105,7 +97,7 @@ def show_report(
         films: whether the HTML report has films of episodes.
         trained: whether each trained part is drawn.
     """
-    from wasp_cli.console import err, out
+    from wasp_cli.console import err, out, say
     from wasp_cli.report.summarize import report_run
 
     report = report_run(layout.root, spec, cells, parts, paper, branched)
@@ -117,8 +109,8 @@ def show_report(
     beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
     left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
     further = f"; wasp report adds {' and '.join(left_out)}" if left_out else ""
-    out().print(f"report: {page} ({beside}{further})", markup=False, soft_wrap=True)
-    out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
+    say(f"report: {page} ({beside}{further})")
+    say(f"rows and artifacts: {layout.root / 'store'}")
     return report
 
 
@@ -136,27 +128,16 @@ def _film_drawing() -> Draw:
 )
 @expected_errors
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", parser=parse_folder, help="A results folder.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="B", parser=parse_folder, help="Another results folder.", show_default=False)],
+    first: Annotated[Path, argument(metavar="A", parser=parse_folder, help="A results folder.")],
+    second: Annotated[Path, argument(metavar="B", parser=parse_folder, help="Another results folder.")],
     spec: Annotated[
-        str | None,
-        typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran in both)", show_default=False),
+        str | None, option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran in both)")
     ] = None,
-    spec_a: Annotated[
-        str | None, typer.Option("--spec-a", metavar="NAME", help="The spec in A; needs --spec-b.", show_default=False)
-    ] = None,
-    spec_b: Annotated[
-        str | None, typer.Option("--spec-b", metavar="NAME", help="The spec in B; needs --spec-a.", show_default=False)
-    ] = None,
+    spec_a: Annotated[str | None, option("--spec-a", metavar="NAME", help="The spec in A; needs --spec-b.")] = None,
+    spec_b: Annotated[str | None, option("--spec-b", metavar="NAME", help="The spec in B; needs --spec-a.")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            parser=parse_folder,
-            help="Also write the comparison there, as Markdown, CSV, LaTeX and HTML.",
-            show_default=False,
-        ),
+        option("--out", metavar="DIR", parser=parse_folder, help="Also write the comparison there, as Markdown, CSV, LaTeX and HTML."),
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit with 1 if a cell differs by more than noise, or is missing in A or B.")
@@ -170,6 +151,7 @@ def compare(
     from wasp_cli.compare.runs import compare as compared_runs
     from wasp_cli.compare.text import as_json, show, write
     from wasp_cli.console import out as console
+    from wasp_cli.console import say
     from wasp_cli.errors import NotAccepted, UsageError
 
     if out is not None and out.exists() and not out.is_dir():
@@ -182,7 +164,7 @@ def compare(
         for each in found:
             show(each, console())
         if paths:
-            console().print(f"written: {paths[0]} (its tables are in the same folder)", markup=False, soft_wrap=True)
+            say(f"written: {paths[0]} (its tables are in the same folder)")
     unlike = [each.first.spec.name for each in found if not each.alike]
     if strict and unlike:
         raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names the cells that are missing or differ by more than noise")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JsonOption, SetOption, expected_errors, print_json
+from wasp_cli.cli.options import JsonOption, SetOption, argument, expected_errors, print_json
 
 if TYPE_CHECKING:
     from wasp_cli.spec.places import Problem
@@ -26,12 +26,12 @@ spec_app = typer.Typer()
 )
 @expected_errors
 def check(
-    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False, autocompletion=complete.specs)],
+    specs: Annotated[list[Path], argument(metavar="SPEC...", help="YAML files.", autocompletion=complete.specs)],
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Validate specs and paper files: every mistake at once, with file, line and column."""
-    from wasp_cli.console import out
+    from wasp_cli.console import say
     from wasp_cli.errors import SpecError
     from wasp_cli.spec.places import InvalidSpec
 
@@ -47,7 +47,7 @@ def check(
             continue
         found.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
         if not json:
-            out().print(f"{path}: ok, {what}", markup=False, soft_wrap=True)
+            say(f"{path}: ok, {what}")
     if json:
         print_json(found)
     if refused and json:

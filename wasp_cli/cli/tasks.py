@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JsonOption, expected_errors, print_json
+from wasp_cli.cli.options import JsonOption, argument, expected_errors, option, print_json
 
 tasks_app = typer.Typer(
     invoke_without_command=True,
@@ -29,7 +29,7 @@ def tasks(context: typer.Context, json: JsonOption = False) -> None:
         return
     from dataclasses import asdict
 
-    from wasp_cli.console import out
+    from wasp_cli.console import out, say
     from wasp_cli.report.tables.tasks import task_table
     from wasp_cli.tasks.describe import describe
 
@@ -38,7 +38,7 @@ def tasks(context: typer.Context, json: JsonOption = False) -> None:
         print_json([asdict(task) for task in found])
         return
     out().print(task_table(found))
-    out().print("Any gymnasium id is a task too: docs/own_task.md", markup=False, soft_wrap=True)
+    say("Any gymnasium id is a task too: docs/own_task.md")
 
 
 @tasks_app.command(
@@ -48,24 +48,16 @@ def tasks(context: typer.Context, json: JsonOption = False) -> None:
 )
 @expected_errors
 def show_task(
-    task: Annotated[
-        str,
-        typer.Argument(
-            metavar="ID", help="A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", show_default=False, autocompletion=complete.tasks
-        ),
-    ],
+    task: Annotated[str, argument(metavar="ID", help="A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", autocompletion=complete.tasks)],
     seed: Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, metavar="N", help="Seed of the layout.")] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="PNG", help="File of the picture. (default: <task>_seed<N>.png)", show_default=False),
-    ] = None,
+    out: Annotated[Path | None, option("--out", metavar="PNG", help="File of the picture. (default: <task>_seed<N>.png)")] = None,
     steps: Annotated[
         int, typer.Option("--steps", min=0, metavar="N", help="Also show the first N decision steps, up to the end of the episode.")
     ] = 0,
 ) -> None:
     """Draw a layout: the map from above and both camera images."""
-    from wasp_cli import console
+    from wasp_cli.console import say
     from wasp_cli.tasks.sheet import draw_sheet
 
     path = draw_sheet(task, seed, steps, out)
-    console.out().print(str(path), markup=False, soft_wrap=True)
+    say(str(path))
