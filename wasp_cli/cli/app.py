@@ -15,9 +15,8 @@ from wasp_cli.cli.doctor import doctor_app
 from wasp_cli.cli.inspect import inspect_app
 from wasp_cli.cli.report import report_app
 from wasp_cli.cli.run import run_app
-from wasp_cli.cli.spec import spec_app
+from wasp_cli.cli.spec import spec_app, tasks_app
 from wasp_cli.cli.store import store_app
-from wasp_cli.cli.tasks import tasks_app
 
 app = typer.Typer(
     name="wasp",

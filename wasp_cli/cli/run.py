@@ -183,7 +183,7 @@ def sweep(
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.session import on_task, run_sweep
-    from wasp_cli.spec.sweep import read_sweep
+    from wasp_cli.spec.derived import read_sweep
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")

@@ -18,10 +18,10 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan
+from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED
-from wasp_cli.spec.sweep import Sweep
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import read_json_lines, read_plain

@@ -26,8 +26,8 @@ from wasp_cli.run.pool import pool_of, require_backend
 from wasp_cli.run.progress import NAMES, board
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, failures_text
+from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
-from wasp_cli.spec.sweep import Sweep
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout

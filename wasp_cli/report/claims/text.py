@@ -12,7 +12,7 @@ from rich.text import Text
 
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of
-from wasp_cli.report.render.html import rendered
+from wasp_cli.report.render.files import rendered
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
