@@ -54,15 +54,15 @@ def planner(
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
     from wasp_cli.studies.planner_timing import bench_planner, bench_table, notes
 
-    found = {
+    timings = {
         name: bench_planner(*configs, batch=batch, threads=cores() if threads is None else threads, repeats=repeats)
         for name, configs in bench_configs(spec, set_ or ()).items()
     }
     if json:
-        print_json({name: bench.as_json() for name, bench in found.items()})
+        print_json({name: bench.as_json() for name, bench in timings.items()})
         return
-    out().print(terminal(bench_table(found), out().width))
-    for name, bench in found.items():
+    out().print(terminal(bench_table(timings), out().width))
+    for name, bench in timings.items():
         say(*notes(name, bench))
 
 
@@ -100,12 +100,12 @@ def oracle(
     from wasp_cli.run.session import cores
     from wasp_cli.studies.oracle_run import measure_oracle, oracle_table
 
-    cell, found = measure_oracle(
+    cell, outcomes = measure_oracle(
         spec, task, operator, variant or ["full"],
         episodes=episodes, tau_r=tau_r, threads=cores() if threads is None else threads, results=results, settings=set_ or (),
     )  # fmt: skip
     if json:
         print_json({"task": cell.task, "operator": cell.variant, "value": cell.value, "seed": cell.seed, "tau_r": tau_r,
-                    "rows": [outcome.as_json() for outcome in found]})  # fmt: skip
+                    "rows": [outcome.as_json() for outcome in outcomes]})  # fmt: skip
         return
-    out().print(terminal(oracle_table(cell, found), out().width))
+    out().print(terminal(oracle_table(cell, outcomes), out().width))

@@ -77,11 +77,11 @@ def logs(
 
     layout = results_of(results)
     runs = planned_runs(layout)
-    found = find_log(layout, runs if run is None else [named_run(runs, run)], node)
+    log = find_log(layout, runs if run is None else [named_run(runs, run)], node)
     if path:
-        print(found.path)
+        print(log.path)
     else:
-        write_log(found, sys.stdout)
+        write_log(log, sys.stdout)
 
 
 @inspect_app.command(
@@ -197,15 +197,15 @@ def replay(
     if every is not None and step is not None:
         raise UsageError("--every cannot be used with --step", "the video of one decision has a frame for every decision")
     layout = Layout(results.absolute())
-    found = find_cell(layout, cell)
+    stored = find_cell(layout, cell)
     with following("replay") as progress:
         if step is None:
-            path, made = written(layout, found, episode, out, every, progress)
+            path, made = written(layout, stored, episode, out, every, progress)
         else:
-            path, verdict = replay_step(layout, found, episode, step, out, progress)
+            path, verdict = replay_step(layout, stored, episode, step, out, progress)
     if step is None:
         say(f"{path}: {made.frames} frames")
     elif json:
-        print_json(verdict.as_json() | {"cell": found.label, "key": found.key, "file": str(path)})
+        print_json(verdict.as_json() | {"cell": stored.label, "key": stored.key, "file": str(path)})
     else:
         say(*verdict.lines(), str(path))

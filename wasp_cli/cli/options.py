@@ -35,8 +35,8 @@ def parse_folder(value: str | Path) -> Path:
 
 def parse_duration(text: str | float) -> float:
     """Return the seconds of a duration as it is typed: `90`, `90s`, `30m`, `2h`."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
-    seconds = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[found[2]] if found else 0.0
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
+    seconds = float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]] if match else 0.0
     if not seconds:
         raise typer.BadParameter(f"invalid duration '{text}'; write seconds (90), minutes (30m) or hours (2h)")
     return seconds

@@ -67,8 +67,8 @@ def report(
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
     if damaged:
-        found = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
-        raise ArtifactError(f"part of the results cannot be read:\n{found}", "run the spec again: only damaged results are computed again")
+        lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
+        raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
     if strict and missing:
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
@@ -156,16 +156,16 @@ def compare(
 
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"'{out}' is not a folder", "--out names a folder; it is created if it does not exist")
-    found: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
-    paths = [] if out is None else write(found, out)
+    comparisons: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
+    paths = [] if out is None else write(comparisons, out)
     if json:
-        print_json([as_json(each) for each in found])
+        print_json([as_json(each) for each in comparisons])
     else:
-        for each in found:
+        for each in comparisons:
             show(each, console())
         if paths:
             say(f"written: {paths[0]} (its tables are in the same folder)")
-    unlike = [each.first.spec.name for each in found if not each.alike]
+    unlike = [each.first.spec.name for each in comparisons if not each.alike]
     if strict and unlike:
         raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names the cells that are missing or differ by more than noise")
 
@@ -195,11 +195,11 @@ def _pairs(first: Path, second: Path, spec: str | None, spec_a: str | None, spec
         if not names:
             which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))
             raise UsageError(f"no spec has run in both folders: {which}", "choose one of each with --spec-a and --spec-b")
-        found = []
+        pairs = []
         for pair in names:
             sides = [(layout, read_run(layout, known[name])) for layout, known, name in zip(layouts, runs, pair, strict=True)]
             a, b = (Side(layout, run.run_id, run.spec, run.cells) for layout, run in sides)
-            found.append((a, b))
+            pairs.append((a, b))
     except (StoreError, ArtifactError) as error:
         raise UsageError(error.message, error.hint) from error
-    return found
+    return pairs

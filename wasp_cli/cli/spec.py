@@ -38,7 +38,7 @@ def check(
     from wasp_cli.errors import SpecError
     from wasp_cli.spec.places import InvalidSpec
 
-    found: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     refused: dict[Problem, None] = {}  # two specs may extend the same wrong one
     for path in specs:
         try:
@@ -46,13 +46,13 @@ def check(
         except InvalidSpec as error:
             refused |= dict.fromkeys(error.problems)
             problems = [problem.as_json() for problem in error.problems]
-            found.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
+            results.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
             continue
-        found.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
+        results.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
         if not json:
             say(f"{path}: ok, {what}")
     if json:
-        print_json(found)
+        print_json(results)
     if refused and json:
         raise typer.Exit(SpecError.exit_code)  # all is said
     if refused:
@@ -114,11 +114,11 @@ def tasks(context: typer.Context, json: JsonOption = False) -> None:
     from wasp_cli.console import out, say
     from wasp_cli.tasks.describe import describe
 
-    found = describe()
+    descriptions = describe()
     if json:
-        print_json([asdict(task) for task in found])
+        print_json([asdict(task) for task in descriptions])
         return
-    out().print(task_table(found))
+    out().print(task_table(descriptions))
     say("Any gymnasium id is a task too: docs/own_task.md")
 
 

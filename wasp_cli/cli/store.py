@@ -54,14 +54,14 @@ def gc(
 
     layout = results_of(folder)
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
-    found = unreached(layout, kept, runs=runs, before=before)
-    show_rubbish(found, out())
-    if not found or dry_run:
+    rubbish = unreached(layout, kept, runs=runs, before=before)
+    show_rubbish(rubbish, out())
+    if not rubbish or dry_run:
         return
     if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
         out().print("nothing was removed: there is no terminal to ask on, and --yes was not given", markup=False)
     elif yes or typer.confirm("Remove all of it?"):
-        done = remove_unreached(layout, kept, found, runs=runs, before=before)
+        done = remove_unreached(layout, kept, rubbish, runs=runs, before=before)
         out().print(removed_line(*done), markup=False)
 
 
@@ -106,9 +106,9 @@ def publish(
     target = Layout(layout.published if to is None else to.absolute())
     # Meanwhile nothing is removed.
     with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
-        found = publication(loaded.spec, layout, target, select or (), largest * 1e6, reuse)
-        show_publication(found, largest * 1e6, out())
+        planned = publication(loaded.spec, layout, target, select or (), largest * 1e6, reuse)
+        show_publication(planned, largest * 1e6, out())
         if dry_run:
             return
-        carry_publication(found, loaded.spec, layout, target)
+        carry_publication(planned, loaded.spec, layout, target)
     say(f"published in {target.root}")

@@ -111,9 +111,9 @@ def compare(first: Side, second: Side) -> Compared:
     causes = Causes(first.layout, second.layout)
     identities = dict.fromkeys((*sides[0].keys, *sides[1].keys))
     cells = [_cell(identity, sides[0], sides[1], causes) for identity in identities]
-    found = [(cell, cell.paired) for cell in cells if cell.paired is not None]
-    p = corrected([{name: each.p for name, each in paired.differences.items()} for _, paired in found])
-    by_identity = {cell.identity: numbers for (cell, _), numbers in zip(found, p, strict=True)}
+    tested = [(cell, cell.paired) for cell in cells if cell.paired is not None]
+    p = corrected([{name: each.p for name, each in paired.differences.items()} for _, paired in tested])
+    by_identity = {cell.identity: numbers for (cell, _), numbers in zip(tested, p, strict=True)}
     cells = [replace(cell, p=by_identity.get(cell.identity, {})) for cell in cells]
     return Compared(first, second, tuple(cells), tuple(_summary(cells, *sides)))
 
@@ -150,8 +150,8 @@ def _cell(identity: CellIdentity, first: _Read, second: _Read, causes: Causes) -
     if same:
         why = () if keys[0] == keys[1] else causes.of("evaluate", keys[0], keys[1])
         return ComparedCell(label, identity, "same" if keys[0] == keys[1] else "same rows", keys, causes=why)
-    found = paired_episodes(first.numbers[identity], second.numbers[identity])
-    return ComparedCell(label, identity, "differs", keys, paired=found, causes=causes.of("evaluate", keys[0], keys[1]))
+    paired = paired_episodes(first.numbers[identity], second.numbers[identity])
+    return ComparedCell(label, identity, "differs", keys, paired=paired, causes=causes.of("evaluate", keys[0], keys[1]))
 
 
 def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iterator[Summary]:
@@ -160,10 +160,10 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
     for cell in cells:
         if cell.state in ("same", "same rows", "differs"):
             rows.setdefault((cell.identity.task, cell.identity.method, cell.identity.assistant_variant), []).append(cell)
-    for (task, method, variant), found in rows.items():
-        before, after = ([side.numbers[cell.identity] for cell in found] for side in (first, second))
+    for (task, method, variant), own in rows.items():
+        before, after = ([side.numbers[cell.identity] for cell in own] for side in (first, second))
         estimates = {name: difference_of(after, before, name) for name in MEASURES}
-        yield Summary(task, method, variant, len(found), sum(cell.state == "differs" for cell in found), estimates)
+        yield Summary(task, method, variant, len(own), sum(cell.state == "differs" for cell in own), estimates)
 
 
 MACHINE = ("processor", "platform", "python", "threads", "cuda")

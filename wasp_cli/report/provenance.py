@@ -76,8 +76,7 @@ class Origins:
             yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {_code_since(manifests)}."
         cells = [str(manifest.get("label")) for manifest in self.published if manifest.get("kind") == "evaluate"]
         if 0 < len(self.published) < self.total and cells:
-            more = f" and {len(cells) - NAMED} more" if len(cells) > NAMED else ""
-            yield f"Published cells: {', '.join(cells[:NAMED])}{more}."
+            yield f"Published cells: {few(cells, NAMED)}."
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:

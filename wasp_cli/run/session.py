@@ -162,12 +162,12 @@ def _import_published(plan: Plan, layout: Layout) -> None:
     """Copy the published results that are needed into the store, so that no worker has to know of them."""
     for note in plan.grid.notes:
         plain(note)
-    found = [plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"]
-    for offer in found:
+    offers = [plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"]
+    for offer in offers:
         import_artifact(layout, offer, waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"))
-    if found:
+    if offers:
         lines = reason_lines(plan, "published")
-        plain("\n  ".join([f"{len(found)} published results are used:", *lines]))
+        plain("\n  ".join([f"{len(offers)} published results are used:", *lines]))
 
 
 def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Summary:

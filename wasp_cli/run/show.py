@@ -150,21 +150,21 @@ def _sign(node: Active, state: RunState, now: datetime) -> str:
 LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
 
 
-def show_rubbish(found: Sequence[Rubbish], console: Console) -> None:
+def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
     """Print how much of each kind can go."""
-    if not found:
+    if not rubbish:
         console.print("there is nothing to remove")
         return
     table = Table(box=None, padding=(0, 2), header_style="bold")
     table.add_column("what can go")
     table.add_column("count", justify="right")
     table.add_column("size", justify="right")
-    kinds = sorted({each.what for each in found} - set(LAST)) + [what for what in LAST if any(each.what == what for each in found)]
+    kinds = sorted({each.what for each in rubbish} - set(LAST)) + [what for what in LAST if any(each.what == what for each in rubbish)]
     for kind in kinds:
-        sizes = [each.size for each in found if each.what == kind]
+        sizes = [each.size for each in rubbish if each.what == kind]
         table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
     table.add_section()
-    table.add_row("total", str(len(found)), size(sum(each.size for each in found)), style="bold")
+    table.add_row("total", str(len(rubbish)), size(sum(each.size for each in rubbish)), style="bold")
     console.print(table)
 
 
@@ -173,28 +173,28 @@ def removed_line(count: int, freed: int) -> str:
     return f"{count} removed, {size(freed)} freed"
 
 
-def show_publication(found: Publication, largest: float, console: Console) -> None:
+def show_publication(publication: Publication, largest: float, console: Console) -> None:
     """Print how much of each kind is published, how much was published before, and what is left out."""
     table = Table(box=None, padding=(0, 2), header_style="bold")
     table.add_column("kind")
     for heading in ("new", "size", "there already"):
         table.add_column(heading, justify="right")
-    for kind in dict.fromkeys(item.node.kind for item in (*found.new, *found.there)):
-        sizes = [item.size for item in found.new if item.node.kind == kind]
-        there = sum(item.node.kind == kind for item in found.there)
+    for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
+        sizes = [item.size for item in publication.new if item.node.kind == kind]
+        there = sum(item.node.kind == kind for item in publication.there)
         table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)), str(there or "-"))
-    reports = [path.stat().st_size for path in found.reports]
+    reports = [path.stat().st_size for path in publication.reports]
     table.add_row("report", str(len(reports)), size(sum(reports)), "-")
     table.add_section()
-    total = sum(item.size for item in found.new) + sum(reports)
-    table.add_row("total", str(len(found.new) + len(reports)), size(total), str(len(found.there)), style="bold")
+    total = sum(item.size for item in publication.new) + sum(reports)
+    table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
     console.print(table)
-    for item in found.large:
+    for item in publication.large:
         text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
         console.print(text, markup=False, soft_wrap=True)
-    if found.absent:
-        kinds = ", ".join(dict.fromkeys(node.kind for node in found.absent))
-        console.print(f"left out: {len(found.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
+    if publication.absent:
+        kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
+        console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
 
 
 _COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
@@ -224,12 +224,12 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
     """
     wanted = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
-    found = [log for log in logs if begins(log.key, wanted)]
-    if not found:
+    matches = [log for log in logs if begins(log.key, wanted)]
+    if not matches:
         named = [log for log in logs if same_label(log.label, wanted)]
         # A label may have had another key in an older run; there it is another node's.
-        found = [log for log in named if log.run_id == named[0].run_id]
-    newest = {log.key: log for log in reversed(found)}
+        matches = [log for log in named if log.run_id == named[0].run_id]
+    newest = {log.key: log for log in reversed(matches)}
     if len(newest) > 1:
         raise UsageError(_several(wanted, list(newest.values())), "give the first characters of one of these keys")
     if not newest:
@@ -272,7 +272,7 @@ def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
     return [Log(run.run_id, node.key, node.label, path) for node, path in paths if path.name in there]
 
 
-def _several(wanted: str, found: list[Log]) -> str:
-    lines = [f"  {log.key}  {log.label}" for log in found[:SHOWN]]
-    more = [f"  and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
-    return "\n".join([f"'{wanted}' names {len(found)} nodes:", *lines, *more])
+def _several(wanted: str, logs: list[Log]) -> str:
+    lines = [f"  {log.key}  {log.label}" for log in logs[:SHOWN]]
+    more = [f"  and {len(logs) - SHOWN} more"] if len(logs) > SHOWN else []
+    return "\n".join([f"'{wanted}' names {len(logs)} nodes:", *lines, *more])

@@ -161,11 +161,11 @@ def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Seq
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
     chain = chain_of(read(path))
-    found = _validated(chain, overrides, options)
+    specs = _validated(chain, overrides, options)
     key = ".".join(options[0].path)
-    name = found[0].spec.name
+    name = specs[0].spec.name
     points: list[Point] = []
-    for option, valid in zip(options, found, strict=True):
+    for option, valid in zip(options, specs, strict=True):
         text = written(option)
         taken = [point.loaded.spec.name for point in points]
         update = {"name": spec_name(name, f"{key}-{text}", taken), "methods": _methods(valid.spec, options[0].path, methods)}
@@ -238,16 +238,16 @@ def split(text: str) -> list[str]:
 
 def _validated(chain: Chain, overrides: Sequence[Override], options: Sequence[Override]) -> list[Loaded]:
     """The spec under every value, or all that is wrong with any of them; what is wrong with all is said once."""
-    found: list[Loaded] = []
+    specs: list[Loaded] = []
     problems: dict[Problem, None] = {}
     for option in options:
         try:
-            found.append(loaded(chain, (*overrides, option)))
+            specs.append(loaded(chain, (*overrides, option)))
         except InvalidSpec as error:
             problems |= dict.fromkeys(error.problems)
     if problems:
         raise InvalidSpec(list(problems))
-    return found
+    return specs
 
 
 def _methods(spec: Spec, path: tuple[str, ...], wanted: Sequence[str]) -> tuple[str, ...]:

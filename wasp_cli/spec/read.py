@@ -111,12 +111,12 @@ def _text(path: Path) -> str:
 def beside(folder: Path, name: str = "") -> str | None:
     """Return a hint for those who look for a spec that is not there: what is nearly called so in the folder, or what there is."""
     try:
-        found = sorted(folder.glob("*.yaml"))
+        files = sorted(folder.glob("*.yaml"))
     except OSError:
         return None
     # Without the ending, which makes all of them alike.
-    hint = did_you_mean(Path(name).stem, [path.stem for path in found], otherwise="here are: " + ", ".join(map(str, found[:8])))
-    return re.sub(r"'([^']*)'", r"'\1.yaml'", hint) if hint.startswith("did you mean") else hint if found else None
+    hint = did_you_mean(Path(name).stem, [path.stem for path in files], otherwise="here are: " + ", ".join(map(str, files[:8])))
+    return re.sub(r"'([^']*)'", r"'\1.yaml'", hint) if hint.startswith("did you mean") else hint if files else None
 
 
 def _position_of(text: str, index: int) -> Position:

@@ -28,14 +28,14 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none when no cell has been computed.
     """
-    found = [group for group in groups(frame) if group.assistant_variant == "full" and group.cells]
-    if not found:
+    drawable = [group for group in groups(frame) if group.assistant_variant == "full" and group.cells]
+    if not drawable:
         return []
-    tasks = list(dict.fromkeys(group.task for group in found))
+    tasks = list(dict.fromkeys(group.task for group in drawable))
     with drawn((1.6 + 3.4 * len(tasks), 3.6)) as figure:
         panels = figure.subplots(1, len(tasks), squeeze=False)[0]
         for panel, task in zip(panels, tasks, strict=True):
-            for group in found:
+            for group in drawable:
                 if group.task == task:
                     _draw(panel, group)
             panel.set_title(task_title(task), loc="left", fontweight="bold")
@@ -52,15 +52,15 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none when no cell has been computed.
     """
-    found = [group for group in groups(frame) if group.assistant_variant == "full" and group.cells]
-    tasks = list(dict.fromkeys(group.task for group in found))
+    drawable = [group for group in groups(frame) if group.assistant_variant == "full" and group.cells]
+    tasks = list(dict.fromkeys(group.task for group in drawable))
     if not tasks:
         return []
-    most = max(sum(group.task == task for group in found) for task in tasks)
+    most = max(sum(group.task == task for group in drawable) for task in tasks)
     with drawn((1.4 + 3.0 * len(tasks), 0.9 + 0.32 * most)) as figure:
         panels = figure.subplots(1, len(tasks), squeeze=False)[0]
         for panel, task in zip(panels, tasks, strict=True):
-            own = [group for group in found if group.task == task]
+            own = [group for group in drawable if group.task == task]
             for y, group in enumerate(own):
                 _latency(panel, group, y)
             panel.set_yticks(range(len(own)), [assistant_title(group) for group in own])
@@ -124,10 +124,10 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none where no intervention was branched.
     """
-    found = [group for group in judged_groups(frame) if _risks(frame, group).size]
-    if not found:
+    drawable = [group for group in judged_groups(frame) if _risks(frame, group).size]
+    if not drawable:
         return []
-    tasks = [(task, list(own)) for task, own in groupby(found, lambda group: group.task)]
+    tasks = [(task, list(own)) for task, own in groupby(drawable, lambda group: group.task)]
     columns = {column.key: column for column in MEANS}
     heights = [0.34 * len(own) + 0.5 for _, own in tasks]
     with drawn((10.0, 1.3 + sum(heights))) as figure:

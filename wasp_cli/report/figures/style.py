@@ -156,6 +156,5 @@ def draw_lines(panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, flo
             panel.scatter(
                 line.x[here], line.y[here], line.areas[here], color=line.colour, marker=line.marker or "o", linewidths=0, label=label
             )
-    panel.grid(color="#dddddd", linewidth=0.6)
-    panel.set_axisbelow(True)
+    ruled(panel)
     panel.set(**axes)

@@ -107,8 +107,8 @@ def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: 
     """
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
         # Nothing else is drawn: its environment would be imported, and the results may be untrusted.
-        if task in TASKS and (found := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:
-            yield found
+        if task in TASKS and (films := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:
+            yield films
 
 
 def _of_task(

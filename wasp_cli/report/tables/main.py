@@ -87,30 +87,30 @@ def labels_of(group: Group) -> tuple[str, str]:
 
 def ablation_table(frame: Frame) -> Table | None:
     """Make Table 2: per task and variant the values and, in brackets, the paired difference to the full method; None without ablations."""
-    found = groups(frame)
-    ablated = {group.method for group in found if group.assistant_variant != "full"}
-    found = sorted((group for group in found if group.method in ablated), key=_order(found))
-    if not found:
+    every = groups(frame)
+    ablated = {group.method for group in every if group.assistant_variant != "full"}
+    ablations = sorted((group for group in every if group.method in ablated), key=_order(every))
+    if not ablations:
         return None
-    full = {(group.task, group.method): group.cells for group in found if group.assistant_variant == "full"}
+    full = {(group.task, group.method): group.cells for group in ablations if group.assistant_variant == "full"}
     rows = []
-    for group in found:
+    for group in ablations:
         numbers = values(group, PAPER_COLUMNS)
         reference = full.get((group.task, group.method), ())
         if group.assistant_variant != "full":
             pairs = zip(numbers, PAPER_COLUMNS, strict=True)
             numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
         rows.append(Row((task_title(group.task), assistant_title(group, ablation=True)), numbers))
-    cells = [cell for group in found for cell in group.cells]
+    cells = [cell for group in ablations for cell in group.cells]
     meanings = ("In brackets: mean difference to the full method over the operators, severities and seeds that both have.",)
     return Table(
         "table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), (spread_note(cells), *missing_notes(frame)), meanings
     )
 
 
-def _order(found: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:
+def _order(every: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:
     """Sort key: tasks as they come, variants as the registry lists them."""
-    tasks = list(dict.fromkeys(group.task for group in found))
+    tasks = list(dict.fromkeys(group.task for group in every))
 
     def key(group: Group) -> tuple[int, str, int, str]:
         known = list(METHODS[group.method].variants)

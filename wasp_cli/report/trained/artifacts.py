@@ -60,13 +60,13 @@ def trained_artifacts(
         origins: takes every artifact into account, evaluated cells too.
     """
     origins = origins or Origins()
-    found: dict[str, Trained | None] = {}
+    artifacts: dict[str, Trained | None] = {}
     damaged: list[str] = []
 
     def visit(kind: str, key: str) -> None:
-        if key in found or not layout.manifest(kind, key).is_file():
+        if key in artifacts or not layout.manifest(kind, key).is_file():
             return
-        found[key] = None
+        artifacts[key] = None
         try:
             manifest = read_manifest(layout, kind, key)
         except ArtifactError as error:
@@ -87,12 +87,12 @@ def trained_artifacts(
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
             return
-        del found[key]  # so that it stands behind what it needs
-        found[key] = trained if kind not in NOT_TRAINED else None
+        del artifacts[key]  # so that it stands behind what it needs
+        artifacts[key] = trained if kind not in NOT_TRAINED else None
 
     for kind, key in roots:
         visit(kind, key)
-    return tuple(artifact for artifact in found.values() if artifact is not None), tuple(damaged)
+    return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(damaged)
 
 
 def _round(manifest: Mapping[str, Any]) -> int:
@@ -116,9 +116,9 @@ def trained_markdown(artifacts: Iterable[Trained]) -> str:
 
 def numbers_text(summary: Mapping[str, Any]) -> str:
     """Write the scalar numbers of a summary on one line, nested ones with dotted names."""
-    found = list(scalars(summary))
-    text = ", ".join(f"{name} {short(value)}" for name, value in found[:SHOWN])
-    return text + (f", and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+    numbers = list(scalars(summary))
+    text = ", ".join(f"{name} {short(value)}" for name, value in numbers[:SHOWN])
+    return text + (f", and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else "")
 
 
 def duration(seconds: float | None) -> str:
@@ -214,5 +214,5 @@ def numbers_of(values: Any) -> Floats:
     if not isinstance(values, list):
         return np.empty(0)
     plain = [float(value) if isinstance(value, int | float) else math.nan for value in values]
-    found = np.array(plain, np.float64)
-    return np.where(np.isfinite(found), found, np.nan)
+    array = np.array(plain, np.float64)
+    return np.where(np.isfinite(array), array, np.nan)

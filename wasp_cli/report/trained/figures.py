@@ -58,16 +58,16 @@ def reliability_figure(layout: Layout, trained: Iterable[Trained], folder: Path)
     Returns:
         The written files; none when no world model was judged.
     """
-    found = list(reliabilities(layout, trained))
-    tasks = list(dict.fromkeys(each.task for each in found))
+    diagrams = list(reliabilities(layout, trained))
+    tasks = list(dict.fromkeys(each.task for each in diagrams))
     if not tasks:
         return []
-    kinds = [episodes for episodes in EPISODES if any(each.episodes == episodes for each in found)]
+    kinds = [episodes for episodes in EPISODES if any(each.episodes == episodes for each in diagrams)]
     with drawn((0.8 + 3.2 * len(kinds), 0.5 + 3.0 * len(tasks))) as figure:
         panels = figure.subplots(len(tasks), len(kinds), squeeze=False, sharex=True, sharey=True)
         for row, task in zip(panels, tasks, strict=True):
             for panel, episodes in zip(row, kinds, strict=True):
-                own = [_reliability(each) for each in found if each.task == task and each.episodes == episodes]
+                own = [_reliability(each) for each in diagrams if each.task == task and each.episodes == episodes]
                 draw_lines(panel, own, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost")
                 panel.grid(visible=False)
                 panel.set_title(f"{task_title(task)}: {EPISODES[episodes]}", loc="left", fontsize=9)
@@ -144,7 +144,7 @@ class Reliability(NamedTuple):
 
 def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
     """Read return per episode (`return`) and cost per 1000 env steps (`cost_per_1000`) over the decision steps of the training."""
-    found = []
+    curves = []
     for artifact in trained:
         if artifact.kind not in DRIVING:
             continue
@@ -153,13 +153,13 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
         x = column_of(rows, "interactions")
         if len(x) > 1 and np.isfinite(x).all():
             numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000")}
-            found.append(Curve(artifact.task, artifact.seed, name + _round(artifact), x, numbers))
-    return found
+            curves.append(Curve(artifact.task, artifact.seed, name + _round(artifact), x, numbers))
+    return curves
 
 
 def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
     """Read the losses of the world model by LOSSES over its updates, each divided by its first value."""
-    found = []
+    losses = []
     for artifact in trained:
         if artifact.kind != "world_model":
             continue
@@ -170,8 +170,8 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
         terms = {title: values / values[0] for title, values in terms.items() if len(values) > 1 and values[0] > 0}
         for title, values in terms.items():
             x = UPDATES_PER_POINT * np.arange(len(values), dtype=np.float64)
-            found.append(Curve(artifact.task, artifact.seed, title + _round(artifact), x, {"loss": values}))
-    return found
+            losses.append(Curve(artifact.task, artifact.seed, title + _round(artifact), x, {"loss": values}))
+    return losses
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:

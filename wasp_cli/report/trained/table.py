@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from wasp_cli.plan.node import Part
+from wasp_cli.plan.reasons import few
 from wasp_cli.report.stats.summary import Value, over_seeds
 from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.tables.titles import task_title
@@ -169,9 +170,8 @@ def _incomplete(training: Training) -> tuple[str, ...]:
     if not absent:
         return ()
     absent.sort(key=lambda part: part not in training.failures)  # what failed explains the rest
-    names = [f"{part} ({training.failures[part]})" if part in training.failures else str(part) for part in absent[:NAMED]]
-    more = f" and {len(absent) - NAMED} more" if len(absent) > NAMED else ""
-    return (f"INCOMPLETE: {len(absent)} of {len(everything)} parts are missing: {', '.join(names)}{more}.",)
+    names = [f"{part} ({training.failures[part]})" if part in training.failures else str(part) for part in absent]
+    return (f"INCOMPLETE: {len(absent)} of {len(everything)} parts are missing: {few(names, NAMED)}.",)
 
 
 def _share(training: Training, parts: Sequence[Part]) -> str:
