@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.provenance import Origins, is_from_published
+from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.tables.titles import task_title
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest
@@ -108,9 +109,8 @@ def trained_markdown(artifacts: Iterable[Trained]) -> str:
     """Lay out a Markdown section; the rows keep their order."""
     lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
     for artifact in artifacts:
-        numbers = numbers_text(artifact.summary).replace("|", "\\|")
-        cells = (task_title(artifact.task), artifact.seed, artifact.stage, duration(artifact.seconds), numbers, f"`{artifact.key[:8]}`")
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        numbers, time = numbers_text(artifact.summary), duration(artifact.seconds)
+        lines.append(markdown_row((task_title(artifact.task), artifact.seed, artifact.stage, time, numbers, f"`{artifact.key[:8]}`")))
     return "\n".join(lines) + "\n"
 
 
