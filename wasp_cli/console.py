@@ -13,6 +13,7 @@ from wasp_cli.errors import Interrupted, WaspError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
     from rich.text import Text
 
 
@@ -56,6 +57,17 @@ def say(*lines: str | Text) -> None:
     """Print lines to stdout as they are, whatever brackets they hold."""
     for line in lines:
         out().print(line, markup=False, soft_wrap=True)
+
+
+def count_table(words: str, *numbers: str) -> Table:
+    """Return an empty table with a column of words, then columns of numbers."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2), header_style="bold")
+    table.add_column(words)
+    for heading in numbers:
+        table.add_column(heading, justify="right")
+    return table
 
 
 def plain(text: str) -> None:

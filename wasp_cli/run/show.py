@@ -15,7 +15,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from wasp_cli.console import duration, size
+from wasp_cli.console import count_table, duration, size
 from wasp_cli.errors import StoreError, UnknownName, UsageError
 from wasp_cli.plan.recorded import PlannedRun
 from wasp_cli.store.find import SHOWN, begins, same_label
@@ -155,10 +155,7 @@ def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
     if not rubbish:
         console.print("there is nothing to remove")
         return
-    table = Table(box=None, padding=(0, 2), header_style="bold")
-    table.add_column("what can go")
-    table.add_column("count", justify="right")
-    table.add_column("size", justify="right")
+    table = count_table("what can go", "count", "size")
     kinds = sorted({each.what for each in rubbish} - set(LAST)) + [what for what in LAST if any(each.what == what for each in rubbish)]
     for kind in kinds:
         sizes = [each.size for each in rubbish if each.what == kind]
@@ -175,10 +172,7 @@ def removed_line(count: int, freed: int) -> str:
 
 def show_publication(publication: Publication, largest: float, console: Console) -> None:
     """Print how much of each kind is published, how much was published before, and what is left out."""
-    table = Table(box=None, padding=(0, 2), header_style="bold")
-    table.add_column("kind")
-    for heading in ("new", "size", "there already"):
-        table.add_column(heading, justify="right")
+    table = count_table("kind", "new", "size", "there already")
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
         sizes = [item.size for item in publication.new if item.node.kind == kind]
         there = sum(item.node.kind == kind for item in publication.there)
