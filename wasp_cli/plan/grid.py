@@ -11,6 +11,7 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from wasp_cli.config import Config
+from wasp_cli.errors import UnknownName
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.closure import closure_hash
@@ -201,7 +202,7 @@ class _Builder:
     def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
         info = METHODS[method]
         config = self.method_config(method, assistant)
-        needs = self._inputs("evaluate", task, chain, self.spec.rounds, info.needs_of(config))
+        needs = self._inputs("evaluate", task, chain, self.spec.rounds, _known(info.needs_of(config), f"the method '{method}'"))
         if info.calibrated:
             variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(task, chain, method, variant)
@@ -214,7 +215,7 @@ class _Builder:
         number = self.spec.rounds
         config = self.method_config(method, variant)
         axes = _round_axis(number) | {"method": method, "method_config": config}
-        needs = self._inputs("calibration", task, seed, number, info.needs_of(config))
+        needs = self._inputs("calibration", task, seed, number, _known(info.needs_of(config), f"the method '{method}'"))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
         return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), _in_round(f"calibration {name}", number))
 
@@ -233,7 +234,7 @@ class _Builder:
         return self._node(ROLLOUTS, task, seed, axes, needs, roots, _in_round(ROLLOUTS, number))
 
     def _inputs(self, kind: str, task: str, seed: int, number: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
-        needed = dict.fromkeys((*stage_class(kind).needs, *further))
+        needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))
         return {name: self._source(name, task, seed, number) for name in needed}
 
     def _source(self, name: str, task: str, seed: int, number: int) -> Node:
@@ -315,6 +316,14 @@ def _round_axis(number: int) -> dict[str, Any]:
 
 def _in_round(label: str, number: int) -> str:
     return f"{label}, round {number}" if number > 1 else label
+
+
+def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:
+    """The stages that a method or a stage needs; a plugin may have one wrong."""
+    for name in needs:
+        if name not in STAGES:
+            raise UnknownName("stage", name, STAGES, f"{whose} needs an unknown stage '{name}'")
+    return needs
 
 
 @cache
