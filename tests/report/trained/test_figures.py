@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.curves import driving_curves, loss_curves, reliabilities
-from wasp_cli.report.trained.figures import learning_figure, reliability_figure
+from wasp_cli.report.trained.figures import driving_curves, learning_figure, loss_curves, reliabilities, reliability_figure
 from wasp_cli.store.layout import Layout
 
 RELIABLE = [

@@ -15,7 +15,7 @@ from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.studies.simulator import NoCritics, SimulatorModel, on_features
+from wasp_cli.studies.oracle import NoCritics, SimulatorModel, on_features
 from wasp_cli.tasks.base import VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
