@@ -12,9 +12,8 @@ import pytest
 import typer
 
 from wasp_cli.cli.app import app
-from wasp_cli.spec.derived import ablation
+from wasp_cli.spec.derived import ablation, read_sweep
 from wasp_cli.spec.load import load
-from wasp_cli.spec.sweep import read_sweep
 
 ROOT = Path(__file__).parent.parent
 PLUGIN = "extending.md"

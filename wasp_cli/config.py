@@ -13,7 +13,7 @@ class Config(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
     def identity(self) -> dict[str, Any]:
-        """The values as JSON values, without those that can move no result."""
+        """Return the values as JSON values, without those that can move no result."""
         values = self.model_dump(mode="json")
         for name, info in type(self).model_fields.items():
             value, extra = getattr(self, name), info.json_schema_extra
@@ -25,7 +25,7 @@ class Config(BaseModel):
 
 
 def assumed(default: Any, why: str, *, in_key: bool = True, **constraints: Any) -> Any:
-    """A field whose value is not in the paper. `why` says where the value comes from; reports list it.
+    """Declare a field whose value is not in the paper. `why` says where the value comes from; reports list it.
 
     One that can move no result (`in_key` false) enters no key: changing it runs nothing again.
     """
@@ -33,17 +33,20 @@ def assumed(default: Any, why: str, *, in_key: bool = True, **constraints: Any) 
 
 
 def from_paper(default: Any, where: str, **constraints: Any) -> Any:
-    """A field whose value the paper states. `where` names the place."""
+    """Declare a field whose value the paper states. `where` names the place."""
     return Field(default=default, description=where, json_schema_extra={"in_paper": True}, **constraints)
 
 
 def deviates(default: Any, why: str, **constraints: Any) -> Any:
-    """A field whose default is not what the paper says. `why` says what the paper has and why not; reports list it first."""
+    """Declare a field whose default is not what the paper says.
+
+    `why` says what the paper has and why not; reports list it first.
+    """
     return Field(default=default, description=why, json_schema_extra={"in_paper": "differs"}, **constraints)
 
 
 def assumptions(model: Config, prefix: str = "") -> list[tuple[str, Any, str]]:
-    """Every value that is not the paper's as (dotted name, value in force, why), in field order."""
+    """List every value that is not the paper's as (dotted name, value in force, why), in field order."""
     found: list[tuple[str, Any, str]] = []
     for name, info in type(model).model_fields.items():
         value = getattr(model, name)

@@ -13,17 +13,19 @@ from wasp_cli.errors import Interrupted, WaspError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
 
 @cache
 def out() -> Console:
-    """For results: tables, JSON, paths."""
+    """Return the console for results: tables, JSON, paths."""
     return _console(sys.stdout, highlight=False, soft_wrap=not sys.stdout.isatty())
 
 
 @cache
 def err() -> Console:
-    """For progress, notes and errors."""
+    """Return the console for progress, notes and errors."""
     # The stream of the start: what a stage prints in this process is redirected to its log, progress is not.
     return _console(sys.stderr, file=sys.stderr, highlight=False, soft_wrap=not sys.stderr.isatty())
 
@@ -51,13 +53,30 @@ def silence(stream: TextIO) -> None:
             os.close(nowhere)
 
 
+def say(*lines: str | Text) -> None:
+    """Print lines to stdout as they are, whatever brackets they hold."""
+    for line in lines:
+        out().print(line, markup=False, soft_wrap=True)
+
+
+def count_table(words: str, *numbers: str) -> Table:
+    """Return an empty table with a column of words, then columns of numbers."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2), header_style="bold")
+    table.add_column(words)
+    for heading in numbers:
+        table.add_column(heading, justify="right")
+    return table
+
+
 def plain(text: str) -> None:
     """Print a line to stderr as it is, whatever brackets it holds."""
     err().print(text, markup=False, soft_wrap=True)
 
 
 def waiting_aloud(text: str) -> Callable[[], bool]:
-    """What a wait asks each time whether to go on: says why once, and goes on."""
+    """Return what a wait asks each time whether to go on: it says why once, and goes on."""
     told = False
 
     def wait() -> bool:
@@ -72,7 +91,7 @@ def waiting_aloud(text: str) -> Callable[[], bool]:
 
 @contextmanager
 def following(name: str) -> Iterator[Callable[[float, str], None]]:
-    """A line on the terminal that says how far something is; nothing elsewhere."""
+    """Show a line on the terminal that says how far something is; nothing elsewhere."""
     with err().status(name) as status:
         yield lambda share, text: status.update(f"{name}: {100 * share:.0f} %, {text}")
 
@@ -87,7 +106,7 @@ def report_error(error: WaspError) -> None:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
+    """Write a time as people say it: 0.4 s, 12 s, 3 min 05 s, 2 h 10 min."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 60:
@@ -100,7 +119,7 @@ def duration(seconds: float) -> str:
 
 
 def size(count: int | None) -> str:
-    """Bytes as people say them."""
+    """Write a number of bytes as people say it."""
     if count is None:
         return "?"
     number, unit = float(count), "bytes"

@@ -109,13 +109,13 @@ class Interrupted(WaspError):
 
 
 def refusal(error: OSError) -> WaspError:
-    """What the system refused, as an expected error."""
+    """Turn what the system refused into an expected error."""
     reason = (error.strerror or str(error) or type(error).__name__).lower()
     return WaspError(reason if error.filename is None else f"'{error.filename}': {reason}", "wasp --debug COMMAND shows where")
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) -> str:
-    """A hint that names the closest known names; when none is close, `otherwise`, or all of them.
+    """Write a hint that names the closest known names; when none is close, `otherwise`, or all of them.
 
     Capitals do not count, and of `space/Name` the namespace may be missing.
     """
@@ -129,7 +129,7 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) 
 
 
 def closeness(name: str, known: Iterable[str]) -> float:
-    """How close the closest of some names is, from 0 to 1, with namespaces or without them."""
+    """Measure how close the closest of some names is, from 0 to 1, with namespaces or without them."""
     return max((max(_likeness(name, other), _likeness(_bare(name), _bare(other))) for other in known), default=0.0)
 
 

@@ -100,5 +100,5 @@ def load_target(target: str) -> Any:
 
 
 def module_of(target: str) -> str:
-    """The module part of an import string."""
+    """Return the module part of an import string."""
     return target.partition(":")[0]

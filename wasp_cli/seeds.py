@@ -15,23 +15,23 @@ Part = str | float | SupportsIndex | None
 
 
 def derive(*parts: Part) -> int:
-    """A seed in [0, 2**31) from the parts. Types count: 1, 1.0 and "1" are different parts; any integer type is an `int`."""
+    """Derive a seed in [0, 2**31) from the parts. Types count: 1, 1.0 and "1" are different parts; any integer type is an `int`."""
     canonical = json.dumps([_plain(part) for part in parts], ensure_ascii=True, separators=(",", ":"), allow_nan=False)
     return int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:4], "big") & 0x7FFFFFFF
 
 
 def layout_seed(task: str, seed: int, episode: int) -> int:
-    """Of the world of one evaluation episode."""
+    """Derive the seed of the world of one evaluation episode."""
     return derive("layout", task, seed, episode)
 
 
 def operator_seed(task: str, variant: str, value: float | None, seed: int, episode: int) -> int:
-    """Of the operator's mistakes in one evaluation episode."""
+    """Derive the seed of the operator's mistakes in one evaluation episode."""
     return derive("operator", task, variant, value, seed, episode)
 
 
 def method_seed(task: str, variant: str, value: float | None, seed: int, episode: int, method: str) -> int:
-    """Of an assistant's own sampling in one evaluation episode."""
+    """Derive the seed of an assistant's own sampling in one evaluation episode."""
     return derive("method", task, variant, value, seed, episode, method)
 
 

@@ -23,7 +23,7 @@ from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import GATE_NONE, INTERVENED
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import DrawnNoise, Operator
-from wasp_cli.studies.simulator import NoCritics
+from wasp_cli.studies.oracle import NoCritics
 
 Array = NDArray[Any]
 

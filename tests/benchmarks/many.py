@@ -19,8 +19,7 @@ from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.stats.frame import Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
-from wasp_cli.report.tables.details import detail_table, latency_table, threshold_table
-from wasp_cli.report.tables.main import ablation_table, main_table
+from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, cell_table
 
 TASKS = ("goal1", "race1", "formula1")

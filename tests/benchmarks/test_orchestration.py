@@ -76,7 +76,7 @@ def warmed(jobs: int, tmp_path: Path, fakes: Fakes, **behaviour: float) -> LokyP
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_cell_costs_less_than_ten_milliseconds(benchmark: Any, jobs: int, fakes: Fakes, tmp_path: Path) -> None:
-    """Cells that do nothing: what is left is lock, log, pulse, staging, manifest, fsync, rename, journal."""
+    """Cells that do nothing: what is left is lock, log, heartbeat, staging, manifest, fsync, rename, journal."""
     pool = warmed(jobs, tmp_path, fakes)
     layout, plan, run_id = cells_alone(200, tmp_path, "many")
     cells = len(plan.to_run())

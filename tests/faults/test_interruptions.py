@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.run.harness import Fakes, data_of, group_is_gone, run, start, wait_until
-from wasp_cli.run.record import read_journal
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import read_json_lines
 
 
 def finished(results: Path) -> set[str]:
@@ -52,7 +52,7 @@ def test_the_first_signal_lets_finish_what_runs(
     assert len(ran) == len(finished(results)), "something began and did not finish"
     assert not list(results.glob("tmp/*"))
     (journal,) = results.glob("runs/*/journal.jsonl")
-    assert [event["event"] for event in read_journal(journal)][-1] == "run interrupted"
+    assert [event["event"] for event in read_json_lines(journal)][-1] == "run interrupted"
     fakes.set()
     summary = run(small_spec, results)
     assert summary.complete
@@ -108,7 +108,7 @@ def test_a_killed_run_leaves_no_workers_and_no_partial_artifacts(everything: boo
     assert not list(results.glob("tmp/*"))
     assert data_of(results) == data_of_undisturbed(small_spec, tmp_path)
     layout = Layout(results)
-    events = [read_journal(journal)[-1]["event"] for journal in sorted(layout.runs.glob("*/journal.jsonl"))]
+    events = [read_json_lines(journal)[-1]["event"] for journal in sorted(layout.runs.glob("*/journal.jsonl"))]
     assert events[-1] == "run ended"
 
 

@@ -4,8 +4,11 @@ import random
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.grid import Grid, lay_out
+from wasp_cli.plan.grid import Grid, lay_out, stage_class
 from wasp_cli.plan.node import Node, waves
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec, validate
@@ -55,6 +58,13 @@ def test_table_1_has_the_size_of_the_paper() -> None:
 def test_the_expert_runs_once_for_all_operators() -> None:
     cells = [cell for cell, _ in grid().cells if cell.method == "expert"]
     assert [(cell.operator, cell.severity, cell.value) for cell in cells] == [("none", None, None)] * 2
+
+
+def test_a_stage_that_needs_an_unknown_one_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage_class("latents"), "needs", ("world_modl",))
+    with pytest.raises(WaspError, match="the stage 'latents' needs an unknown stage 'world_modl'") as caught:
+        grid()
+    assert caught.value.hint == "did you mean 'world_model'?"
 
 
 def test_what_a_method_reads_may_depend_on_its_settings() -> None:

@@ -105,6 +105,22 @@ def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsi
     assert of_preset == keys(outsider, "--set", "habits.updates=4")
 
 
+def test_another_class_of_the_same_module_has_other_keys(outsider: Path) -> None:
+    before = keys(outsider)
+    (outsider / "method.py").write_text("class Nudge: ...\nclass Shove: ...\n", encoding="utf-8")
+    (outsider / "stage.py").write_text(dedent(STAGE) + "\n\nclass OtherStage(HabitsStage): ...\n", encoding="utf-8")
+    written = keys(outsider)
+    moved = {label for label in before if before[label] != written[label]}
+    (outsider / "entries.py").write_text(REGISTERED.replace("method:Nudge", "method:Shove"), encoding="utf-8")
+    method = keys(outsider)
+    cells = {label for label in before if "nudge" in label}
+    assert cells
+    assert {label for label in before if method[label] != written[label]} == cells
+    (outsider / "entries.py").write_text(REGISTERED.replace("stage:HabitsStage", "stage:OtherStage"), encoding="utf-8")
+    stage = keys(outsider)
+    assert {label for label in before if stage[label] != written[label]} == moved
+
+
 def test_its_section_has_values_of_presets_checks_and_a_schema(outsider: Path) -> None:
     spec = outsider.parents[1] / "outside.yaml"
     spec.write_text(SPEC + "habits: {updates: 0, operators: {lagy: [0.5]}}\n", encoding="utf-8")

@@ -12,7 +12,7 @@ from PIL import Image
 from tests.report.branched import with_invented_branches
 from tests.report.invented import write_grid
 from tests.report.test_golden import golden
-from wasp_cli.report.figures.necessity import necessity_figure
+from wasp_cli.report.figures.methods import necessity_figure
 from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame

@@ -19,11 +19,11 @@ from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.run.reach import remove_unreached, unreached
-from wasp_cli.run.record import read_journal
 from wasp_cli.store import gc
 from wasp_cli.store.artifact import staging_folder, sweep, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held, is_held
+from wasp_cli.store.plain import read_json_lines
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     fakes.set(seconds=0.0)
     run(other_spec, results)  # newer, and of the same name
     looked = 0
-    while process.poll() is None and read_journal(journal)[-1]["event"] != "run ended":
+    while process.poll() is None and read_json_lines(journal)[-1]["event"] != "run ended":
         before = artifacts(results)
         collect(results, "--yes", "--runs")
         assert before <= artifacts(results)
@@ -146,7 +146,7 @@ def test_a_run_that_died_holds_nothing(fakes: Fakes, small_spec: Path, other_spe
     results = tmp_path / "results"
     layout, run_id = two_runs(small_spec, other_spec, results)
     journal = layout.run(run_id) / "journal.jsonl"
-    events = [event for event in read_journal(journal) if event["event"] != "run ended"]
+    events = [event for event in read_json_lines(journal) if event["event"] != "run ended"]
     for facts, stays in ((process(os.getpid()), True), ({**process(os.getpid()), "boot": "another"}, False)):
         events[0] |= facts
         journal.write_text("".join(json.dumps(event) + "\n" for event in events))

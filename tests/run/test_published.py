@@ -15,10 +15,9 @@ from wasp_cli.plan import grid, reasons, reuse
 from wasp_cli.plan.closure import closure
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.run.session import RunOptions, run_spec
-from wasp_cli.run.sweep import run_sweep
+from wasp_cli.run.session import RunOptions, run_spec, run_sweep
+from wasp_cli.spec.derived import read_sweep
 from wasp_cli.spec.load import load
-from wasp_cli.spec.sweep import read_sweep
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 

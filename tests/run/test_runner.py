@@ -12,11 +12,12 @@ from tests.run.harness import Fakes, data_of, prepared, run
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pool import InlinePool, LokyPool
-from wasp_cli.run.record import new_run, read_journal, read_run
+from wasp_cli.run.record import new_run, read_run
 from wasp_cli.run.runner import Runner, failures_text
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
+from wasp_cli.store.plain import read_json_lines
 
 
 def test_a_run_computes_every_node_once_and_a_second_run_none(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -110,7 +111,7 @@ def test_the_journal_and_the_record_tell_the_run(fakes: Fakes, small_spec: Path,
     runs, damaged = last_runs(layout)
     assert not damaged
     assert list(runs) == ["small"]
-    events = read_journal(layout.run(runs["small"]) / "journal.jsonl")
+    events = read_json_lines(layout.run(runs["small"]) / "journal.jsonl")
     counts = {name: sum(event["event"] == name for event in events) for name in ("done", "failed", "blocked", "run started", "run ended")}
     assert counts == {"done": summary.done, "failed": 1, "blocked": len(summary.blocked), "run started": 1, "run ended": 1}
     recorded = read_run(layout, runs["small"])

@@ -14,9 +14,8 @@ from wasp_cli.console import err
 from wasp_cli.errors import CellsFailed, UnknownName, UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
-from wasp_cli.run.session import RunOptions
-from wasp_cli.run.sweep import SweepSession, on_task, run_sweep
-from wasp_cli.spec.sweep import read_sweep
+from wasp_cli.run.session import RunOptions, SweepSession, on_task, run_sweep
+from wasp_cli.spec.derived import read_sweep
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 

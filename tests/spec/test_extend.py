@@ -12,10 +12,9 @@ from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_run
-from wasp_cli.spec.derived import ablation, bench_configs
+from wasp_cli.spec.derived import ablation, bench_configs, read_sweep
 from wasp_cli.spec.load import LONGEST_CHAIN, load
 from wasp_cli.spec.places import InvalidSpec
-from wasp_cli.spec.sweep import read_sweep
 from wasp_cli.store.layout import Layout
 
 BASE = """\

@@ -14,8 +14,7 @@ from tests.commands import run_here
 from wasp_cli.methods.registry import METHODS, MethodInfo
 from wasp_cli.spec.load import chain_of
 from wasp_cli.spec.model import spec_type
-from wasp_cli.spec.plain import plain
-from wasp_cli.spec.read import parse, read
+from wasp_cli.spec.read import parse, plain, read
 from wasp_cli.spec.schema import FOREIGN, spec_schema
 from wasp_cli.tasks.registry import is_foreign
 

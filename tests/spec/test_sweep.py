@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, split, values_of
 from wasp_cli.spec.load import Override
 from wasp_cli.spec.names import LONGEST, spec_name
 from wasp_cli.spec.places import InvalidSpec
-from wasp_cli.spec.sweep import CELLS, Sweep, read_sweep, split, values_of
 
 SPEC = """\
 name: little

@@ -15,9 +15,8 @@ from wasp_cli.cli.doctor import doctor_app
 from wasp_cli.cli.inspect import inspect_app
 from wasp_cli.cli.report import report_app
 from wasp_cli.cli.run import run_app
-from wasp_cli.cli.spec import spec_app
+from wasp_cli.cli.spec import spec_app, tasks_app
 from wasp_cli.cli.store import store_app
-from wasp_cli.cli.tasks import tasks_app
 
 app = typer.Typer(
     name="wasp",
@@ -46,7 +45,7 @@ def main_options(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of expected errors too (or set WASP_DEBUG=1).")] = False,
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")] = False,
 ) -> None:
-    """Options of every command."""
+    """Take the options of every command."""
     if debug:
         os.environ["WASP_DEBUG"] = "1"
 

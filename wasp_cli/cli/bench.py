@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JsonOption, ResultsOption, SetOption, SpecArgument, TaskOption, expected_errors, print_json
+from wasp_cli.cli.options import (
+    JsonOption,
+    ResultsOption,
+    SetOption,
+    SpecArgument,
+    TaskOption,
+    argument,
+    expected_errors,
+    option,
+    print_json,
+)
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its speed, and its results with oracle dynamics.")
 
@@ -22,16 +32,9 @@ bench_app = typer.Typer(no_args_is_help=True, help="Measure the planner: its spe
 def planner(
     spec: Annotated[
         Path | None,
-        typer.Argument(
-            metavar="[SPEC]",
-            help="Sizes of models and planner. (default: the preset cpu)",
-            show_default=False,
-            autocompletion=complete.specs,
-        ),
+        argument(metavar="[SPEC]", help="Sizes of models and planner. (default: the preset cpu)", autocompletion=complete.specs),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option("--threads", min=1, metavar="N", help="CPU threads. (default: all cores)", show_default=False)
-    ] = None,
+    threads: Annotated[int | None, option("--threads", min=1, metavar="N", help="CPU threads. (default: all cores)")] = None,
     batch: Annotated[int, typer.Option("--batch", min=1, metavar="B", help="Episodes decided side by side.")] = 1,
     repeats: Annotated[int, typer.Option("--repeats", min=1, metavar="N", help="Timed decisions of each kind.")] = 5,
     json: JsonOption = False,
@@ -42,7 +45,7 @@ def planner(
     Times are compared with plain matrix products of the same sizes. Two planners run on the same models: one with the paper's sizes and
     one rollout per candidate, one with the sizes of the spec.
     """
-    from wasp_cli import console
+    from wasp_cli.console import out, say
     from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.spec.derived import bench_configs
@@ -51,17 +54,16 @@ def planner(
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
     from wasp_cli.studies.planner_timing import bench_planner, bench_table, notes
 
-    found = {
+    timings = {
         name: bench_planner(*configs, batch=batch, threads=cores() if threads is None else threads, repeats=repeats)
         for name, configs in bench_configs(spec, set_ or ()).items()
     }
     if json:
-        print_json({name: bench.as_json() for name, bench in found.items()})
+        print_json({name: bench.as_json() for name, bench in timings.items()})
         return
-    console.out().print(terminal(bench_table(found), console.out().width))
-    for name, bench in found.items():
-        for line in notes(name, bench):
-            console.out().print(line, markup=False, soft_wrap=True)
+    out().print(terminal(bench_table(timings), out().width))
+    for name, bench in timings.items():
+        say(*notes(name, bench))
 
 
 @bench_app.command("ceiling", hidden=True)  # the name of earlier versions
@@ -73,25 +75,17 @@ def planner(
 @expected_errors
 def oracle(
     spec: SpecArgument,
-    operator: Annotated[str, typer.Option("--operator", metavar="NAME=VALUE", help="Operator to assist: laggy=0.7.", show_default=False)],
+    operator: Annotated[str, option("--operator", metavar="NAME=VALUE", help="Operator to assist: laggy=0.7.")],
     task: TaskOption = None,
     episodes: Annotated[int, typer.Option("--episodes", min=1, metavar="N", help="Episodes per method.")] = 8,
     variant: Annotated[
         list[str] | None,
-        typer.Option(
-            "--variant",
-            metavar="NAME",
-            help="WASP variant (repeatable). (default: full)",
-            show_default=False,
-            autocompletion=complete.variants,
-        ),
+        option("--variant", metavar="NAME", help="WASP variant (repeatable). (default: full)", autocompletion=complete.variants),
     ] = None,
     tau_r: Annotated[
         float, typer.Option("--tau-r", min=0.0, metavar="GAIN", help="Threshold of the task gate (it is not calibrated here).")
     ] = 0.3,
-    threads: Annotated[
-        int | None, typer.Option("--threads", min=1, metavar="N", help="Simulator threads. (default: all cores)", show_default=False)
-    ] = None,
+    threads: Annotated[int | None, option("--threads", min=1, metavar="N", help="Simulator threads. (default: all cores)")] = None,
     results: ResultsOption = Path("results"),
     json: JsonOption = False,
     set_: SetOption = None,
@@ -101,17 +95,17 @@ def oracle(
     This shows what the planner reaches when the model makes no errors, beside Human-only in the same episodes. The planner is the spec's;
     operator and imagination use the expert that a run of this spec has trained.
     """
-    from wasp_cli import console
+    from wasp_cli.console import out
     from wasp_cli.report.render.text import terminal
     from wasp_cli.run.session import cores
     from wasp_cli.studies.oracle_run import measure_oracle, oracle_table
 
-    cell, found = measure_oracle(
+    cell, outcomes = measure_oracle(
         spec, task, operator, variant or ["full"],
         episodes=episodes, tau_r=tau_r, threads=cores() if threads is None else threads, results=results, settings=set_ or (),
     )  # fmt: skip
     if json:
         print_json({"task": cell.task, "operator": cell.variant, "value": cell.value, "seed": cell.seed, "tau_r": tau_r,
-                    "rows": [outcome.as_json() for outcome in found]})  # fmt: skip
+                    "rows": [outcome.as_json() for outcome in outcomes]})  # fmt: skip
         return
-    console.out().print(terminal(oracle_table(cell, found), console.out().width))
+    out().print(terminal(oracle_table(cell, outcomes), out().width))

@@ -15,6 +15,7 @@ from wasp_cli.cli.options import (
     ResultsOption,
     StoredCellArgument,
     expected_errors,
+    option,
     print_json,
 )
 
@@ -24,10 +25,7 @@ WIDTH = 140
 
 inspect_app = typer.Typer()
 
-RunOption = Annotated[
-    str | None,
-    typer.Option("--run", metavar="ID", help="The run: a folder name in runs/, or its end. (default: the newest)", show_default=False),
-]
+RunOption = Annotated[str | None, option("--run", metavar="ID", help="The run: a folder name in runs/, or its end. (default: the newest)")]
 
 
 @inspect_app.command(
@@ -74,16 +72,16 @@ def logs(
     import sys
 
     from wasp_cli.plan.recorded import named_run, planned_runs
-    from wasp_cli.run.logs import find_log, write_log
     from wasp_cli.run.record import results_of
+    from wasp_cli.run.show import find_log, write_log
 
     layout = results_of(results)
     runs = planned_runs(layout)
-    found = find_log(layout, runs if run is None else [named_run(runs, run)], node)
+    log = find_log(layout, runs if run is None else [named_run(runs, run)], node)
     if path:
-        print(found.path)
+        print(log.path)
     else:
-        write_log(found, sys.stdout)
+        write_log(log, sys.stdout)
 
 
 @inspect_app.command(
@@ -96,7 +94,7 @@ def show(node: NodeArgument, results: ResultsOption = Path("results"), json: Jso
     """Show a node: its numbers, configuration, inputs, files, provenance, and last failure."""
     from dataclasses import asdict
 
-    from wasp_cli.console import out
+    from wasp_cli.console import say
     from wasp_cli.report.node import node_facts, node_lines
     from wasp_cli.run.record import results_of
     from wasp_cli.store.find import find_node
@@ -106,8 +104,7 @@ def show(node: NodeArgument, results: ResultsOption = Path("results"), json: Jso
     if json:
         print_json(asdict(facts))
         return
-    for line in node_lines(facts):
-        out().print(line, soft_wrap=True)
+    say(*node_lines(facts))
 
 
 @inspect_app.command(
@@ -120,10 +117,7 @@ def explain(
     cell: StoredCellArgument,
     episode: EpisodeOption,
     step: Annotated[
-        int | None,
-        typer.Option(
-            "--step", "-s", metavar="T", help="One decision, with its plan. (default: a summary of the episode)", show_default=False
-        ),
+        int | None, option("--step", "-s", metavar="T", help="One decision, with its plan. (default: a summary of the episode)")
     ] = None,
     results: ResultsOption = Path("results"),
     json: JsonOption = False,
@@ -134,7 +128,7 @@ def explain(
     """
     import shlex
 
-    from wasp_cli.console import out
+    from wasp_cli.console import out, say
     from wasp_cli.report.explain.collect import decision_facts, summarize
     from wasp_cli.report.explain.decision_text import decision_lines
     from wasp_cli.report.explain.episode_text import episode_lines
@@ -153,8 +147,7 @@ def explain(
     if results != Path("results"):
         again += f" --results {shlex.quote(str(results))}"
     lines = episode_lines(facts, width, again) if isinstance(facts, EpisodeSummary) else decision_lines(facts, width)
-    for line in lines:
-        out().print(line, soft_wrap=True)
+    say(*lines)
 
 
 @inspect_app.command(
@@ -168,28 +161,20 @@ def replay(
     episode: EpisodeOption,
     step: Annotated[
         int | None,
-        typer.Option(
-            "--step",
-            "-s",
-            metavar="T",
-            help="One decision: with the executed action, and with the command. (default: the whole episode)",
-            show_default=False,
+        option(
+            "--step", "-s", metavar="T", help="One decision: with the executed action, and with the command. (default: the whole episode)"
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--out",
             "-o",
             metavar="FILE",
             help="A .gif, .apng or .webp; a .png is animated too, but a still with --step. (default: a GIF here)",
-            show_default=False,
         ),
     ] = None,
-    every: Annotated[
-        int | None,
-        typer.Option("--every", min=1, metavar="N", help="Decisions per frame. (default: at most 125 frames)", show_default=False),
-    ] = None,
+    every: Annotated[int | None, option("--every", min=1, metavar="N", help="Decisions per frame. (default: at most 125 frames)")] = None,
     results: ResultsOption = Path("results"),
     json: Annotated[bool, typer.Option("--json", help="With --step: print the numbers as JSON.")] = False,
 ) -> None:
@@ -200,8 +185,7 @@ def replay(
 
     This runs the task. For a gymnasium environment it imports the module that the cell names: only do so if you trust it.
     """
-    from wasp_cli.console import following
-    from wasp_cli.console import out as stdout
+    from wasp_cli.console import following, say
     from wasp_cli.errors import UsageError
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.layout import Layout
@@ -213,16 +197,15 @@ def replay(
     if every is not None and step is not None:
         raise UsageError("--every cannot be used with --step", "the video of one decision has a frame for every decision")
     layout = Layout(results.absolute())
-    found = find_cell(layout, cell)
+    stored = find_cell(layout, cell)
     with following("replay") as progress:
         if step is None:
-            path, made = written(layout, found, episode, out, every, progress)
+            path, made = written(layout, stored, episode, out, every, progress)
         else:
-            path, verdict = replay_step(layout, found, episode, step, out, progress)
+            path, verdict = replay_step(layout, stored, episode, step, out, progress)
     if step is None:
-        stdout().print(f"{path}: {made.frames} frames", markup=False, soft_wrap=True)
+        say(f"{path}: {made.frames} frames")
     elif json:
-        print_json(verdict.as_json() | {"cell": found.label, "key": found.key, "file": str(path)})
+        print_json(verdict.as_json() | {"cell": stored.label, "key": stored.key, "file": str(path)})
     else:
-        for line in (*verdict.lines(), str(path)):
-            stdout().print(line, markup=False, soft_wrap=True)
+        say(*verdict.lines(), str(path))

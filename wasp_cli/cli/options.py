@@ -21,6 +21,10 @@ R = TypeVar("R")
 INTERRUPTED = 130
 PIPE_CLOSED = 141
 
+option = functools.partial(typer.Option, show_default=False)
+argument = functools.partial(typer.Argument, show_default=False)
+"""Those whose default is None, or is explained in the help."""
+
 
 def parse_folder(value: str | Path) -> Path:
     """Return a folder as it was typed; refuse an empty name."""
@@ -31,91 +35,57 @@ def parse_folder(value: str | Path) -> Path:
 
 def parse_duration(text: str | float) -> float:
     """Return the seconds of a duration as it is typed: `90`, `90s`, `30m`, `2h`."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
-    seconds = float(found[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[found[2]] if found else 0.0
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
+    seconds = float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]] if match else 0.0
     if not seconds:
         raise typer.BadParameter(f"invalid duration '{text}'; write seconds (90), minutes (30m) or hours (2h)")
     return seconds
 
 
-SpecArgument = Annotated[
-    Path,
-    typer.Argument(metavar="SPEC", help="A spec, for example specs/quickstart.yaml.", show_default=False, autocompletion=complete.specs),
-]
+SpecArgument = Annotated[Path, argument(metavar="SPEC", help="A spec, for example specs/quickstart.yaml.", autocompletion=complete.specs)]
 ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=parse_folder, help="The results folder.")]
 ResultsArgument = Annotated[Path, typer.Argument(metavar="DIR", parser=parse_folder, help="The results folder.")]
-NodeArgument = Annotated[
-    str,
-    typer.Argument(metavar="NODE", help="A label ('goal1 s0 world_model'), or the beginning of a key.", show_default=False),
-]
+NodeArgument = Annotated[str, argument(metavar="NODE", help="A label ('goal1 s0 world_model'), or the beginning of a key.")]
 StoredCellArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or a cell.parquet.", show_default=False
-    ),
+    str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or a cell.parquet.")
 ]
-EpisodeOption = Annotated[int, typer.Option("--episode", "-e", metavar="E", help="The episode, counted from 0.", show_default=False)]
+EpisodeOption = Annotated[int, option("--episode", "-e", metavar="E", help="The episode, counted from 0.")]
 TaskOption = Annotated[
-    str | None,
-    typer.Option("--task", "-t", metavar="TASK", help="Only this task of the spec.", show_default=False, autocompletion=complete.tasks),
+    str | None, option("--task", "-t", metavar="TASK", help="Only this task of the spec.", autocompletion=complete.tasks)
 ]
 JobsOption = Annotated[
     int | None,
-    typer.Option(
-        "--jobs",
-        "-j",
-        min=0,
-        metavar="N",
-        help="At most N worker processes; 0 computes in this process. (default: all cores)",
-        show_default=False,
-    ),
+    option("--jobs", "-j", min=0, metavar="N", help="At most N worker processes; 0 computes in this process. (default: all cores)"),
 ]
 TimeoutOption = Annotated[
     float | None,
-    typer.Option(
-        "--timeout",
-        metavar="TIME",
-        parser=parse_duration,
-        help="Time limit of each node: 90, 30m, 2h. (default: no limit)",
-        show_default=False,
-    ),
+    option("--timeout", metavar="TIME", parser=parse_duration, help="Time limit of each node: 90, 30m, 2h. (default: no limit)"),
 ]
 RetriesOption = Annotated[
     int, typer.Option("--retries", min=0, max=9, metavar="N", help="Retries of a node that fails for a reason which may pass.")
 ]
 BackendOption = Annotated[str, typer.Option("--backend", metavar="NAME", envvar="WASP_BACKEND", help="Workers: loky (local), dask or ray.")]
 SchedulerOption = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", metavar="URL", envvar="WASP_SCHEDULER", help="Address of the dask scheduler or ray cluster.", show_default=False
-    ),
+    str | None, option("--scheduler", metavar="URL", envvar="WASP_SCHEDULER", help="Address of the dask scheduler or ray cluster.")
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Override a value of the spec (repeatable).",
-        show_default=False,
-        autocompletion=complete.settings,
-    ),
+    option("--set", metavar="KEY=VALUE", help="Override a value of the spec (repeatable).", autocompletion=complete.settings),
 ]
 SelectOption = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--select",
         metavar="FIELD=VALUE,...",
         help="Only these cells: 'task=race1,method=wasp|ida'; 'stage=world_model' selects training nodes (repeatable).",
-        show_default=False,
     ),
 ]
 ReuseOption = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--reuse",
         metavar="none|published|DIR",
         help="Published results to use instead of computing: none, results/published, or a folder. (default: what the spec says)",
-        show_default=False,
     ),
 ]
 FailedOption = Annotated[bool, typer.Option("--failed", help="Only nodes that failed before, and nodes that wait for them.")]

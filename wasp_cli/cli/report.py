@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli.options import JsonOption, ResultsArgument, expected_errors, parse_folder, print_json
+from wasp_cli.cli.options import JsonOption, ResultsArgument, argument, expected_errors, option, parse_folder, print_json
 
 if TYPE_CHECKING:
     from wasp_cli.compare.runs import Compared, Side
@@ -31,17 +31,9 @@ report_app = typer.Typer()
 @expected_errors
 def report(
     folder: ResultsArgument = Path("results"),
-    spec: Annotated[
-        str | None, typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)", show_default=False)
-    ] = None,
+    spec: Annotated[str | None, option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)")] = None,
     paper: Annotated[
-        Path | None,
-        typer.Option(
-            "--paper",
-            metavar="FILE",
-            help="File with a paper's numbers and claims. (default: specs/paper.yaml)",
-            show_default=False,
-        ),
+        Path | None, option("--paper", metavar="FILE", help="File with a paper's numbers and claims. (default: specs/paper.yaml)")
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
     films: Annotated[bool, typer.Option("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
@@ -75,8 +67,8 @@ def report(
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
     if damaged:
-        found = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
-        raise ArtifactError(f"part of the results cannot be read:\n{found}", "run the spec again: only damaged results are computed again")
+        lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
+        raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
     if strict and missing:
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
@@ -105,7 +97,7 @@ def show_report(
         films: whether the HTML report has films of episodes.
         trained: whether each trained part is drawn.
     """
-    from wasp_cli.console import err, out
+    from wasp_cli.console import err, out, say
     from wasp_cli.report.summarize import report_run
 
     report = report_run(layout.root, spec, cells, parts, paper, branched)
@@ -117,8 +109,8 @@ def show_report(
     beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
     left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
     further = f"; wasp report adds {' and '.join(left_out)}" if left_out else ""
-    out().print(f"report: {page} ({beside}{further})", markup=False, soft_wrap=True)
-    out().print(f"rows and artifacts: {layout.root / 'store'}", markup=False, soft_wrap=True)
+    say(f"report: {page} ({beside}{further})")
+    say(f"rows and artifacts: {layout.root / 'store'}")
     return report
 
 
@@ -136,27 +128,16 @@ def _film_drawing() -> Draw:
 )
 @expected_errors
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", parser=parse_folder, help="A results folder.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="B", parser=parse_folder, help="Another results folder.", show_default=False)],
+    first: Annotated[Path, argument(metavar="A", parser=parse_folder, help="A results folder.")],
+    second: Annotated[Path, argument(metavar="B", parser=parse_folder, help="Another results folder.")],
     spec: Annotated[
-        str | None,
-        typer.Option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran in both)", show_default=False),
+        str | None, option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran in both)")
     ] = None,
-    spec_a: Annotated[
-        str | None, typer.Option("--spec-a", metavar="NAME", help="The spec in A; needs --spec-b.", show_default=False)
-    ] = None,
-    spec_b: Annotated[
-        str | None, typer.Option("--spec-b", metavar="NAME", help="The spec in B; needs --spec-a.", show_default=False)
-    ] = None,
+    spec_a: Annotated[str | None, option("--spec-a", metavar="NAME", help="The spec in A; needs --spec-b.")] = None,
+    spec_b: Annotated[str | None, option("--spec-b", metavar="NAME", help="The spec in B; needs --spec-a.")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            parser=parse_folder,
-            help="Also write the comparison there, as Markdown, CSV, LaTeX and HTML.",
-            show_default=False,
-        ),
+        option("--out", metavar="DIR", parser=parse_folder, help="Also write the comparison there, as Markdown, CSV, LaTeX and HTML."),
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit with 1 if a cell differs by more than noise, or is missing in A or B.")
@@ -170,20 +151,21 @@ def compare(
     from wasp_cli.compare.runs import compare as compared_runs
     from wasp_cli.compare.text import as_json, show, write
     from wasp_cli.console import out as console
+    from wasp_cli.console import say
     from wasp_cli.errors import NotAccepted, UsageError
 
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"'{out}' is not a folder", "--out names a folder; it is created if it does not exist")
-    found: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
-    paths = [] if out is None else write(found, out)
+    comparisons: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
+    paths = [] if out is None else write(comparisons, out)
     if json:
-        print_json([as_json(each) for each in found])
+        print_json([as_json(each) for each in comparisons])
     else:
-        for each in found:
+        for each in comparisons:
             show(each, console())
         if paths:
-            console().print(f"written: {paths[0]} (its tables are in the same folder)", markup=False, soft_wrap=True)
-    unlike = [each.first.spec.name for each in found if not each.alike]
+            say(f"written: {paths[0]} (its tables are in the same folder)")
+    unlike = [each.first.spec.name for each in comparisons if not each.alike]
     if strict and unlike:
         raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names the cells that are missing or differ by more than noise")
 
@@ -213,11 +195,11 @@ def _pairs(first: Path, second: Path, spec: str | None, spec_a: str | None, spec
         if not names:
             which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))
             raise UsageError(f"no spec has run in both folders: {which}", "choose one of each with --spec-a and --spec-b")
-        found = []
+        pairs = []
         for pair in names:
             sides = [(layout, read_run(layout, known[name])) for layout, known, name in zip(layouts, runs, pair, strict=True)]
             a, b = (Side(layout, run.run_id, run.spec, run.cells) for layout, run in sides)
-            found.append((a, b))
+            pairs.append((a, b))
     except (StoreError, ArtifactError) as error:
         raise UsageError(error.message, error.hint) from error
-    return found
+    return pairs

@@ -24,6 +24,7 @@ from wasp_cli.cli.options import (
     TaskOption,
     TimeoutOption,
     expected_errors,
+    option,
     print_json,
 )
 from wasp_cli.cli.report import show_report
@@ -105,26 +106,16 @@ def plan(
 @expected_errors
 def ablate(
     variant: Annotated[
-        str,
-        typer.Option(
-            "--variant", metavar="NAME", help="The ablation, for example no-case2.", show_default=False, autocompletion=complete.variants
-        ),
+        str, option("--variant", metavar="NAME", help="The ablation, for example no-case2.", autocompletion=complete.variants)
     ],
     task: Annotated[
-        str | None,
-        typer.Option(
-            "--task", "-t", metavar="TASK", help="Only this task. (default: the spec's)", show_default=False, autocompletion=complete.tasks
-        ),
+        str | None, option("--task", "-t", metavar="TASK", help="Only this task. (default: the spec's)", autocompletion=complete.tasks)
     ] = None,
     spec: Annotated[
-        Path,
-        typer.Option("--spec", metavar="SPEC", help="The spec with operators, seeds and budgets.", autocompletion=complete.specs),
+        Path, typer.Option("--spec", metavar="SPEC", help="The spec with operators, seeds and budgets.", autocompletion=complete.specs)
     ] = Path("specs/table2.yaml"),
     preset: Annotated[
-        str | None,
-        typer.Option(
-            "--preset", metavar="NAME", help="Sizes and budgets. (default: the spec's)", show_default=False, autocompletion=complete.presets
-        ),
+        str | None, option("--preset", metavar="NAME", help="Sizes and budgets. (default: the spec's)", autocompletion=complete.presets)
     ] = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
@@ -156,23 +147,21 @@ def sweep(
     spec: SpecArgument,
     vary: Annotated[
         list[str],
-        typer.Option(
+        option(
             "--vary",
             metavar="KEY=V1,V2,...",
             help="The setting and its values, each written as for --set.",
-            show_default=False,
             autocompletion=complete.settings,
         ),
     ],
     task: TaskOption = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--method",
             "-m",
             metavar="NAME",
             help="Only this method of the spec (repeatable). (default: Human-only and the method of the setting, or all methods)",
-            show_default=False,
             autocompletion=complete.methods,
         ),
     ] = None,
@@ -189,12 +178,12 @@ def sweep(
 
     What does not depend on the setting is computed once. Results that are in the results folder already are used.
     """
-    from wasp_cli.console import out
+    from wasp_cli.console import out, say
     from wasp_cli.errors import UsageError
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
-    from wasp_cli.run.sweep import on_task, run_sweep
-    from wasp_cli.spec.sweep import read_sweep
+    from wasp_cli.run.session import on_task, run_sweep
+    from wasp_cli.spec.derived import read_sweep
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
@@ -208,7 +197,7 @@ def sweep(
         print_json({**report.as_json(), "report": str(page)})
     else:
         report.terminal(out())
-        out().print(f"report: {page} (tables as text and LaTeX, and curves, are in the same folder)", markup=False, soft_wrap=True)
+        say(f"report: {page} (tables as text and LaTeX, and curves, are in the same folder)")
     done.session.require_complete()
     require_cells(report.missing, layout)
 
@@ -237,7 +226,7 @@ def operators(
     An operator is accepted if its return falls with every severity, and its moderate severity loses at least a quarter of the expert's
     return. Missing cells are computed; `wasp run` with the same spec uses them.
     """
-    from wasp_cli.console import out
+    from wasp_cli.console import out, say
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.render.files import make_own, write_pages
     from wasp_cli.report.render.text import terminal
@@ -260,8 +249,7 @@ def operators(
         print_json(as_json(loaded.spec.name, checks, frame))
     else:
         out().print(terminal(table, out().width))
-        for line in ("", *verdict_lines(checks), f"table: {', '.join(map(str, files))}"):
-            out().print(line, markup=False, soft_wrap=True)
+        say("", *verdict_lines(checks), f"table: {', '.join(map(str, files))}")
     session.require_complete()
     require_cells(frame.missing, session.layout)
     require_accepted(checks)

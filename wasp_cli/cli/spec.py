@@ -1,4 +1,4 @@
-"""`wasp check` and `wasp schema`."""
+"""`wasp check`, `wasp schema`, `wasp tasks` and `wasp tasks show`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JsonOption, SetOption, expected_errors, print_json
+from wasp_cli.cli.options import JsonOption, SetOption, argument, expected_errors, option, print_json
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from wasp_cli.spec.places import Problem
+    from wasp_cli.tasks.describe import Description
 
 PANEL = "Specs and tasks"
 
@@ -26,16 +29,16 @@ spec_app = typer.Typer()
 )
 @expected_errors
 def check(
-    specs: Annotated[list[Path], typer.Argument(metavar="SPEC...", help="YAML files.", show_default=False, autocompletion=complete.specs)],
+    specs: Annotated[list[Path], argument(metavar="SPEC...", help="YAML files.", autocompletion=complete.specs)],
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Validate specs and paper files: every mistake at once, with file, line and column."""
-    from wasp_cli.console import out
+    from wasp_cli.console import say
     from wasp_cli.errors import SpecError
     from wasp_cli.spec.places import InvalidSpec
 
-    found: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     refused: dict[Problem, None] = {}  # two specs may extend the same wrong one
     for path in specs:
         try:
@@ -43,13 +46,13 @@ def check(
         except InvalidSpec as error:
             refused |= dict.fromkeys(error.problems)
             problems = [problem.as_json() for problem in error.problems]
-            found.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
+            results.append({"file": str(path), "ok": False, "cells": None, "problems": problems})
             continue
-        found.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
+        results.append({"file": str(path), "ok": True, "cells": cells, "problems": []})
         if not json:
-            out().print(f"{path}: ok, {what}", markup=False, soft_wrap=True)
+            say(f"{path}: ok, {what}")
     if json:
-        print_json(found)
+        print_json(results)
     if refused and json:
         raise typer.Exit(SpecError.exit_code)  # all is said
     if refused:
@@ -87,3 +90,91 @@ def schema(
     from wasp_cli.spec.schema import spec_schema
 
     print_json(spec_schema(plugins=plugins))
+
+
+tasks_app = typer.Typer(
+    invoke_without_command=True,
+    help="List the tasks, or show one.",
+    epilog="[bold]wasp tasks[/]   ·   [bold]wasp tasks show goal1 --seed 3[/]   ·   [bold]wasp tasks --json | jq '.[].gym_id'[/]",
+)
+
+
+@tasks_app.callback()
+@expected_errors
+def tasks(context: typer.Context, json: JsonOption = False) -> None:
+    """List the tasks with their spaces, cost sources and limits, or show one (wasp tasks show)."""
+    if context.invoked_subcommand is not None:
+        if json:
+            from wasp_cli.errors import UsageError
+
+            raise UsageError("--json is for the list of tasks; a task is shown as a picture", "wasp tasks --json")
+        return
+    from dataclasses import asdict
+
+    from wasp_cli.console import out, say
+    from wasp_cli.tasks.describe import describe
+
+    descriptions = describe()
+    if json:
+        print_json([asdict(task) for task in descriptions])
+        return
+    out().print(task_table(descriptions))
+    say("Any gymnasium id is a task too: docs/own_task.md")
+
+
+def task_table(tasks: Sequence[Description]) -> Table:
+    """Make a row per task."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for heading in ("Task", "Spaces", "Costs", "Limit"):
+        table.add_column(heading, no_wrap=True)
+    for task in tasks:
+        cells = [Text(cell) for cell in (_spaces(task), _costs(task), _limit(task))]
+        table.add_row(Text(task.name, style="bold").append(f"\n{task.gym_id}", style="dim"), *cells)
+        table.add_section()
+    return table
+
+
+def _spaces(task: Description) -> str:
+    shape = "x".join(map(str, task.pixels_shape))
+    return f"state {task.state_size}\npixels {shape}\nprivileged {task.privileged_size}\n{_actions(task)}"
+
+
+def _actions(task: Description) -> str:
+    pairs = zip(task.action_low, task.action_high, strict=True)
+    bounds = dict.fromkeys(f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in pairs)
+    return f"action {len(task.action_low)} in " + ", ".join(bounds)
+
+
+def _costs(task: Description) -> str:
+    return "\n".join(task.cost_sources) or "none"
+
+
+def _limit(task: Description) -> str:
+    goals = f"{task.success_goals} goal{'s' if task.success_goals > 1 else ''}"
+    return f"{task.env_steps} steps\n{task.seconds:g} s\n{goals}"
+
+
+@tasks_app.command(
+    "show",
+    epilog="[bold]wasp tasks show goal1 --seed 3 --out map.png[/]   ·   [bold]wasp tasks show my_pkg:MyEnv-v0[/]\n\n"
+    "Exit codes: 0 done, 1 the environment fails or the file cannot be written, 2 usage.",
+)
+@expected_errors
+def show_task(
+    task: Annotated[str, argument(metavar="ID", help="A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", autocompletion=complete.tasks)],
+    seed: Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, metavar="N", help="Seed of the layout.")] = 0,
+    out: Annotated[Path | None, option("--out", metavar="PNG", help="File of the picture. (default: <task>_seed<N>.png)")] = None,
+    steps: Annotated[
+        int, typer.Option("--steps", min=0, metavar="N", help="Also show the first N decision steps, up to the end of the episode.")
+    ] = 0,
+) -> None:
+    """Draw a layout: the map from above and both camera images."""
+    from wasp_cli.console import say
+    from wasp_cli.tasks.sheet import draw_sheet
+
+    path = draw_sheet(task, seed, steps, out)
+    say(str(path))

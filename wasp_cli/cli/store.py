@@ -15,6 +15,7 @@ from wasp_cli.cli.options import (
     SpecArgument,
     TaskOption,
     expected_errors,
+    option,
     parse_folder,
 )
 
@@ -32,12 +33,9 @@ store_app = typer.Typer()
 def gc(
     folder: ResultsArgument = Path("results"),
     keep: Annotated[
-        list[Path] | None,
-        typer.Option("--keep", metavar="SPEC", help="Also keep what this spec needs, as it is now (repeatable).", show_default=False),
+        list[Path] | None, option("--keep", metavar="SPEC", help="Also keep what this spec needs, as it is now (repeatable).")
     ] = None,
-    older_than: Annotated[
-        float | None, typer.Option("--older-than", min=0, metavar="DAYS", help="Only what is older than this.", show_default=False)
-    ] = None,
+    older_than: Annotated[float | None, option("--older-than", min=0, metavar="DAYS", help="Only what is older than this.")] = None,
     runs: Annotated[bool, typer.Option("--runs", help="Also remove run folders and their logs, except the newest of each spec.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would be removed.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask. Required without a terminal.")] = False,
@@ -56,14 +54,14 @@ def gc(
 
     layout = results_of(folder)
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
-    found = unreached(layout, kept, runs=runs, before=before)
-    show_rubbish(found, out())
-    if not found or dry_run:
+    rubbish = unreached(layout, kept, runs=runs, before=before)
+    show_rubbish(rubbish, out())
+    if not rubbish or dry_run:
         return
     if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
         out().print("nothing was removed: there is no terminal to ask on, and --yes was not given", markup=False)
     elif yes or typer.confirm("Remove all of it?"):
-        done = remove_unreached(layout, kept, found, runs=runs, before=before)
+        done = remove_unreached(layout, kept, rubbish, runs=runs, before=before)
         out().print(removed_line(*done), markup=False)
 
 
@@ -79,20 +77,13 @@ def publish(
     results: ResultsOption = Path("results"),
     to: Annotated[
         Path | None,
-        typer.Option(
-            "--to",
-            metavar="DIR",
-            parser=parse_folder,
-            help="Destination folder. (default: published/ in the results folder)",
-            show_default=False,
-        ),
+        option("--to", metavar="DIR", parser=parse_folder, help="Destination folder. (default: published/ in the results folder)"),
     ] = None,
     task: TaskOption = None,
     select: SelectOption = None,
     largest: Annotated[float, typer.Option("--largest", min=0, metavar="MB", help="Leave out larger artifacts.")] = 8.0,
     reuse: Annotated[
-        str,
-        typer.Option("--reuse", metavar="none|published|DIR", help="none: only what this code computed; otherwise as for wasp run."),
+        str, typer.Option("--reuse", metavar="none|published|DIR", help="none: only what this code computed; otherwise as for wasp run.")
     ] = "none",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would be published.")] = False,
     set_: SetOption = None,
@@ -101,7 +92,7 @@ def publish(
 
     Later runs use them instead of training (--reuse published). What is published already and unchanged stays as it is.
     """
-    from wasp_cli.console import out, waiting_aloud
+    from wasp_cli.console import out, say, waiting_aloud
     from wasp_cli.run.publish import carry_publication, publication
     from wasp_cli.run.record import results_of
     from wasp_cli.run.session import restricted
@@ -115,9 +106,9 @@ def publish(
     target = Layout(layout.published if to is None else to.absolute())
     # Meanwhile nothing is removed.
     with held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True):
-        found = publication(loaded.spec, layout, target, select or (), largest * 1e6, reuse)
-        show_publication(found, largest * 1e6, out())
+        planned = publication(loaded.spec, layout, target, select or (), largest * 1e6, reuse)
+        show_publication(planned, largest * 1e6, out())
         if dry_run:
             return
-        carry_publication(found, loaded.spec, layout, target)
-    out().print(f"published in {target.root}", markup=False, soft_wrap=True)
+        carry_publication(planned, loaded.spec, layout, target)
+    say(f"published in {target.root}")

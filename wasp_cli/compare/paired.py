@@ -121,7 +121,7 @@ def _shares(flipped: Floats, own: Floats, exact: bool) -> Floats:
 
 
 def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """P-values of measures corrected for the number of cells by Holm's steps: cells in the order of their smallest one."""
+    """Correct the p-values of measures for the number of cells by Holm's steps: cells in the order of their smallest one."""
     order = sorted(range(len(cells)), key=lambda i: min(cells[i].values()))
     found: list[dict[str, float]] = [{} for _ in cells]
     floor = 0.0

@@ -1,7 +1,9 @@
-"""Two runs side by side, cell by cell: the same rows, or a difference, and whether it is more than noise.
+"""Two runs side by side, cell by cell: the same rows, or a difference, whether it is more than noise, and where it comes from.
 
 A cell is what its identity says: task, method, variant, operator, value and seed. One key on both sides means one configuration, one code
 and one upstream, so the same rows but for what a machine may move; they are read all the same. Differences are second minus first.
+
+Causes are found from the manifests alone, which may be untrusted; nothing is imported and no code of today is looked at.
 """
 
 from __future__ import annotations
@@ -10,17 +12,19 @@ import filecmp
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
-from wasp_cli.compare.causes import Causes
 from wasp_cli.compare.paired import LEVEL, MEASURES, Paired, corrected, paired_episodes
-from wasp_cli.errors import StoreError
+from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.node import Cell
+from wasp_cli.plan.reasons import changes_between, few
+from wasp_cli.report.node import mapping
 from wasp_cli.report.stats.bootstrap import Estimate, difference_of
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, odd_tables_refused, read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.spec.model import Spec
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.layout import Layout, is_key, is_name
 from wasp_cli.store.tables import CellIdentity, same_rows
 
 State = Literal["same", "same rows", "differs", "only first", "only second", "not compared"]
@@ -82,7 +86,7 @@ class Compared:
     summary: tuple[Summary, ...]
 
     def having(self, *states: State) -> list[ComparedCell]:
-        """The cells in some state."""
+        """Return the cells in one of the given states."""
         return [cell for cell in self.cells if cell.state in states]
 
     @property
@@ -107,9 +111,9 @@ def compare(first: Side, second: Side) -> Compared:
     causes = Causes(first.layout, second.layout)
     identities = dict.fromkeys((*sides[0].keys, *sides[1].keys))
     cells = [_cell(identity, sides[0], sides[1], causes) for identity in identities]
-    found = [(cell, cell.paired) for cell in cells if cell.paired is not None]
-    p = corrected([{name: each.p for name, each in paired.differences.items()} for _, paired in found])
-    by_identity = {cell.identity: numbers for (cell, _), numbers in zip(found, p, strict=True)}
+    tested = [(cell, cell.paired) for cell in cells if cell.paired is not None]
+    p = corrected([{name: each.p for name, each in paired.differences.items()} for _, paired in tested])
+    by_identity = {cell.identity: numbers for (cell, _), numbers in zip(tested, p, strict=True)}
     cells = [replace(cell, p=by_identity.get(cell.identity, {})) for cell in cells]
     return Compared(first, second, tuple(cells), tuple(_summary(cells, *sides)))
 
@@ -146,8 +150,8 @@ def _cell(identity: CellIdentity, first: _Read, second: _Read, causes: Causes) -
     if same:
         why = () if keys[0] == keys[1] else causes.of("evaluate", keys[0], keys[1])
         return ComparedCell(label, identity, "same" if keys[0] == keys[1] else "same rows", keys, causes=why)
-    found = paired_episodes(first.numbers[identity], second.numbers[identity])
-    return ComparedCell(label, identity, "differs", keys, paired=found, causes=causes.of("evaluate", keys[0], keys[1]))
+    paired = paired_episodes(first.numbers[identity], second.numbers[identity])
+    return ComparedCell(label, identity, "differs", keys, paired=paired, causes=causes.of("evaluate", keys[0], keys[1]))
 
 
 def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iterator[Summary]:
@@ -156,7 +160,87 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
     for cell in cells:
         if cell.state in ("same", "same rows", "differs"):
             rows.setdefault((cell.identity.task, cell.identity.method, cell.identity.assistant_variant), []).append(cell)
-    for (task, method, variant), found in rows.items():
-        before, after = ([side.numbers[cell.identity] for cell in found] for side in (first, second))
+    for (task, method, variant), own in rows.items():
+        before, after = ([side.numbers[cell.identity] for cell in own] for side in (first, second))
         estimates = {name: difference_of(after, before, name) for name in MEASURES}
-        yield Summary(task, method, variant, len(found), sum(cell.state == "differs" for cell in found), estimates)
+        yield Summary(task, method, variant, len(own), sum(cell.state == "differs" for cell in own), estimates)
+
+
+MACHINE = ("processor", "platform", "python", "threads", "cuda")
+"""Provenance that enters no key, and may move the last digits."""
+DEEPEST = 50
+"""Steps upstream; our longest chain has a dozen."""
+
+
+class Causes:
+    """Follows two artifacts upstream to where they begin to differ; every pair is looked at once."""
+
+    def __init__(self, before: Layout, after: Layout) -> None:
+        self._layouts = before, after
+        self._known: dict[tuple[str, str, str], tuple[str, ...]] = {}
+
+    def of(self, kind: str, before: str, after: str) -> tuple[str, ...]:
+        """Say in words what differs between two artifacts that should be alike.
+
+        Args:
+            kind: of both.
+            before: the key of the one.
+            after: the key of the other; where it is the same, only the machine can differ.
+        """
+        return tuple(dict.fromkeys(self._machine(kind, before) if before == after else self._follow(kind, before, after, DEEPEST)))
+
+    def _follow(self, kind: str, before: str, after: str, left: int) -> tuple[str, ...]:
+        place = (kind, before, after)
+        if place not in self._known:
+            self._known[place] = ()  # a circle, which none of ours has, adds nothing
+            self._known[place] = tuple(dict.fromkeys(self._changes(kind, before, after, left)))
+        return self._known[place]
+
+    def _changes(self, kind: str, before: str, after: str, left: int) -> Iterator[str]:
+        try:
+            old, new = self._manifest(0, kind, before), self._manifest(1, kind, after)
+            own = changes_between(old, new)
+        except (ArtifactError, StoreError):
+            yield f"another {kind}, of which not both folders have the record"
+            return
+        except (AttributeError, KeyError, TypeError, ValueError):
+            yield f"another {kind}, whose record is damaged"
+            return
+        yield from own
+        upstream = list(_differing(old, new))
+        for _, other, needed, needed_too in upstream if left else ():
+            yield from self._follow(other, needed, needed_too, left - 1)
+        reads = sorted({*mapping(old.get("upstream"))} ^ {*mapping(new.get("upstream"))})
+        if reads:
+            yield f"{kind}: reads other artifacts: {few(reads)}"
+        if not own and not upstream and not reads:
+            yield f"{kind}: another cell of the grid, or a key of another version"
+
+    def _machine(self, kind: str, key: str) -> Iterator[str]:
+        try:
+            old, new = (mapping(self._manifest(side, kind, key).get("provenance")) for side in (0, 1))
+        except (ArtifactError, StoreError):
+            return
+        versions = [mapping(each.get("versions")) for each in (old, new)]
+        pairs = [(name, old.get(name), new.get(name)) for name in MACHINE]
+        pairs += [(name, versions[0].get(name), versions[1].get(name)) for name in (*versions[0], *versions[1])]
+        yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(map(_shown, pairs)) if one != two)
+
+    def _manifest(self, side: int, kind: str, key: str) -> Mapping[str, Any]:
+        return read_manifest(self._layouts[side], kind, key)
+
+
+def _shown(pair: tuple[str, Any, Any]) -> tuple[str, str, str]:
+    name, one, two = pair
+    return name, "unknown" if one is None else str(one), "unknown" if two is None else str(two)
+
+
+def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
+    """What both read under one name, as another artifact: the name, the kind and both keys."""
+    before, after, kinds = mapping(old.get("upstream")), mapping(new.get("upstream")), mapping(new.get("upstream_kinds"))
+    for name, key in before.items():
+        other, kind = after.get(name), kinds.get(name, name)
+        if not (isinstance(key, str) and isinstance(other, str) and isinstance(kind, str)):
+            continue
+        if key != other and is_key(key) and is_key(other) and is_name(kind):
+            yield name, kind, key, other

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from wasp_cli.compare.paired import LEVEL, MEASURES
 from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
-from wasp_cli.report.claims.table import title_of
+from wasp_cli.report.claims.text import title_of
 from wasp_cli.report.explain.facts import plain_values
 from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.render.text import markdown, terminal
@@ -46,7 +46,7 @@ MEANINGS = (
 
 
 def headline(compared: Compared) -> str:
-    """How many cells are how."""
+    """Count the cells by their state."""
     counts = [(words, len(compared.having(state))) for state, words in STATES.items()]
     counted = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
     beyond = len(compared.beyond)
@@ -54,7 +54,7 @@ def headline(compared: Compared) -> str:
 
 
 def cells_table(compared: Compared) -> Table | None:
-    """Every cell that differs, those with the smallest p-values first; None where none does."""
+    """Tabulate every cell that differs, those with the smallest p-values first; None where none does."""
     found = sorted(compared.having("differs"), key=lambda cell: min(cell.p.values()))
     rows = [Row((cell.label, ", ".join(map(_title, cell.beyond)) or "-"), _differences(cell)) for cell in found]
     notes = _unable(compared)
@@ -64,7 +64,7 @@ def cells_table(compared: Compared) -> Table | None:
 
 
 def summary_table(compared: Compared) -> Table | None:
-    """Every assistant of which some cell differs, over all cells that both have; None where no cell differs."""
+    """Tabulate every assistant of which some cell differs, over all cells that both have; None where no cell differs."""
     rows = []
     for each in compared.summary:
         if each.differing:
@@ -156,7 +156,7 @@ def show(compared: Compared, console: Console) -> None:
 
 
 def page(compared: Sequence[Compared]) -> str:
-    """All comparisons as one page of Markdown."""
+    """Write all comparisons as one page of Markdown."""
     parts = ["# Comparison\n"]
     for each in compared:
         parts.append(f"## {each.first.spec.name}\n\n" + "".join(f"- {line.strip()}\n" for line in remarks(each, shown=None)))
@@ -165,7 +165,7 @@ def page(compared: Sequence[Compared]) -> str:
 
 
 def tables(compared: Compared) -> list[Table]:
-    """The tables that a comparison has, under names with the spec."""
+    """Return the tables that a comparison has, under names with the spec."""
     found = [table for table in (cells_table(compared), summary_table(compared)) if table is not None]
     return [replace(table, name=f"{compared.first.spec.name}-{table.name}") for table in found]
 
@@ -183,7 +183,7 @@ def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
 
 
 def as_json(compared: Compared) -> dict[str, Any]:
-    """Everything as plain values; what is undefined is null."""
+    """Return everything as plain values; what is undefined is null."""
     sides = {
         name: {"folder": str(side.layout.root), "spec": side.spec.name, "run": side.run_id}
         for name, side in (("first", compared.first), ("second", compared.second))

@@ -16,7 +16,7 @@ Contents = Mapping[str, Mapping[str, Any]]
 
 
 def contents(recording: Recording, sources: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Per behaviour and in all (`all`).
+    """Describe a recording per behaviour and in all (`all`).
 
     Keys of a row: `episodes`, `steps` (decision steps), `share` of the episodes, and per episode `return_per_episode`,
     `goals_per_episode`, `cost_per_episode` (env steps that cost); `with_goal` and `terminal` are shares of the episodes that reached a

@@ -55,7 +55,7 @@ def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any],
 
 
 def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> Pairs:
-    """Pair predictions with real returns, without decisions whose return the time limit cuts.
+    """Pair predictions [N] with real returns [N], without decisions whose return the time limit cuts.
 
     At most `CUT_OFF` of a return may be cut. Where episodes are too short for that, what half of the longest one cuts is allowed. What is
     cut is filled up with the mean of the signal, which favours no state.
@@ -91,7 +91,7 @@ def quality(found: Pairs) -> dict[str, float | None]:
 
 
 def spearman(a: Floats, b: Floats) -> float:
-    """Return the rank correlation, ties at their average rank: discounted costs have many exact ties at zero."""
+    """Return the rank correlation of two arrays [N], ties at their average rank: discounted costs have many exact ties at zero."""
     return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
 
 

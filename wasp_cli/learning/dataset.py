@@ -121,7 +121,7 @@ def record(
     Args:
         task: B episodes with pixels and privileged observations.
         seeds: of the episodes.
-        command: from privileged observations to actions.
+        command: from privileged observations [B, P] to actions [B, A].
         names: behaviour of each row.
         number: index of the first episode in the dataset.
     """

@@ -69,7 +69,7 @@ class Alarm(NamedTuple):
 
 
 def spread_starts(recording: Recording, horizon: int, count: int, *, ended: bool = False) -> NDArray[np.int64]:
-    """Choose at most `count` rows, evenly spread over those from which `horizon` rows follow within their episode.
+    """Choose at most `count` rows [K], evenly spread over those from which `horizon` rows follow within their episode.
 
     With `ended`, also over those whose episode ends sooner by its own rule: where a goal ends it, the others never see the goal. Episodes
     that a time limit cuts off say nothing of what would have followed.
@@ -209,7 +209,9 @@ def imagined_images(
 def judged_images(
     model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], horizon: int, samples: int, seed: int
 ) -> list[Row]:
-    """Judge images per imagined step: squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image.
+    """Judge images per imagined step from starts [K].
+
+    Squared error per pixel of the imagined image (mean over samples) and of a copy of the start's image;
 
     `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of the change that is explained.
     """

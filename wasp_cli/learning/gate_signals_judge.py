@@ -124,7 +124,7 @@ def alarms(rows: SignalRows, name: str, threshold: float) -> Row:
 
 
 def reliability_groups(predicted: Floats, real: Floats, event: Bools) -> list[Row]:
-    """Form ten groups of equally many decisions by prediction: mean prediction, mean of what followed, share of decisions with any cost."""
+    """Form ten groups of equal size by prediction [N]: mean prediction, mean of what followed, share of decisions with any cost."""
     groups = [group for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS) if len(group)]
     return [{"predicted": _mean(predicted[g]), "real": _mean(real[g]), "any": _mean(event[g]), "size": len(g)} for g in groups]
 

@@ -85,7 +85,7 @@ def side_by_side(episodes: Sequence[Array]) -> Floats32:
 
 
 def other_episode(episode: int, episodes: int, t: int, what: str) -> ArtifactError:
-    """The error that an episode, one of so many, is not the recorded one from decision `t` on."""
+    """Build the error that an episode, one of so many, is not the recorded one from decision `t` on."""
     which = f"episode {episode}" if episodes > 1 else "the episode"
     return ArtifactError(
         f"the same actions lead elsewhere: {which} is not the recorded one from decision {t} on: {what}",

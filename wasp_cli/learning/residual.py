@@ -92,7 +92,7 @@ class AssistedTask(FilteredTask):
 
 
 def huber(norm: NDArray[Any]) -> NDArray[Any]:
-    """Penalise residuals: quadratic up to 1, linear beyond."""
+    """Penalise residuals [...]: quadratic up to 1, linear beyond."""
     return np.where(norm <= 1.0, 0.5 * np.square(norm), norm - 0.5)
 
 

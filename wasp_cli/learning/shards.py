@@ -126,7 +126,7 @@ def shard_files(folder: Path) -> list[Path]:
 
 
 def read_shards(folder: Path, columns: Sequence[str] | None = None, mask: NDArray[np.bool_] | None = None) -> Recording:
-    """Read all rows of a dataset artifact, or those of a mask (whole episodes), in order. Columns that are not asked for are empty.
+    """Read all rows of a dataset artifact, or those of a mask [N] (whole episodes), in order. Columns that are not asked for are empty.
 
     Shard after shard into place, so that the images are in memory once (a shard's twice).
 

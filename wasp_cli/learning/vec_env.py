@@ -89,9 +89,11 @@ class TaskVecEnv(VecEnv):
         return self.observe(seen, everyone, np.zeros_like(self._action))
 
     def step_async(self, actions: NDArray[Any]) -> None:
+        """Take the actions [B, A] of the next step."""
         self._action = np.asarray(actions, np.float32)
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Step with the actions taken, and return observations [B, P], rewards [B], ends [B] and infos; ended rows start anew at once."""
         executed, penalty = self.execute(self._action)
         step: Step = self.task.step(executed)
         reward = self.objective(step, penalty)
@@ -133,17 +135,18 @@ class TaskVecEnv(VecEnv):
         self._return[:], self._cost[:], self._until_cut[:] = snapshot["return"], snapshot["cost"], snapshot["until_cut"]
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Release nothing: there is nothing to release."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The same value for every environment; stable-baselines3 asks for `render_mode`."""
+        """Return the same value for every environment; stable-baselines3 asks for `render_mode`."""
         return [getattr(self, attr_name, None)] * self.num_envs
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set a value, the same for every environment."""
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """There are no separate environments to call.
+        """Raise: there are no separate environments to call.
 
         Raises:
             AttributeError: always.
@@ -151,6 +154,7 @@ class TaskVecEnv(VecEnv):
         raise AttributeError(f"a batch of tasks has no method '{method_name}' for each environment")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Say of every environment that nothing wraps it."""
         return [False] * self.num_envs
 
 

@@ -78,7 +78,7 @@ class SafetyFilter:
         return found.view(batch, several, rollouts).mean(-1)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Set tau_c to a quantile of Q_c under the expert, over decisions after which nothing cost; return it with the distributions."""
+        """Set tau_c to a quantile of Q_c [N] under the expert, over decisions without cost after them; return it with the distributions."""
         total = len(heldout.a_h)
         self.reset(torch.ones(total, dtype=torch.bool), [seed + i for i in range(total)])
         draws = self._draws(self.noise.next())

@@ -19,7 +19,7 @@ class HumanOnly:
         """Read nothing."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Keep nothing."""
+        """Keep nothing of the rows [B]."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         return Decision(a_h)

@@ -58,7 +58,7 @@ class IDA:
         return Decision(torch.where(intervene.unsqueeze(-1), a_c, a_h), record)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Set tau_Q to a quantile of the margin at which the vote tips, over commands of the expert with exploration noise.
+        """Set tau_Q to a quantile of the margin [N] at which the vote tips, over commands of the expert with exploration noise.
 
         A copilot that draws may propose something else than the expert to the expert itself: there the quantile is at least that of the
         expert without noise.

@@ -23,7 +23,7 @@ class SafeRLRes:
         self.policy = load_module(ResidualPolicy, parts.inputs["residual"] / "residual.safetensors")
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Keep nothing."""
+        """Keep nothing of the rows [B]."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         action = (a_h + self.policy(latent.features, a_h)).clamp(-1, 1)

@@ -56,7 +56,7 @@ class Plans:
     """[T] their predicted reward return"""
 
     def share(self) -> Floats:
-        """[T] share of the iterations in Case II"""
+        """Return the share [T] of the iterations in Case II."""
         return np.where(self.safe[:, -1] >= 0, self.case2.mean(1), np.nan)
 
 

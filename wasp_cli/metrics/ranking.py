@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def average_precision(event: NDArray[np.bool_], score: NDArray[Any]) -> float:
-    """Return the area under the precision-recall curve as the step sum over distinct thresholds; NaN without any event.
+    """Return the area under the precision-recall curve of N scores [N] as the step sum over distinct thresholds; NaN without any event.
 
     Ties share a threshold, so a constant score has the base rate.
     """
@@ -87,7 +87,7 @@ def average_precision_resampled(
 
 
 def percentiles(values: NDArray[np.float64], share: float = 0.95) -> tuple[float, float]:
-    """Return the interval in which the middle `share` of the values lies; NaN of nothing."""
+    """Return the interval in which the middle `share` of the values [N] lies; NaN of nothing."""
     if not len(values):
         return float("nan"), float("nan")
     low, high = np.quantile(values, [(1 - share) / 2, (1 + share) / 2])

@@ -36,7 +36,7 @@ class PrivilegedPolicy(nn.Module):
         self.register_buffer("log_std", torch.zeros(action))
 
     def forward(self, privileged: Tensor) -> Tensor:
-        """[B, P] to [B, A] in [-1, 1]."""
+        """Map privileged observations [B, P] to actions [B, A] in [-1, 1]."""
         return self.net(((privileged - self.mean) / self.std).clamp(-10, 10)).clamp(-1, 1)  # type: ignore[no-any-return]
 
 
@@ -51,7 +51,7 @@ class LatentPolicy(nn.Module):
         return self.net(features).clamp(-1, 1)  # type: ignore[no-any-return]
 
     def unbounded(self, features: Tensor) -> Tensor:
-        """The output before the bounds, for a loss whose gradient does not vanish at them."""
+        """Return the output [B, A] before the bounds, for a loss whose gradient does not vanish at them."""
         return self.net(features)  # type: ignore[no-any-return]
 
 
@@ -72,7 +72,7 @@ class Skills(nn.Module):
         return self.at(1.0)
 
     def at(self, fraction: float) -> LatentPolicy:
-        """The policy of a checkpoint.
+        """Return the policy of a checkpoint.
 
         Raises:
             KeyError: there is no checkpoint at that fraction.

@@ -122,7 +122,7 @@ def kl_divergence(left: Tensor, right: Tensor) -> Tensor:
 
 
 def balanced_kl(posterior: Tensor, prior: Tensor, free_nats: float) -> tuple[Tensor, Tensor]:
-    """Return the first two terms of Eq. 6: (representation, prediction), each a mean over steps.
+    """Return the first two terms of Eq. 6: (representation, prediction), each a mean over steps, of logarithms [..., S, C].
 
     Free nats clip the KL summed over the variables, so that no gradient flows below them.
     """

@@ -25,7 +25,7 @@ def save_weights(module: nn.Module, path: Path, **arguments: Any) -> None:
 
 
 def read_arguments(path: Path) -> dict[str, Any]:
-    """The JSON beside a weights file.
+    """Read the JSON beside a weights file.
 
     Raises:
         ArtifactError: it is missing or damaged.
@@ -52,7 +52,7 @@ def load_weights(module: nn.Module, path: Path) -> None:
 
 
 def load_module(build: Callable[..., M], path: Path) -> M:
-    """A frozen module: built from the arguments beside `path`, filled from `path`.
+    """Load a frozen module: built from the arguments beside `path`, filled from `path`.
 
     Raises:
         ArtifactError: a file is missing or damaged, or the weights do not fit.
@@ -63,7 +63,7 @@ def load_module(build: Callable[..., M], path: Path) -> M:
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """All tensors of a safetensors file.
+    """Read all tensors of a safetensors file.
 
     Raises:
         ArtifactError: the file is missing or damaged.

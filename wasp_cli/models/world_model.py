@@ -103,15 +103,15 @@ class SafetyWorldModel(nn.Module):
     # -- perception ---------------------------------------------------------------------------------------------
 
     def embed(self, pixels: Tensor) -> Tensor:
-        """uint8 [B, 6, 64, 64] to the image half of the posterior's first layer [B, hidden]."""
+        """Map uint8 images [B, 6, 64, 64] to the image half of the posterior's first layer [B, hidden]."""
         return self.rssm.posterior_o(self.encoder(pixels, self.mean_image))  # type: ignore[no-any-return]
 
     def centred(self, pixels: Tensor) -> Tensor:
-        """uint8 images to float in [-1, 1], minus the mean image."""
+        """Convert uint8 images [B, 6, 64, 64] to float in [-1, 1], minus the mean image."""
         return pixels.to(self.mean_image.dtype) / 255.0 - self.mean_image
 
     def initial(self, batch: int) -> Latent:
-        """The latent before an episode."""
+        """Return the latent [B, .] before an episode."""
         return self.rssm.initial(batch)
 
     def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
@@ -128,23 +128,26 @@ class SafetyWorldModel(nn.Module):
     # -- heads --------------------------------------------------------------------------------------------------
 
     def reward(self, latent: Latent) -> Tensor:
-        """Mean reward at the arrived state: [...]."""
+        """Predict the mean reward [...] at the arrived state."""
         return self.reward_head(latent.features).squeeze(-1) / self.sizes.reward_scale  # type: ignore[no-any-return]
 
     def cost_logit(self, latent: Latent) -> Tensor:
-        """Logit of the cost probability. The weight of costly steps shifted the trained logit by its logarithm; it is removed."""
+        """Predict the logit [...] of the cost probability.
+
+        The weight of costly steps shifted the trained logit by its logarithm; it is removed.
+        """
         return self.cost_head(latent.features).squeeze(-1) - math.log(self.sizes.cost_weight)  # type: ignore[no-any-return]
 
     def cost(self, latent: Latent) -> Tensor:
-        """c-hat: probability of a cost event at the arrived state: [...]."""
+        """Predict c-hat, the probability [...] of a cost event at the arrived state."""
         return self.cost_logit(latent).sigmoid()
 
     def continues(self, latent: Latent) -> Tensor:
-        """Probability that the episode goes on: [...]."""
+        """Predict the probability [...] that the episode goes on."""
         return self.continue_head(latent.features).squeeze(-1).sigmoid()  # type: ignore[no-any-return]
 
     def decode(self, latent: Latent) -> Tensor:
-        """Images in [0, 1], [B, 6, 64, 64]."""
+        """Decode images [B, 6, 64, 64] in [0, 1]."""
         images: Tensor = (self.decoder(latent.features) + self.mean_image).clamp(0, 1)
         return images
 
@@ -165,7 +168,7 @@ class SafetyWorldModel(nn.Module):
         start: Latent | None = None,
         ahead: Ahead | None = None,
     ) -> tuple[dict[str, Tensor], Latent]:
-        """The terms of Eq. 6 by the weight that multiplies them, unweighted means over steps, and the filtered latents [B, T, .].
+        """Return the terms of Eq. 6 by the weight that multiplies them, unweighted means over steps, and the filtered latents [B, T, .].
 
         Args:
             batch: B sequences of T steps.
@@ -213,7 +216,7 @@ class SafetyWorldModel(nn.Module):
         return terms
 
     def head_losses(self, features: Tensor, reward: Tensor, cost: Tensor, counts: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Squared error of the scaled reward, and weighted BCE of the cost: means over the steps that `counts` [...] marks with 1."""
+        """Return squared error of the scaled reward and weighted BCE of the cost: means over the steps that `counts` [...] marks with 1."""
         sizes = self.sizes
         counts = torch.ones_like(reward) if counts is None else counts
         total = counts.sum().clamp(min=1.0)
@@ -224,7 +227,7 @@ class SafetyWorldModel(nn.Module):
         return (error * counts).sum() / total, (surprise * counts).sum() / total
 
     def continuation_loss(self, features: Tensor, terminal: Tensor, counts: Tensor | None = None) -> Tensor:
-        """BCE of the probability that the episode goes on: mean over the steps that `counts` [...] marks with 1."""
+        """Return BCE of the probability that the episode goes on: mean over the steps that `counts` [...] marks with 1."""
         counts = torch.ones_like(terminal) if counts is None else counts
         logit = self.continue_head(features).squeeze(-1).float()
         surprise = F.binary_cross_entropy_with_logits(logit, 1.0 - terminal, reduction="none")

@@ -31,11 +31,11 @@ class NoiseSource(Protocol):
         ...
 
     def position(self) -> Tensor:
-        """Return where the streams are, as a tensor; `seek` of it brings the same draws back."""
+        """Return where the streams are, as a tensor [...]; `seek` of it brings the same draws back."""
         ...
 
     def seek(self, position: Tensor) -> None:
-        """Return to a position."""
+        """Return to a position [...]."""
         ...
 
 
@@ -94,7 +94,7 @@ class Operator:
             self.memory[name] = torch.where(mask, fresh[name], old)
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
-        """Return the same operator in imagination: `copies` adjacent copies of each of `rows` (indices), with other noise."""
+        """Return the same operator in imagination: `copies` adjacent copies of each of `rows` (indices [R]), with other noise."""
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
         forked.noise, forked.batch = noise, len(rows) * copies
@@ -149,7 +149,7 @@ class EpisodeNoise:
         return torch.tensor(self.step)
 
     def seek(self, position: Tensor) -> None:
-        """Return to a position."""
+        """Return to a position [B]."""
         self.step = position.tolist()
 
 

@@ -33,7 +33,8 @@ def closure(roots: Iterable[str]) -> frozenset[str]:
     found: set[str] = set()
     for root in roots:
         if _file(root) is None:
-            raise WaspError(f"the source of '{root}' cannot be found, so no key can cover it", "install the plugin with its source")
+            hint = "check the module that the plugin's entry names; its source has to be installed"
+            raise WaspError(f"the source of '{root}' cannot be found, so no key can cover it", hint)
         found |= _reach(root)
     return frozenset(found)
 

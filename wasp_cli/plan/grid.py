@@ -11,9 +11,10 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from wasp_cli.config import Config
+from wasp_cli.errors import UnknownName
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.plan.closure import closure_hash
+from wasp_cli.plan.closure import PACKAGE, closure_hash
 from wasp_cli.plan.keys import Text, canonical, joined, key_of, recipe_of
 from wasp_cli.plan.node import Cell, Node, Part, sort_of, with_upstream
 from wasp_cli.registry import load_target, module_of
@@ -185,8 +186,9 @@ class _Builder:
             "variant": cell.operator,
             "value": cell.value,
         }
+        axes |= _plugins({cell.method: METHODS[cell.method].target} | _operator_targets([cell.operator]))
         text = joined({**axes, "method_config": shared.text})
-        roots = (*shared.roots, *_operator_roots(cell))
+        roots = (*shared.roots, *_roots(_operator_targets([cell.operator])))
         made = (text, shared.upstream, shared.sort)
         return self._node("evaluate", cell.task, cell.seed, axes, shared.needs, roots, _cell_label(cell), made)
 
@@ -196,12 +198,12 @@ class _Builder:
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain, self.spec.rounds) | {evaluation.kind: evaluation}
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
         # The assistant is not asked again: its code is in the key through the evaluation alone.
-        return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, _operator_roots(cell), label)
+        return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, _roots(_operator_targets([cell.operator])), label)
 
     def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
         info = METHODS[method]
         config = self.method_config(method, assistant)
-        needs = self._inputs("evaluate", task, chain, self.spec.rounds, info.needs_of(config))
+        needs = self._inputs("evaluate", task, chain, self.spec.rounds, _known(info.needs_of(config), f"the method '{method}'"))
         if info.calibrated:
             variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(task, chain, method, variant)
@@ -213,27 +215,31 @@ class _Builder:
         info = METHODS[method]
         number = self.spec.rounds
         config = self.method_config(method, variant)
-        axes = _round_axis(number) | {"method": method, "method_config": config}
-        needs = self._inputs("calibration", task, seed, number, info.needs_of(config))
+        axes = _round_axis(number) | {"method": method, "method_config": config} | _plugins({method: info.target})
+        needs = self._inputs("calibration", task, seed, number, _known(info.needs_of(config), f"the method '{method}'"))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
         return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), _in_round(f"calibration {name}", number))
 
     def _training(self, kind: str, task: str, seed: int, number: int) -> Node:
         if number > 1 and not STAGES[kind].every_round:
             return self.training(kind, task, seed, 1)
-        axes, needs = _round_axis(number), self._inputs(kind, task, seed, number)
+        operators = self._operators(kind)
+        axes = _round_axis(number) | _plugins({kind: STAGES[kind].target} | operators)
+        needs = self._inputs(kind, task, seed, number)
         if number > 1 and getattr(stage_class(kind), "previous", False):
             needs["previous"] = self.training(kind, task, seed, number - 1)
-        return self._node(kind, task, seed, axes, needs, self._operators(kind), _in_round(kind, number))
+        return self._node(kind, task, seed, axes, needs, _roots(operators), _in_round(kind, number))
 
     def _rollouts(self, task: str, seed: int, number: int) -> Node:
+        operators = self._operators(ROLLOUTS)
         axes = _round_axis(number) | {"method": ASSISTANT, "method_config": self.method_config(ASSISTANT, CALIBRATED_VARIANT)}
+        axes |= _plugins(operators)
         needs = self._inputs(ROLLOUTS, task, seed, number - 1)
-        roots = (module_of(METHODS[ASSISTANT].target), *self._operators(ROLLOUTS))
+        roots = (module_of(METHODS[ASSISTANT].target), *_roots(operators))
         return self._node(ROLLOUTS, task, seed, axes, needs, roots, _in_round(ROLLOUTS, number))
 
     def _inputs(self, kind: str, task: str, seed: int, number: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
-        needed = dict.fromkeys((*stage_class(kind).needs, *further))
+        needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))
         return {name: self._source(name, task, seed, number) for name in needed}
 
     def _source(self, name: str, task: str, seed: int, number: int) -> Node:
@@ -242,9 +248,9 @@ class _Builder:
             return self.rollouts(task, seed, number)
         return self.training(name, task, seed, number)
 
-    def _operators(self, kind: str) -> tuple[str, ...]:
+    def _operators(self, kind: str) -> dict[str, str]:
         """A stage that mixes operators finds them by the names in its section."""
-        return tuple(module_of(OPERATORS[name].target) for name in self.config(kind).get("operators", {}))
+        return _operator_targets(self.config(kind).get("operators", {}))
 
     def _settings(self, kind: str) -> dict[str, Any]:
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
@@ -292,9 +298,20 @@ def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(sorted({module_of(STAGES[kind].target), *_task_modules(task), *roots}))
 
 
-def _operator_roots(cell: Cell) -> tuple[str, ...]:
-    """Where the code of a cell's operator begins."""
-    return (module_of(OPERATORS[cell.operator].target),) if cell.operator in OPERATORS else ()
+def _operator_targets(names: Iterable[str]) -> dict[str, str]:
+    """Import strings by operator variant; the unimpaired operator has none."""
+    return {name: OPERATORS[name].target for name in names if name in OPERATORS}
+
+
+def _plugins(targets: Mapping[str, str]) -> dict[str, Any]:
+    """What plugins name, as an axis: a key covers a module's source, but not which of its classes an entry point means."""
+    named = {name: target for name, target in sorted(targets.items()) if module_of(target).partition(".")[0] != PACKAGE}
+    return {"plugins": named} if named else {}
+
+
+def _roots(targets: Mapping[str, str]) -> tuple[str, ...]:
+    """Where the code of what import strings name begins."""
+    return tuple(map(module_of, targets.values()))
 
 
 def _cell_label(cell: Cell) -> str:
@@ -315,6 +332,14 @@ def _round_axis(number: int) -> dict[str, Any]:
 
 def _in_round(label: str, number: int) -> str:
     return f"{label}, round {number}" if number > 1 else label
+
+
+def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:
+    """The stages that a method or a stage needs; a plugin may have one wrong."""
+    for name in needs:
+        if name not in STAGES:
+            raise UnknownName("stage", name, STAGES, f"{whose} needs an unknown stage '{name}'")
+    return needs
 
 
 @cache

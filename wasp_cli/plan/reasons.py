@@ -192,10 +192,10 @@ def _minor(version: object) -> str:
     return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"
 
 
-def few(items: Sequence[str]) -> str:
-    """Return the first of several changes, and how many more there are."""
-    more = f" and {len(items) - NAMED} more" if len(items) > NAMED else ""
-    return ", ".join(items[:NAMED]) + more
+def few(items: Sequence[str], most: int = NAMED) -> str:
+    """Name at most so many of several things, and say how many more there are."""
+    more = f" and {len(items) - most} more" if len(items) > most else ""
+    return ", ".join(items[:most]) + more
 
 
 def _shown(value: object) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from wasp_cli.console import duration
+from wasp_cli.console import count_table, duration
 from wasp_cli.plan.plan import Plan, State, Step
 
 if TYPE_CHECKING:
@@ -33,24 +33,17 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
         workers: worker processes of the run that the time is for.
         every: list every node with its state and reason, too.
     """
-    from rich.table import Table
-
     counts = plan.counts()
     total = sum(counts.values(), Counter())
     columns = [state for state in COLUMNS if state in ("cached", "missing") or total[state]]
-    table = Table(box=None, padding=(0, 2), header_style="bold")
-    table.add_column("stage")
-    for heading in ("nodes", *(COLUMNS[state] for state in columns)):
-        table.add_column(heading, justify="right")
+    table = count_table("stage", "nodes", *(COLUMNS[state] for state in columns))
     for kind, states in counts.items():
         table.add_row(kind, str(states.total()), *(str(states[state] or "-") for state in columns))
     table.add_section()
     table.add_row("total", str(total.total()), *(str(total[state]) for state in columns), style="bold")
     console.print(table)
     console.print(_size(plan))
-    for line in (*plan.grid.notes, *(_every(plan) if every else _reasons(plan))):
-        console.print(line, markup=False, soft_wrap=True)
-    for line in _time(plan, workers):
+    for line in (*plan.grid.notes, *(_every(plan) if every else _reasons(plan)), *_time(plan, workers)):
         console.print(line, markup=False, soft_wrap=True)
 
 

@@ -12,8 +12,7 @@ from rich.text import Text
 from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
-from wasp_cli.report.figures.methods import cost_return_figure, latency_figure
-from wasp_cli.report.figures.necessity import necessity_figure
+from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of

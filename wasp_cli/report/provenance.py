@@ -19,6 +19,7 @@ from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import ASSISTANT, ROLLOUTS, stage_class
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
+from wasp_cli.report.render.text import markdown_row
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import read_record
@@ -76,8 +77,7 @@ class Origins:
             yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {_code_since(manifests)}."
         cells = [str(manifest.get("label")) for manifest in self.published if manifest.get("kind") == "evaluate"]
         if 0 < len(self.published) < self.total and cells:
-            more = f" and {len(cells) - NAMED} more" if len(cells) > NAMED else ""
-            yield f"Published cells: {', '.join(cells[:NAMED])}{more}."
+            yield f"Published cells: {few(cells, NAMED)}."
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:
@@ -153,14 +153,9 @@ def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
 
 def assumptions_markdown(found: Sequence[Assumption]) -> str:
     """Render a Markdown section: every value in force that is not the paper's."""
-    lines = [
-        "## Assumptions in force",
-        "",
-        "Values that the paper leaves open or that differ from it. A spec can change each.",
-        "",
-    ]
+    lines = ["## Assumptions in force", "", "Values that the paper leaves open or that differ from it. A spec can change each.", ""]
     lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
     for name, value, why in found:
         shown = json.dumps(value, default=str, ensure_ascii=False)
-        lines.append("| " + " | ".join(text.replace("|", "\\|") for text in (f"`{name}`", f"`{shown}`", why)) + " |")
+        lines.append(markdown_row((f"`{name}`", f"`{shown}`", why)))
     return "\n".join(lines) + "\n"

@@ -9,7 +9,7 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
-from wasp_cli.report.claims.table import numbers_table
+from wasp_cli.report.claims.text import numbers_table
 from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
 from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
@@ -18,8 +18,7 @@ from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
-from wasp_cli.report.tables.details import detail_table, latency_table, threshold_table
-from wasp_cli.report.tables.main import ablation_table, main_table
+from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.necessity import necessity_table
 from wasp_cli.report.tables.severity_check import check_table, judged
 from wasp_cli.report.tables.table import Table

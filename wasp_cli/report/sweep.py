@@ -29,7 +29,7 @@ from wasp_cli.report.tables.by_axis import (
     sweep_table,
 )
 from wasp_cli.report.tables.table import Table
-from wasp_cli.spec.sweep import Sweep
+from wasp_cli.spec.derived import Sweep
 
 
 @dataclass(frozen=True)

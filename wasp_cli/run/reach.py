@@ -27,7 +27,6 @@ class Reach:
     """The runs that count, and the keys that they reach."""
 
     keys: frozenset[str]
-    kept_runs: frozenset[str]
     other_runs: tuple[str, ...]
 
 
@@ -63,7 +62,7 @@ def reach_of_runs(layout: Layout) -> Reach:
     # A sweep that counts keeps the runs of its values: its reports are made from them.
     kept = {*wanted, *(part for run in wanted.values() for part in run.parts)}
     keys = {key for run in wanted.values() for key in run.nodes}
-    return Reach(frozenset(keys), frozenset(kept), tuple(run_id for run_id in ids if run_id not in kept))
+    return Reach(frozenset(keys), tuple(run_id for run_id in ids if run_id not in kept))
 
 
 def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:

@@ -18,13 +18,13 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan
+from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED
-from wasp_cli.spec.sweep import Sweep
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.plain import read_json_lines, read_plain
+from wasp_cli.store.plain import read_plain
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
 """A cell and a part of a plan; its values have the types of its fields, whoever wrote it."""
@@ -150,11 +150,6 @@ class Journal:
         """Close the file; what is written afterwards goes nowhere."""
         file, self._file = self._file, -1
         os.close(file)
-
-
-def read_journal(path: Path) -> list[dict[str, Any]]:
-    """Return the events of a journal; a last line that a kill cut short is left out."""
-    return read_json_lines(path)
 
 
 class Tail:

@@ -1,18 +1,27 @@
-"""What the commands print of runs: their state, what gc can remove, and what is published."""
+"""What the commands print of runs: their state, the log of a node, what gc can remove, and what is published."""
 
 from __future__ import annotations
 
+import io
+import os
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from wasp_cli.console import duration, size
+from wasp_cli.console import count_table, duration, size
+from wasp_cli.errors import StoreError, UnknownName, UsageError
+from wasp_cli.plan.recorded import PlannedRun
+from wasp_cli.store.find import SHOWN, begins, same_label
 from wasp_cli.store.gc import FAILURES, LOCKS, RUNS, TMP, WORK, Rubbish
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import open_plain, printable
 
 if TYPE_CHECKING:
     from wasp_cli.run.publish import Publication
@@ -141,21 +150,18 @@ def _sign(node: Active, state: RunState, now: datetime) -> str:
 LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
 
 
-def show_rubbish(found: Sequence[Rubbish], console: Console) -> None:
+def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
     """Print how much of each kind can go."""
-    if not found:
+    if not rubbish:
         console.print("there is nothing to remove")
         return
-    table = Table(box=None, padding=(0, 2), header_style="bold")
-    table.add_column("what can go")
-    table.add_column("count", justify="right")
-    table.add_column("size", justify="right")
-    kinds = sorted({each.what for each in found} - set(LAST)) + [what for what in LAST if any(each.what == what for each in found)]
+    table = count_table("what can go", "count", "size")
+    kinds = sorted({each.what for each in rubbish} - set(LAST)) + [what for what in LAST if any(each.what == what for each in rubbish)]
     for kind in kinds:
-        sizes = [each.size for each in found if each.what == kind]
+        sizes = [each.size for each in rubbish if each.what == kind]
         table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)))
     table.add_section()
-    table.add_row("total", str(len(found)), size(sum(each.size for each in found)), style="bold")
+    table.add_row("total", str(len(rubbish)), size(sum(each.size for each in rubbish)), style="bold")
     console.print(table)
 
 
@@ -164,25 +170,103 @@ def removed_line(count: int, freed: int) -> str:
     return f"{count} removed, {size(freed)} freed"
 
 
-def show_publication(found: Publication, largest: float, console: Console) -> None:
+def show_publication(publication: Publication, largest: float, console: Console) -> None:
     """Print how much of each kind is published, how much was published before, and what is left out."""
-    table = Table(box=None, padding=(0, 2), header_style="bold")
-    table.add_column("kind")
-    for heading in ("new", "size", "there already"):
-        table.add_column(heading, justify="right")
-    for kind in dict.fromkeys(item.node.kind for item in (*found.new, *found.there)):
-        sizes = [item.size for item in found.new if item.node.kind == kind]
-        there = sum(item.node.kind == kind for item in found.there)
+    table = count_table("kind", "new", "size", "there already")
+    for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
+        sizes = [item.size for item in publication.new if item.node.kind == kind]
+        there = sum(item.node.kind == kind for item in publication.there)
         table.add_row(Text(kind), str(len(sizes)), size(sum(sizes)), str(there or "-"))
-    reports = [path.stat().st_size for path in found.reports]
+    reports = [path.stat().st_size for path in publication.reports]
     table.add_row("report", str(len(reports)), size(sum(reports)), "-")
     table.add_section()
-    total = sum(item.size for item in found.new) + sum(reports)
-    table.add_row("total", str(len(found.new) + len(reports)), size(total), str(len(found.there)), style="bold")
+    total = sum(item.size for item in publication.new) + sum(reports)
+    table.add_row("total", str(len(publication.new) + len(reports)), size(total), str(len(publication.there)), style="bold")
     console.print(table)
-    for item in found.large:
+    for item in publication.large:
         text = f"left out: {item.node.label} has {size(item.size)}, more than {size(round(largest))} (--largest)"
         console.print(text, markup=False, soft_wrap=True)
-    if found.absent:
-        kinds = ", ".join(dict.fromkeys(node.kind for node in found.absent))
-        console.print(f"left out: {len(found.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
+    if publication.absent:
+        kinds = ", ".join(dict.fromkeys(node.kind for node in publication.absent))
+        console.print(f"left out: {len(publication.absent)} nodes that were not computed, since nothing needs them: {kinds}", markup=False)
+
+
+_COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a node printed in one run."""
+
+    run_id: str
+    key: str
+    label: str
+    path: Path
+
+
+def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
+    """Return the newest log of the node that `text` names: the beginning of its key, or its label.
+
+    Args:
+        layout: the results folder.
+        runs: where to look, newest first.
+        text: what someone wrote.
+
+    Raises:
+        UsageError: it names several nodes; the message lists them.
+        UnknownName: it names none that has a log.
+    """
+    wanted = " ".join(text.split())
+    logs = [log for run in runs for log in _logs(layout, run)]
+    matches = [log for log in logs if begins(log.key, wanted)]
+    if not matches:
+        named = [log for log in logs if same_label(log.label, wanted)]
+        # A label may have had another key in an older run; there it is another node's.
+        matches = [log for log in named if log.run_id == named[0].run_id]
+    newest = {log.key: log for log in reversed(matches)}
+    if len(newest) > 1:
+        raise UsageError(_several(wanted, list(newest.values())), "give the first characters of one of these keys")
+    if not newest:
+        message, hint = f"no log of '{wanted}' in '{layout.root}'", "give a key or a label, as wasp status shows them"
+        raise UnknownName("node", wanted, {log.label for log in logs}, message, otherwise=hint)
+    return next(iter(newest.values()))
+
+
+def write_log(log: Log, stream: TextIO) -> None:
+    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would command it.
+
+    Raises:
+        StoreError: it cannot be read.
+    """
+    try:
+        file = open_plain(log.path)
+    except OSError as error:
+        raise StoreError(f"cannot read '{log.path}': {(error.strerror or str(error)).lower()}") from error
+    terminal = stream.isatty()
+    with io.TextIOWrapper(file, encoding="utf-8", errors="replace", newline="\n") as lines:
+        for line in lines:
+            stream.write(_tamed(line) if terminal else line)
+
+
+def _tamed(line: str) -> str:
+    """A line with its colours and nothing else that a terminal obeys; of a bar that redraws itself, the last state."""
+    last = line.rstrip("\r\n").rpartition("\r")[2]
+    parts = [part if index % 2 else printable(part) for index, part in enumerate(_COLOUR.split(last))]
+    return "".join(parts) + ("\n" if line.endswith("\n") else "")
+
+
+def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
+    """The logs that a run has: of what it computed, or tried to."""
+    try:
+        with os.scandir(layout.within(layout.run(run.run_id) / "logs")) as entries:
+            there = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}
+    except (OSError, StoreError):
+        return []
+    paths = [(node, layout.log(run.run_id, node.label, node.key)) for node in run.nodes.values()]
+    return [Log(run.run_id, node.key, node.label, path) for node, path in paths if path.name in there]
+
+
+def _several(wanted: str, logs: list[Log]) -> str:
+    lines = [f"  {log.key}  {log.label}" for log in logs[:SHOWN]]
+    more = [f"  and {len(logs) - SHOWN} more"] if len(logs) > SHOWN else []
+    return "\n".join([f"'{wanted}' names {len(logs)} nodes:", *lines, *more])

@@ -1,18 +1,25 @@
-"""Specs that are made from another one: the ablation of a method, the planner's benchmark, the check of the operators."""
+"""Specs that are made from another one: the ablation of a method, the planner's benchmark, the check of the operators, a sweep.
+
+A sweep is one spec, once for each value of one of its settings.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.learning.configs import CriticsConfig, PoliciesConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.spec.load import Loaded, load
-from wasp_cli.spec.model import Spec, preset_names, validate
-from wasp_cli.spec.names import LONGEST, assistant_variants
+from wasp_cli.spec.load import Chain, Loaded, Override, chain_of, load, loaded, override, path_of, value_of
+from wasp_cli.spec.model import Spec, method_sections, preset_names, validate
+from wasp_cli.spec.names import LONGEST, assistant_variants, spec_name
+from wasp_cli.spec.places import InvalidSpec, Problem
+from wasp_cli.spec.read import read
 from wasp_cli.tasks.registry import TASKS
 
 WHOLE = "full"
@@ -93,3 +100,163 @@ def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:
     name = f"operators-{whole.spec.name}"[:LONGEST]
     # Behind the settings, which must not bring back what is left out here.
     return load(path, [*settings, f"name={name}", "methods=[human, expert]", "variants=[full]", "stages=[]"])
+
+
+OPTION = "--vary"
+EXAMPLE = "for example --vary diffusion.ratio=0.2,0.4,0.6"
+UNIMPAIRED_REFERENCE = "human"
+"""Runs beside the method whose setting varies: what that method adds is seen against it."""
+CELLS = {
+    "name": "a sweep names its own reports",
+    "task": "name one with --task; without it every task of the spec has its rows",
+    "tasks": "name one with --task; without it every task of the spec has its rows",
+    "methods": "name them with --method; every method has its rows",
+    "seeds": "list them in the spec: a row is the mean over all seeds",
+    "operators": "list the severities in the spec: the table per operator has rows for each",
+    "variants": "list them in the spec: each has its rows",
+}
+"""Settings that say which cells there are, and what to do instead of varying them."""
+_CLOSING = {"[": "]", "{": "}"}
+
+
+@dataclass(frozen=True)
+class Point:
+    """One value of the setting."""
+
+    text: str
+    """As it was written."""
+    value: Any
+    """As a file would have it."""
+    loaded: Loaded
+    """The spec with it, under a name of its own."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A spec under several values of one setting."""
+
+    name: str
+    """Of the reports."""
+    spec: str
+    """The name of the spec without any of the values."""
+    key: str
+    points: tuple[Point, ...]
+
+
+def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Sequence[str] = ()) -> Sweep:
+    """Read and validate a spec file under every value of `vary`.
+
+    Args:
+        path: the YAML file.
+        vary: a text `a.b=v1,v2`.
+        methods: the methods of the spec that run. With none, the setting of a method runs this method and Human-only, and any other
+            setting all that the spec lists.
+        settings: texts `a.b=value`, under every value.
+
+    Raises:
+        UsageError: `vary` has another form, fewer than two values or one twice, or says which cells there are.
+        InvalidSpec: with every problem of every value.
+        UnknownName: the spec has no such method.
+    """
+    options = values_of(vary)
+    overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
+    chain = chain_of(read(path))
+    specs = _validated(chain, overrides, options)
+    key = ".".join(options[0].path)
+    name = specs[0].spec.name
+    points: list[Point] = []
+    for option, valid in zip(options, specs, strict=True):
+        text = written(option)
+        taken = [point.loaded.spec.name for point in points]
+        update = {"name": spec_name(name, f"{key}-{text}", taken), "methods": _methods(valid.spec, options[0].path, methods)}
+        # Not validated again: what is listed for other methods (`variants`) is no mistake here.
+        points.append(Point(text, option.value, replace(valid, spec=valid.spec.model_copy(update=update))))
+    return Sweep(spec_name(name, f"sweep-{key}"), name, key, tuple(points))
+
+
+def values_of(vary: str) -> list[Override]:
+    """Read `a.b=v1,v2`: for each value what a `--set` option would do.
+
+    Raises:
+        UsageError: another form, a value that is not YAML, fewer than two values, one twice, or a setting that says which cells there are.
+    """
+    key, equals, rest = vary.partition("=")
+    path = path_of(key)
+    if not equals or not all(path):
+        raise UsageError(f"{OPTION}: '{vary}' is not of the form KEY=V1,V2,...", EXAMPLE)
+    if path[0] in CELLS:
+        raise UsageError(f"{OPTION}: '{path[0]}' decides which cells there are; a sweep compares the same ones", CELLS[path[0]])
+    name = ".".join(path)
+    options = [Override(f"{name}={text}", path, value_of(text, f"{name}={text}", OPTION), OPTION) for text in split(rest)]
+    if len(options) < 2:
+        raise UsageError(f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE)
+    seen: dict[str, str] = {}
+    for option in options:
+        canonical = json.dumps(option.value, sort_keys=True)  # 1 and true are equal to Python
+        if canonical in seen:
+            raise UsageError(f"{OPTION}: '{written(option)}' is the same value as '{seen[canonical]}'", "write each value once")
+        seen[canonical] = written(option)
+    return options
+
+
+def written(option: Override) -> str:
+    """Return the value of an option on one line, as it was written."""
+    return " ".join(option.text.partition("=")[2].split())
+
+
+def split(text: str) -> list[str]:
+    """Split at the commas that are in no quotes and no brackets.
+
+    Raises:
+        UsageError: a bracket or a quote stays open, or nothing stands between two commas.
+    """
+    parts, open_, quote, start, i = [], "", "", 0, 0
+    while i < len(text):
+        character = text[i]
+        if quote:
+            if (quote, character) == ('"', "\\") or (quote, text[i : i + 2]) == ("'", "''"):
+                i += 1  # whatever follows is meant as it is
+            elif character == quote:
+                quote = ""
+        elif character in "\"'" and (not text[start:i].strip() or (open_ and text[:i].rstrip()[-1] in "[{,:")):
+            quote = character  # elsewhere it is an apostrophe
+        elif character in _CLOSING:
+            open_ += _CLOSING[character]
+        elif open_ and character == open_[-1]:
+            open_ = open_[:-1]
+        elif character == "," and not open_:
+            parts.append(text[start:i])
+            start = i + 1
+        i += 1
+    if quote or open_:
+        raise UsageError(f"{OPTION}: '{text}' lacks a closing {quote or open_[-1]}", EXAMPLE)
+    parts = [part.strip() for part in (*parts, text[start:])]
+    if not all(parts):
+        raise UsageError(f"{OPTION}: '{text}' has an empty value", "write null where no value is meant")
+    return parts
+
+
+def _validated(chain: Chain, overrides: Sequence[Override], options: Sequence[Override]) -> list[Loaded]:
+    """The spec under every value, or all that is wrong with any of them; what is wrong with all is said once."""
+    specs: list[Loaded] = []
+    problems: dict[Problem, None] = {}
+    for option in options:
+        try:
+            specs.append(loaded(chain, (*overrides, option)))
+        except InvalidSpec as error:
+            problems |= dict.fromkeys(error.problems)
+    if problems:
+        raise InvalidSpec(list(problems))
+    return specs
+
+
+def _methods(spec: Spec, path: tuple[str, ...], wanted: Sequence[str]) -> tuple[str, ...]:
+    """The methods that run."""
+    for name in wanted:
+        if name not in spec.methods:
+            raise UnknownName("method of this spec", name, spec.methods)
+    if wanted:
+        return tuple(name for name in spec.methods if name in wanted)
+    if path[0] in method_sections():
+        return tuple(dict.fromkeys((UNIMPAIRED_REFERENCE, path[0])))
+    return spec.methods

@@ -16,9 +16,8 @@ from wasp_cli.spec.hints import Finding, findings, misplaced
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.names import EXTENDS, SHORT
 from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem, locate
-from wasp_cli.spec.plain import plain
 from wasp_cli.spec.presets import merged
-from wasp_cli.spec.read import Source, beside, dotted, kind_of, parse, read
+from wasp_cli.spec.read import Source, beside, dotted, kind_of, parse, plain, read
 
 
 @dataclass(frozen=True)

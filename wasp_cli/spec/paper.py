@@ -27,8 +27,7 @@ from wasp_cli.spec.hints import findings
 from wasp_cli.spec.model import refuse
 from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
 from wasp_cli.spec.places import InvalidSpec, Loc
-from wasp_cli.spec.plain import plain
-from wasp_cli.spec.read import Source, read
+from wasp_cli.spec.read import Source, plain, read
 
 PACKAGED = Path(__file__).parents[1] / "paper.yaml"
 """Where a wheel has the file; pyproject.toml puts it there."""

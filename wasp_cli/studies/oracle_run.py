@@ -63,7 +63,7 @@ def measure_oracle(
     results: Path,
     settings: Sequence[str],
 ) -> tuple[Cell, list[Outcome]]:
-    """Human-only, then WASP in some of its variants, in the same episodes.
+    """Run Human-only, then WASP in some of its variants, in the same episodes.
 
     Args:
         path: of the spec, for the planner's sizes, the first seed, and the expert.
@@ -149,7 +149,7 @@ def _training(path: Path, spec: Spec, results: Path, settings: Sequence[str]) ->
 
 
 def oracle_table(cell: Cell, found: Sequence[Outcome]) -> Table:
-    """A row per assistant, Human-only first."""
+    """Tabulate the outcomes, a row per assistant, Human-only first."""
     alone = found[0]
     rows = [Row((_title(outcome),), tuple(_value(outcome, alone, column) for column in COLUMNS)) for outcome in found]
     episodes = f"{cell.episodes} episode{'s' if cell.episodes > 1 else ''}"

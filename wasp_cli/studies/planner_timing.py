@@ -81,15 +81,17 @@ class Bench:
     """share of the time of a `safety` decision by operator, the largest first"""
 
     def ms(self, kind: str) -> float:
-        """Fastest time of a kind per episode of the batch."""
+        """Return the fastest time of a kind in milliseconds per episode of the batch."""
         return next(timing.ms for timing in self.timings if timing.kind == kind) / self.batch
 
     def mean_ms(self, safety: float, task: float) -> float:
-        """Mean decision where the gates fire at these rates. The probe comes before a task decision and after a silent safety gate."""
+        """Return the mean milliseconds of a decision where the gates fire at these rates.
+
+        The probe comes before a task decision and after a silent safety gate."""
         return safety * self.ms("safety") + task * self.ms("task") + (1 - safety - task) * self.ms("quiet")
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """Return everything as JSON values."""
         return asdict(self) | {"shares": dict(self.shares)}
 
 
@@ -128,7 +130,7 @@ class Setup:
         self.batch = batch
 
     def decision(self, kind: str) -> Callable[[], Any]:
-        """A call that makes one decision of a kind, each time the same one."""
+        """Return a call that makes one decision of a kind, each time the same one."""
         seeds = list(range(self.batch))
         everyone = torch.ones(self.batch, dtype=torch.bool)
 
@@ -166,7 +168,7 @@ def _bench(setup: Setup, batch: int, threads: int, repeats: int) -> Bench:
 
 
 def matrix_rate(shapes: Sequence[tuple[int, int, int]] = ROOF_SHAPES, repeats: int = 20) -> float:
-    """Floating-point operations per second of plain matrix products: the fastest shape."""
+    """Measure the floating-point operations per second of plain matrix products [M, K] x [K, N]: the fastest shape."""
     best = 0.0
     for m, k, n in shapes:
         a, b, out = torch.randn(m, k), torch.randn(k, n), torch.empty(m, n)
@@ -214,7 +216,7 @@ def bench_table(found: Mapping[str, Bench]) -> Table:
 
 
 def notes(name: str, bench: Bench) -> Iterator[str]:
-    """What the time goes to, and the mean decision at the paper's intervention rates."""
+    """Say what the time goes to, and the mean decision at the paper's intervention rates."""
     spent = ", ".join(f"{operator} {100 * share:.0f} %" for operator, share in bench.shares.items())
     yield f"{name}: time of a safety decision by operator: {spent}"
     for task, rate in TABLE1.items():

@@ -72,7 +72,7 @@ class VectorTask(Protocol):
     cost_sources: tuple[str, ...]
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
-        """Start new episodes: `seeds` has one seed for each reset row, in order (all rows when `rows` is None)."""
+        """Start new episodes: `seeds` has one seed for each reset row, in order (`rows` [B]; None: all rows)."""
         ...
 
     def step(self, action: NDArray[Any]) -> Step:

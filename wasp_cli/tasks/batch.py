@@ -28,7 +28,7 @@ def check_options(batch: int, action_repeat: int, threads: int, observe: Sequenc
 
 
 def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterator[tuple[int, int]]:
-    """Yield the rows that start anew, each with its seed; all are checked before the first one comes.
+    """Yield the rows (mask [B]) that start anew, each with its seed; all are checked before the first one comes.
 
     Raises:
         TaskError: mask and seeds do not fit, or a seed is out of range.

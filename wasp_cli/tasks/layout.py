@@ -181,7 +181,7 @@ class Streams:
         }
 
     def restore(self, key: NDArray[np.uint32], position: NDArray[np.int64], owed: NDArray[np.int64]) -> None:
-        """Return to a snapshot. Uniform draws leave no cached Gaussian: key and position are all."""
+        """Return to a snapshot: `key` [B, 624], `position` [B], `owed` [B]. Uniform draws leave no cached Gaussian."""
         for stream, row_key, row_position in zip(self._streams, key, position, strict=True):
             stream.set_state(("MT19937", row_key, int(row_position), 0, 0.0))
         self._owed = owed.copy()

@@ -75,7 +75,7 @@ class Painter:
         self._view = None if played.appearance is None else MapView(played.appearance, MAP)
 
     def frame(self, decision: PlayedDecision) -> Image.Image:
-        """RGB of WIDTH x HEIGHT."""
+        """Draw one frame: RGB of WIDTH x HEIGHT px."""
         imagined = imagine(self._played.model, decision.start, self._horizon, self.shown, hold=self._hold)
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)

@@ -123,7 +123,7 @@ class Readout:
         return moves
 
     def explained(self, features: NDArray[Any], moves: Floats) -> Floats:
-        """R2 [3] on other decisions: features [N, F] with the displacements [N, 3] that they had; NaN where these are all the same."""
+        """Return R2 [3] on other decisions: features [N, F] with their displacements [N, 3]; NaN where these are all the same."""
         return _explained(self(features), moves)
 
 

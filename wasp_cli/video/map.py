@@ -30,7 +30,7 @@ _SMOOTH = 2
 
 
 def stick(task: object, action: Floats) -> Floats | None:
-    """An action [A] as (forward, left) [2] in [-1, 1]; None of a task that does not say how it is driven.
+    """Turn an action [A] into (forward, left) [2] in [-1, 1]; None of a task that does not say how it is driven.
 
     A point is commanded by throttle and turn rate (left is positive), a car by the torques of the driver's right and left wheel: their mean
     drives, half of what the right one has more turns left.
@@ -71,7 +71,7 @@ class MapView:
         self._free = self.half * (0.9 if whole else FREE)
 
     def picture(self, scene: Scene) -> MapPicture:
-        """The only row of a scene, to be drawn on."""
+        """Return the picture of the only row of a scene, to be drawn on."""
         at = scene.position[0, :2]
         centre = at if self._centre is None else self._centre
         self._centre = centre + (at - centre) - np.clip(at - centre, -self._free, self._free)
@@ -87,7 +87,7 @@ class MapPicture:
 
     @classmethod
     def of(cls, appearance: Appearance, scene: Scene, size: int, centre: Floats, half: float) -> MapPicture:
-        """The only row of a scene as `size` px, `half` m from `centre` [2] to each side."""
+        """Draw the only row of a scene as `size` px, `half` m from `centre` [2] to each side."""
         require_mujoco()
         from wasp_cli.tasks.camera.topdown import draw_map
 
@@ -99,7 +99,7 @@ class MapPicture:
         return [(float(x), float(y)) for x, y in (scaled + 1.0) / 2.0 * self._image.width]
 
     def line(self, places: Floats, colour: str, width: float = 1.0, dash: int = 0) -> None:
-        """Through places [N, 2]; of every `dash` + 1 stretches the last one is left out."""
+        """Draw a line through places [N, 2] in m; of every `dash` + 1 stretches the last one is left out."""
         points = self._pixels(places)
         if len(points) < 2:
             return
@@ -110,18 +110,18 @@ class MapPicture:
                 self._draw.line(points[index : index + 2], colour, round(width * _SMOOTH))
 
     def trail(self, places: Floats, width: float) -> None:
-        """Where the robot has been [N, 2]: visible on light and dark ground."""
+        """Draw where the robot has been [N, 2] in m: visible on light and dark ground."""
         self.line(places, "#FFFFFF90", 2.2 * width)
         self.line(places, "#404040C0", width)
 
     def dots(self, places: Floats, colour: str, radius: float, edge: str | None = None) -> None:
-        """A disc at each of N places [N, 2]."""
+        """Draw a disc at each of N places [N, 2] in m."""
         reach = radius * _SMOOTH
         for x, y in self._pixels(places):
             self._draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour, edge, _SMOOTH)
 
     def arrow(self, pose: Pose, push: Floats, colour: str, width: float, reach: float = REACH) -> None:
-        """An action as (forward, left) [2] at a robot: along its nose what drives, to the side what turns."""
+        """Draw an action as (forward, left) [2] at a robot: along its nose what drives, to the side what turns."""
         pushed = reach * (push[0] * pose.forward + push[1] * pose.left)
         # It begins beside the robot, which would else lie under it.
         start = pose.at + ROBOT * self._half * pushed / max(float(np.hypot(*pushed)), 1e-9)
@@ -140,17 +140,20 @@ class MapPicture:
             self._draw.polygon([(float(x), float(y)) for x, y in corners], shade)
 
     def edge(self, colour: str, width: float) -> None:
-        """A frame around the map."""
+        """Draw a frame around the map."""
         side = self._image.width - 1
         self._draw.rectangle((0, 0, side, side), outline=colour, width=round(width * _SMOOTH))
 
     def finished(self) -> Image.Image:
-        """The image at its size."""
+        """Return the image at its size."""
         return self._image.reduce(_SMOOTH)
 
 
 def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: Floats, width: float, reach: float = REACH) -> None:
-    """The command and, where it was changed, what was executed, as arrows; nothing of a task that does not say how it is driven."""
+    """Draw the command [A] and, where it was changed, what was executed [A], as arrows.
+
+    Draws nothing of a task that does not say how it is driven.
+    """
     command, executed = stick(task, a_h), stick(task, a)
     if command is None or executed is None:
         return
@@ -160,7 +163,7 @@ def draw_actions(picture: MapPicture, task: object, pose: Pose, a_h: Floats, a: 
 
 
 def along(places: Sequence[Floats]) -> Floats:
-    """Places as one array [N, 2]."""
+    """Stack places [2] into one array [N, 2]."""
     return np.array(places, np.float64).reshape(-1, 2)
 
 

@@ -66,11 +66,11 @@ class Verdict:
     """the same under the command alone"""
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """Return everything as JSON values."""
         return asdict(self)
 
     def lines(self) -> list[str]:
-        """For people, with the paper's symbols."""
+        """Write the decision as lines for people, with the paper's symbols."""
         numbers = f"ρ {self.rho:.3f}   ΔC {self.delta_c:+g}   ΔR {self.delta_r:+.3f}   W {self.window}"
         tau = "τ_R unknown" if self.tau_R is None else f"τ_R {self.tau_R:.3g}"
         if not self.intervened:

@@ -96,7 +96,7 @@ class Timeline:
         self.image = Image.open(file).convert("RGB")
 
     def cursor(self, t: int) -> float:
-        """Column of decision t in px."""
+        """Return the column of decision t in px."""
         return _LEFT + (t + 0.5) / self._trace.length * (self._width - _LEFT - _RIGHT)
 
 

@@ -46,11 +46,11 @@ class Source:
     """of matrix products when it was evaluated: rounding may depend on them"""
 
     def world(self) -> VectorTask:
-        """The task as the cell was evaluated in."""
+        """Build the task as the cell was evaluated in."""
         return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=("pixels",), threads=self.threads)
 
     def operator(self, world: VectorTask) -> Operator:
-        """The operator of the cell, fresh."""
+        """Build the operator of the cell, fresh."""
         batch = len(self.recorded.a)
         mistakes = [seeds.operator_seed(self.task, self.variant, self.value, self.seed, e) for e in range(batch)]
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)

@@ -9,8 +9,7 @@ import pytest
 from rich.console import Console
 
 from tests.report.claims.test_verdict import against, asked, cell, frame_of, paper_with
-from wasp_cli.report.claims.table import COLUMN_OF, numbers_table
-from wasp_cli.report.claims.text import headline, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.claims.text import COLUMN_OF, headline, numbers_table, verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.claims.verdict import VerdictReport, judge
 from wasp_cli.report.render.text import csv_text
 from wasp_cli.report.stats.bootstrap import mean_of

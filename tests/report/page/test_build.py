@@ -14,8 +14,7 @@ from markupsafe import Markup
 from wasp_cli.report.figures.methods import latency_figure
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.stats.frame import Frame, Missing
-from wasp_cli.report.tables.details import detail_table
-from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.tables.main import detail_table, main_table
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.store.tables import CellIdentity

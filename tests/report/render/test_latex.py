@@ -13,8 +13,7 @@ from wasp_cli.report.render.latex import ACCENTS, SPECIAL, escaped, latex
 from wasp_cli.report.stats.frame import Frame
 from wasp_cli.report.stats.summary import Value
 from wasp_cli.report.tables.by_axis import operator_table
-from wasp_cli.report.tables.details import detail_table
-from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.tables.main import detail_table, main_table
 from wasp_cli.report.tables.table import Column, Row, Table
 
 NASTY = '50% of $x_1$ & #2 {a} ~ ^ \\input{/etc/passwd} [b] *c* <d> |e| "f" `g\' -- é ł \u202e\n% new line τ²'

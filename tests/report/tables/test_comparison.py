@@ -12,8 +12,7 @@ from wasp_cli.report.stats.frame import Frame, Wanted, groups, read_frame
 from wasp_cli.report.stats.summary import Value
 from wasp_cli.report.tables.by_axis import severity_table
 from wasp_cli.report.tables.comparison import BEST, MEASURES, comparison_table
-from wasp_cli.report.tables.details import latency_table
-from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.tables.main import latency_table, main_table
 from wasp_cli.report.tables.table import Row, Table
 
 Grid = Callable[..., list[Wanted]]

@@ -13,7 +13,7 @@ from tests.report.trained.parts import QUALITY, artifact, diagnosed, signals
 from wasp_cli.learning.contents import contents
 from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, bootstrap, critic_alone, discounted, one_step
 from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.curves import STEPS
+from wasp_cli.report.trained.figures import STEPS
 from wasp_cli.report.trained.pages import (
     contents_markdown,
     dataset_warnings,

@@ -148,7 +148,7 @@ class WASP:
         self.kept = torch.where((self.kept_for > 0).view(-1, 1, 1), kept, 0.0)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Return tau_r, tau_c, and the distributions of both gates' signals under the unimpaired expert."""
+        """Return tau_r, tau_c, and the distributions of both gates' signals [N] under the unimpaired expert."""
         everyone = torch.ones(len(heldout.a_h), dtype=torch.bool)
         self.reset(everyone, [seed + i for i in range(len(heldout.a_h))])
         generators = self.noise.next()

@@ -64,7 +64,7 @@ class Draws(NamedTuple):
     """uniform [B, H, M, K]"""
 
     def rows(self, index: Tensor) -> Draws:
-        """Select the draws of some of the decisions."""
+        """Select the draws of some of the decisions (indices or mask [R])."""
         return Draws(self.latent[index], self.operator[index])
 
     def first(self, rollouts: int) -> Draws:
@@ -88,7 +88,7 @@ class Situation(NamedTuple):
     """[B] the operator's rows that these decisions belong to"""
 
     def select(self, index: Tensor) -> Situation:
-        """Select some of the decisions."""
+        """Select some of the decisions (indices or mask [R])."""
         return Situation(self.latent.rows(index), self.a_h[index], self.operator, self.rows[index])
 
 

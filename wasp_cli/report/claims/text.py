@@ -1,19 +1,25 @@
-"""The claims of a paper in words: for the terminal, as a section of Markdown, and as one of HTML (`page/templates/claims.html`)."""
+"""The claims of a paper in words, for the terminal, Markdown and HTML (`page/templates/claims.html`), and its numbers as a table."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Group
 from rich.text import Text
 
 from wasp_cli.plan.reasons import few
-from wasp_cli.report.claims.table import COLUMN_OF, title_of
-from wasp_cli.report.claims.verdict import Answer, Judged, Outcome, VerdictReport, any_of
-from wasp_cli.report.render.html import rendered
-from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of
+from wasp_cli.report.render.files import rendered
+from wasp_cli.report.stats.bootstrap import Estimate
+from wasp_cli.report.stats.summary import UNDEFINED, Value
+from wasp_cli.report.tables.main import DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
+from wasp_cli.report.tables.necessity import MEANS as NECESSITY
+from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.report.tables.titles import task_title, who_title
+from wasp_cli.spec.paper import Printed, Who
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -44,7 +50,7 @@ def label(verdict: VerdictReport, judged: Judged) -> str:
 
 def headline(verdict: VerdictReport) -> str:
     """Count the claims by their outcome, in a sentence."""
-    parts = [_counted(len(found), outcome, verdict) for outcome in ("holds", "fails", "undecided") if (found := verdict.having(outcome))]
+    parts = [_counted(len(judged), outcome, verdict) for outcome in ("holds", "fails", "undecided") if (judged := verdict.having(outcome))]
     rest = Counter(judged.part for judged in verdict.having("untested"))
     partly = [_counted(rest[outcome], outcome, verdict) for outcome in ("holds", "undecided") if rest[outcome]]
     if partly:
@@ -72,12 +78,12 @@ def _about(verdict: VerdictReport, outcome: Outcome) -> str:
 
 def untested(verdict: VerdictReport) -> str:
     """Return one line about the claims of which nothing could be asked; empty when there are none."""
-    found = [judged for judged in verdict.claims if judged.outcome == judged.part == "untested"]
-    if not found:
+    untested = [judged for judged in verdict.claims if judged.outcome == judged.part == "untested"]
+    if not untested:
         return ""
-    reasons = few(lacking(found))
-    what = "1 claim is" if len(found) == 1 else f"{len(found)} claims are"
-    return f"{what} not tested by this spec{f' ({reasons})' if reasons else ''}: {', '.join(judged.claim.id for judged in found)}."
+    reasons = few(lacking(untested))
+    what = "1 claim is" if len(untested) == 1 else f"{len(untested)} claims are"
+    return f"{what} not tested by this spec{f' ({reasons})' if reasons else ''}: {', '.join(judged.claim.id for judged in untested)}."
 
 
 def lacking(claims: Sequence[Judged]) -> list[str]:
@@ -92,8 +98,8 @@ def sentence(answer: Answer) -> str:
     what = f"{task_title(asked.task)} {column.title}"
     if asked.right is not None:
         sides.append(f"{title_of(asked.right)} {column.number(answer.right)}")
-    found = "" if asked.right is None else f"; difference {column.number(answer.estimate.value if answer.estimate else None, True)}"
-    return f"{what}: {', '.join(sides)}{found}{interval_text(answer)}, needed: {needed(answer)}"
+    difference = "" if asked.right is None else f"; difference {column.number(answer.estimate.value if answer.estimate else None, True)}"
+    return f"{what}: {', '.join(sides)}{difference}{interval_text(answer)}, needed: {needed(answer)}"
 
 
 def interval_text(answer: Answer) -> str:
@@ -117,14 +123,14 @@ def answered(answer: Answer) -> str:
 
 def printed(answer: Answer) -> str:
     """Return the numbers of a comparison as the paper prints them; empty where it prints none."""
-    found = [f"{number.mean:g}" for number in answer.printed if number is not None]
-    return " and ".join(found) if answer.shown_in_print is not None else ""
+    numbers = [f"{number.mean:g}" for number in answer.printed if number is not None]
+    return " and ".join(numbers) if answer.shown_in_print is not None else ""
 
 
 def beyond_print(judged: Judged) -> str:
     """Say where a claim says more than the paper's own numbers; empty where it does not."""
-    found = [answer for answers in judged.beyond_print for answer in answers]
-    shown = [f"{task_title(one.asked.task)} {COLUMN_OF[one.asked.column].title} {printed(one)}" for one in found]
+    odd = [answer for answers in judged.beyond_print for answer in answers]
+    shown = [f"{task_title(one.asked.task)} {COLUMN_OF[one.asked.column].title} {printed(one)}" for one in odd]
     return f"The paper's own means do not show it: {few(shown)}." if shown else ""
 
 
@@ -195,8 +201,8 @@ def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
         ("lacking", absent and f"Not tested: {absent}"),
     )
     shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
-    found = {"id": claim.id, "shade": shade, "label": label(verdict, judged), "says": claim.says, "section": claim.section}
-    return {**found, "remarks": remarks, "rows": list(_rows(judged))}
+    facts = {"id": claim.id, "shade": shade, "label": label(verdict, judged), "says": claim.says, "section": claim.section}
+    return {**facts, "remarks": remarks, "rows": list(_rows(judged))}
 
 
 def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
@@ -210,14 +216,88 @@ def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
 
 def _cells(answer: Answer, before: str) -> list[Cell]:
     asked, column = answer.asked, COLUMN_OF[answer.asked.column]
-    found = answer.estimate.value if answer.estimate else None
+    value = answer.estimate.value if answer.estimate else None
     return [
         (before + task_title(asked.task), None),
         (column.title, None),
         (f"{title_of(asked.left)} {column.number(answer.left)}", answer.left),
         ("" if asked.right is None else f"{title_of(asked.right)} {column.number(answer.right)}", answer.right),
-        (f"{column.number(found, asked.right is not None)}{interval_text(answer)}", found),
+        (f"{column.number(value, asked.right is not None)}{interval_text(answer)}", value),
         (needed(answer), answer.threshold),
         (PLAIN[answer.outcome], None),
         (printed(answer), None),
     ]
+
+
+COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}
+"""Everything that a claim may be about (spec.paper.COLUMNS)."""
+PRINTED_DIGITS = 2
+LABELS = ("Table", "Task", "Method")
+MEANINGS = (
+    "paper: as it prints it. here: our mean [95 % interval] (our mean minus the paper's).",
+    "The paper does not say what its ± is taken over, and its models, severities and episodes are others: numbers show the size of an "
+    "effect, and the claims its direction.",
+)
+
+
+def numbers_table(verdict: VerdictReport) -> Table | None:
+    """Return each printed number beside the measured one, for the tasks that are here; None where the paper prints nothing of them."""
+    keys = list(dict.fromkeys(key for row in verdict.rows for key in _columns(verdict, row)))
+    if not verdict.rows:
+        return None
+    columns = [column for key in keys for column in (_column(key, "paper"), _column(key, "here"))]
+    rows = [Row((row.table, task_title(row.task), title_of(row.who) + ("" if not row.note else " [incomplete]")),
+                _values(verdict, row, keys)) for row in verdict.rows]  # fmt: skip
+    absent = sum(len(printed) for table in verdict.paper.tables for printed in table.rows.values()) - len(rows)
+    notes = [f"{absent} of the paper's rows are of tasks or ablations that this spec does not run."] if absent else []
+    return Table(
+        "paper",
+        "Comparison with the paper",
+        LABELS,
+        tuple(columns),
+        tuple(rows),
+        tuple(notes),
+        MEANINGS,
+        grouping=2,
+        ranked=False,
+    )
+
+
+def title_of(who: Who) -> str:
+    """Return the name of a row in tables."""
+    return who_title(who.method, who.variant)
+
+
+def _columns(verdict: VerdictReport, row: Beside) -> tuple[str, ...]:
+    return next(table.columns for table in verdict.paper.tables if table.name == row.table)
+
+
+def _column(key: str, whose: str) -> Column:
+    column = COLUMN_OF[key]
+    if whose == "here":
+        return replace(column, title=f"{column.title}, here")
+    return replace(column, key=f"{key}_paper", title=f"{column.title}, paper", digits=min(column.digits, PRINTED_DIGITS))
+
+
+def _values(verdict: VerdictReport, row: Beside, keys: list[str]) -> tuple[Value, ...]:
+    pairs = dict(zip(_columns(verdict, row), zip(row.printed, row.ours, strict=True), strict=True))
+    values: list[Value] = []
+    for key in keys:
+        printed, ours = pairs.get(key, (None, None))
+        values += [_printed(printed, key), _ours(ours, printed, key, verdict.seeds)]
+    return tuple(values)
+
+
+def _printed(printed: Printed | None, key: str) -> Value:
+    """The paper's number in the unit of the rows: its page has percent."""
+    if printed is None:
+        return UNDEFINED
+    scale = COLUMN_OF[key].scale
+    return Value(printed.mean / scale, None if printed.spread is None else printed.spread / scale, ranked=False)
+
+
+def _ours(ours: Estimate | None, printed: Printed | None, key: str, seeds: int) -> Value:
+    if ours is None:
+        return UNDEFINED
+    theirs = _printed(printed, key).mean
+    return Value(ours.value, n=seeds, delta=None if theirs is None else ours.value - theirs, ranked=False, interval=ours.interval)

@@ -1,14 +1,18 @@
-"""How all figures of a report look, what they are called, and how they are written."""
+"""How all figures of a report look, what they are called, how lines are drawn, and how figures are written."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.report.trained.artifacts import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,3 +102,59 @@ def legend(
     if most:
         options["ncols"] = math.ceil(len(handles) / math.ceil(len(handles) / most))
     figure.legend(handles.values(), handles.keys(), frameon=False, **options)
+
+
+GREY = "#999999"
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One line of a panel."""
+
+    x: Floats
+    """[n]"""
+    y: Floats
+    """[n]; NaN is left out"""
+    label: str = ""
+    colour: str = PALETTE[6]
+    style: str = "-"
+    """`none`: marks alone"""
+    marker: str = ""
+    width: float = 1.2
+    alpha: float = 1.0
+    """of the line"""
+    size: float = 3.0
+    """of the marks"""
+    areas: Floats | None = None
+    """[n] of marks that differ in size"""
+    gaps: bool = False
+    """Whether NaN interrupts the line instead."""
+
+
+def draw_lines(panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, float] | None = None, **axes: Any) -> None:
+    """Draw lines over a grid; a label that several share is named once.
+
+    Args:
+        panel: matplotlib's.
+        lines: what is drawn.
+        diagonal: where a grey line of equal x and y begins and ends; None: nowhere.
+        axes: what matplotlib's `Axes.set` takes (title, labels, limits).
+    """
+    if diagonal is not None:
+        panel.plot(diagonal, diagonal, color=GREY, linewidth=0.8, zorder=0.9)
+    named: set[str] = set()
+    for line in lines:
+        here = np.ones(len(line.x), bool) if line.gaps else np.isfinite(line.x) & np.isfinite(line.y)
+        label = line.label if line.label and line.label not in named else None
+        named.add(line.label)
+        plain = line.areas is None
+        panel.plot(
+            line.x[here], line.y[here], color=line.colour, alpha=line.alpha, linestyle=line.style, linewidth=line.width,
+            marker=line.marker if plain else "", markersize=line.size, label=label if plain else None,
+        )  # fmt: skip
+        if line.areas is not None:
+            panel.scatter(
+                line.x[here], line.y[here], line.areas[here], color=line.colour, marker=line.marker or "o", linewidths=0, label=label
+            )
+    ruled(panel)
+    panel.set(**axes)

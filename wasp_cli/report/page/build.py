@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from wasp_cli.report.figures.style import CAPTIONS
 from wasp_cli.report.page.films import TaskFilms, film_page
 from wasp_cli.report.provenance import Assumption
-from wasp_cli.report.render.html import rendered
+from wasp_cli.report.render.files import rendered
 from wasp_cli.report.stats.frame import Missing
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.tables.titles import task_title

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Iterable
 
 from rich import box
 from rich.console import Group
@@ -15,18 +16,19 @@ from rich.text import Text
 from wasp_cli.report.tables.table import Row, Table
 
 
+def markdown_row(cells: Iterable[object]) -> str:
+    """Write a row of a Markdown table, each cell on one line; what would end a cell is escaped."""
+    return "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
+
+
 def markdown(table: Table) -> str:
     """Render a Markdown section: title, table with the best values bold, notes."""
-
-    def line(cells: list[str]) -> str:
-        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-    lines = [f"## {table.title}", "", line([*table.labels, *(column.heading for column in table.columns)])]
+    lines = [f"## {table.title}", "", markdown_row([*table.labels, *(column.heading for column in table.columns)])]
     lines.append("|" + " --- |" * len(table.labels) + " ---: |" * len(table.columns))
     for r in range(len(table.rows)):
         cells = [table.text(r, c) for c in range(len(table.columns))]
         cells = [f"**{text}**" if (r, c) in table.marks else text for c, text in enumerate(cells)]
-        lines.append(line([*table.shown_labels(r), *cells]))
+        lines.append(markdown_row([*table.shown_labels(r), *cells]))
     if table.notes or table.meanings:
         lines += ["", *(f"- {note}" for note in table.notes + table.meanings)]
     return "\n".join(lines) + "\n"

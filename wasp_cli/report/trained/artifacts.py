@@ -1,19 +1,31 @@
-"""What was trained for a report: one row per artifact, with the numbers that its stage found worth showing."""
+"""What was trained for a report: one row per artifact, with the numbers that its stage found worth showing.
+
+Files of artifacts are read with care: a results folder may be untrusted. What has no valid form reads as nothing.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.provenance import Origins, is_from_published
+from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.tables.titles import task_title
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import LARGEST, open_plain, parse, read_plain
 from wasp_cli.tasks.registry import TASKS
 
 SHOWN = 24
@@ -49,13 +61,13 @@ def trained_artifacts(
         origins: takes every artifact into account, evaluated cells too.
     """
     origins = origins or Origins()
-    found: dict[str, Trained | None] = {}
+    artifacts: dict[str, Trained | None] = {}
     damaged: list[str] = []
 
     def visit(kind: str, key: str) -> None:
-        if key in found or not layout.manifest(kind, key).is_file():
+        if key in artifacts or not layout.manifest(kind, key).is_file():
             return
-        found[key] = None
+        artifacts[key] = None
         try:
             manifest = read_manifest(layout, kind, key)
         except ArtifactError as error:
@@ -76,12 +88,12 @@ def trained_artifacts(
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
             return
-        del found[key]  # so that it stands behind what it needs
-        found[key] = trained if kind not in NOT_TRAINED else None
+        del artifacts[key]  # so that it stands behind what it needs
+        artifacts[key] = trained if kind not in NOT_TRAINED else None
 
     for kind, key in roots:
         visit(kind, key)
-    return tuple(artifact for artifact in found.values() if artifact is not None), tuple(damaged)
+    return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(damaged)
 
 
 def _round(manifest: Mapping[str, Any]) -> int:
@@ -97,17 +109,16 @@ def trained_markdown(artifacts: Iterable[Trained]) -> str:
     """Lay out a Markdown section; the rows keep their order."""
     lines = ["## What was trained", "", "| Task | Seed | Stage | Time | Numbers | Key |", "| --- | ---: | --- | ---: | --- | --- |"]
     for artifact in artifacts:
-        numbers = numbers_text(artifact.summary).replace("|", "\\|")
-        cells = (task_title(artifact.task), artifact.seed, artifact.stage, duration(artifact.seconds), numbers, f"`{artifact.key[:8]}`")
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        numbers, time = numbers_text(artifact.summary), duration(artifact.seconds)
+        lines.append(markdown_row((task_title(artifact.task), artifact.seed, artifact.stage, time, numbers, f"`{artifact.key[:8]}`")))
     return "\n".join(lines) + "\n"
 
 
 def numbers_text(summary: Mapping[str, Any]) -> str:
     """Write the scalar numbers of a summary on one line, nested ones with dotted names."""
-    found = list(scalars(summary))
-    text = ", ".join(f"{name} {short(value)}" for name, value in found[:SHOWN])
-    return text + (f", and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+    numbers = list(scalars(summary))
+    text = ", ".join(f"{name} {short(value)}" for name, value in numbers[:SHOWN])
+    return text + (f", and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else "")
 
 
 def duration(seconds: float | None) -> str:
@@ -134,3 +145,74 @@ def scalars(summary: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str,
 def short(value: int | float | bool | str) -> str:
     """Write a number as a table has it."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+Floats = NDArray[np.float64]
+PIXELS = (6, 64, 64)
+"""Of a frame: front RGB, then rear RGB."""
+UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError, RecursionError, pa.ArrowException, WaspError)
+"""What reading, or showing, a file of another form may raise."""
+
+
+def read_json(layout: Layout, artifact: Trained, name: str) -> Any:
+    """Return what a JSON file of an artifact says; None where there is none or it does not read."""
+    with suppress(OSError, ValueError, RecursionError, WaspError):
+        return parse(read_plain(layout.within(layout.artifact(artifact.kind, artifact.key) / name)))
+    return None
+
+
+def config_of(layout: Layout, artifact: Trained) -> Mapping[str, Any]:
+    """Return the configuration of an artifact's stage; an empty one where the manifest has none."""
+    config = read_manifest(layout, artifact.kind, artifact.key).get("config")
+    return config if isinstance(config, dict) else {}
+
+
+@contextmanager
+def open_parquet(layout: Layout, path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a Parquet file of an artifact.
+
+    Raises:
+        OSError, StoreError, pyarrow.ArrowException: there is none, it is a link or no plain file, or it is damaged.
+    """
+    with open_plain(layout.within(path)) as plain, pq.ParquetFile(plain) as file:
+        yield file
+
+
+def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[str], most: int) -> pa.Table:
+    """Read a small Parquet file of an artifact.
+
+    Args:
+        layout: the results folder.
+        artifact: whose file it is.
+        name: of the file.
+        columns: that are read.
+        most: rows that it may have.
+
+    Raises:
+        ValueError: it is too large.
+        OSError, StoreError, pyarrow.ArrowException: as `open_parquet`.
+    """
+    with open_parquet(layout, layout.artifact(artifact.kind, artifact.key) / name) as file:
+        size = sum(file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups))
+        if file.metadata.num_rows > most or size > LARGEST:
+            raise ValueError(f"{name} has {file.metadata.num_rows} rows and {size} bytes")
+        return file.read(columns=list(columns), use_threads=False)
+
+
+def rows_of(value: Any) -> list[Mapping[str, Any]]:
+    """Return the mappings of a list; none where the value is no list."""
+    return [row for row in value if isinstance(row, dict)] if isinstance(value, list) else []
+
+
+def column_of(rows: Sequence[Mapping[str, Any]], name: str) -> Floats:
+    """Return a number of every row: [n], NaN where it is none."""
+    return numbers_of([row.get(name) for row in rows])
+
+
+def numbers_of(values: Any) -> Floats:
+    """Return real numbers: [n], NaN where a value is none; empty where the value is no list."""
+    if not isinstance(values, list):
+        return np.empty(0)
+    plain = [float(value) if isinstance(value, int | float) else math.nan for value in values]
+    array = np.array(plain, np.float64)
+    return np.where(np.isfinite(array), array, np.nan)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.read import PIXELS, open_parquet
+from wasp_cli.report.trained.artifacts import PIXELS, Trained, open_parquet
 from wasp_cli.store.layout import Layout
 
 FRAMES = 4

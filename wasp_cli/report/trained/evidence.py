@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.artifacts import UNREADABLE, Trained
 from wasp_cli.report.trained.contact_sheet import draw_contact_sheet
 from wasp_cli.report.trained.images import draw_open_loop, draw_open_loop_film, draw_reconstructions
 from wasp_cli.report.trained.pages import write_contents, write_open_loop, write_quality, write_signals
@@ -16,7 +16,6 @@ from wasp_cli.report.trained.part_figures import (
     draw_learning_curve,
     draw_value_reliability,
 )
-from wasp_cli.report.trained.read import UNREADABLE
 from wasp_cli.store.layout import Layout, slug
 
 FOLDER = "trained"

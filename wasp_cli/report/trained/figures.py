@@ -1,18 +1,20 @@
-"""Figures of all trained parts: learning curves, and whether the world model's probabilities come true."""
+"""Figures of all trained parts: learning curves, and whether the world model's probabilities come true.
+
+Curves of artifacts that have no valid form are no curves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from wasp_cli.report.figures.style import PALETTE, drawn, figure_files
+from wasp_cli.report.figures.style import PALETTE, Line, draw_lines, drawn, figure_files
 from wasp_cli.report.tables.titles import task_title
-from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.curves import LOSSES, STEPS, Curve, Reliability, driving_curves, loss_curves, reliabilities
-from wasp_cli.report.trained.lines import Line, draw_lines
+from wasp_cli.report.trained.artifacts import Floats, Trained, column_of, numbers_of, read_json, rows_of
 from wasp_cli.store.layout import Layout
 
 MARKERS = ("o", "s", "^", "D")
@@ -56,16 +58,16 @@ def reliability_figure(layout: Layout, trained: Iterable[Trained], folder: Path)
     Returns:
         The written files; none when no world model was judged.
     """
-    found = list(reliabilities(layout, trained))
-    tasks = list(dict.fromkeys(each.task for each in found))
+    diagrams = list(reliabilities(layout, trained))
+    tasks = list(dict.fromkeys(each.task for each in diagrams))
     if not tasks:
         return []
-    kinds = [episodes for episodes in EPISODES if any(each.episodes == episodes for each in found)]
+    kinds = [episodes for episodes in EPISODES if any(each.episodes == episodes for each in diagrams)]
     with drawn((0.8 + 3.2 * len(kinds), 0.5 + 3.0 * len(tasks))) as figure:
         panels = figure.subplots(len(tasks), len(kinds), squeeze=False, sharex=True, sharey=True)
         for row, task in zip(panels, tasks, strict=True):
             for panel, episodes in zip(row, kinds, strict=True):
-                own = [_reliability(each) for each in found if each.task == task and each.episodes == episodes]
+                own = [_reliability(each) for each in diagrams if each.task == task and each.episodes == episodes]
                 draw_lines(panel, own, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost")
                 panel.grid(visible=False)
                 panel.set_title(f"{task_title(task)}: {EPISODES[episodes]}", loc="left", fontsize=9)
@@ -96,3 +98,97 @@ def _reliability(each: Reliability) -> Line:
     colour, areas = PALETTE[(1, 6, 3, 4)[i]], 6.0 + 10.0 * np.log10(each.size[here])
     x, y = each.predicted[here], each.seen[here]
     return Line(x, y, str(each.step), colour, LINES[i], MARKERS[i], width=0.9, areas=areas, alpha=0.8)
+
+
+DRIVING = {
+    "expert": ("curve.json", "Expert"),
+    "policies": ("reinforcement.json", "Latent expert"),
+    "residual": ("curve.json", "SafeRL-Res"),
+}
+"""Stages that learn in the task: file of the curve, name in figures."""
+LOSSES = {"beta_o": "images", "beta_r": "reward", "beta_c": "cost", "ahead_c": "cost, imagined"}
+"""Terms of the world model's loss (Eq. 6 and the imagined one) that a figure shows."""
+UPDATES_PER_POINT = 20
+"""Of the world model's curves."""
+STEPS = (1, 5, 10, 15)
+"""Imagined steps whose reliability a figure shows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One line of a figure."""
+
+    task: str
+    seed: int
+    name: str
+    x: Floats
+    y: Mapping[str, Floats]
+    """By quantity; NaN is a gap."""
+
+
+class Reliability(NamedTuple):
+    """How often what the world model predicts with some probability comes true, of one seed at one imagined step."""
+
+    task: str
+    seed: int
+    episodes: str
+    """`held_out` or `unseen`"""
+    step: int
+    predicted: Floats
+    """[bins]"""
+    seen: Floats
+    """[bins]"""
+    size: Floats
+    """[bins] rows behind them"""
+
+
+def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
+    """Read return per episode (`return`) and cost per 1000 env steps (`cost_per_1000`) over the decision steps of the training."""
+    curves = []
+    for artifact in trained:
+        if artifact.kind not in DRIVING:
+            continue
+        file, name = DRIVING[artifact.kind]
+        rows = rows_of(read_json(layout, artifact, file))
+        x = column_of(rows, "interactions")
+        if len(x) > 1 and np.isfinite(x).all():
+            numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000")}
+            curves.append(Curve(artifact.task, artifact.seed, name + _round(artifact), x, numbers))
+    return curves
+
+
+def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
+    """Read the losses of the world model by LOSSES over its updates, each divided by its first value."""
+    losses = []
+    for artifact in trained:
+        if artifact.kind != "world_model":
+            continue
+        curves = read_json(layout, artifact, "curves.json")
+        if not isinstance(curves, dict):
+            continue
+        terms = {title: numbers_of(curves.get(term)) for term, title in LOSSES.items()}
+        terms = {title: values / values[0] for title, values in terms.items() if len(values) > 1 and values[0] > 0}
+        for title, values in terms.items():
+            x = UPDATES_PER_POINT * np.arange(len(values), dtype=np.float64)
+            losses.append(Curve(artifact.task, artifact.seed, title + _round(artifact), x, {"loss": values}))
+    return losses
+
+
+def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
+    """Read how reliable the cost head is along imagined rollouts, at STEPS, where `diagnostics` has judged it; of the last round."""
+    judged = [artifact for artifact in trained if artifact.kind == "diagnostics"]
+    last = {(artifact.task, artifact.seed): artifact for artifact in sorted(judged, key=lambda artifact: artifact.round)}
+    for artifact in last.values():
+        document = read_json(layout, artifact, "diagnostics.json")
+        for episodes in ("held_out", "unseen"):
+            part = document.get(episodes) if isinstance(document, dict) else None
+            for row in rows_of(part.get("steps") if isinstance(part, dict) else None):
+                if (step := row.get("k")) in STEPS:
+                    bins = rows_of(row.get("reliability"))
+                    columns = [column_of(bins, name) for name in ("predicted", "seen", "size")]
+                    if bins:
+                        yield Reliability(artifact.task, artifact.seed, episodes, int(step), *columns)
+
+
+def _round(artifact: Trained) -> str:
+    return f", round {artifact.round}" if artifact.round > 1 else ""

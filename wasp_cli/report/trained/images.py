@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.read import PIXELS, Floats, read_table
+from wasp_cli.report.trained.artifacts import PIXELS, Floats, Trained, read_table
 from wasp_cli.store.layout import Layout
 
 COLUMNS = ("window", "step", "behaviour", "episode", "decision", "cost", "predicted", "true", "model")

@@ -8,15 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.render.text import markdown_row
+from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
 from wasp_cli.report.trained.part_figures import POOLED
-from wasp_cli.report.trained.read import UNREADABLE, read_json
 from wasp_cli.store.layout import Layout
 
 ALL = "all"
 """The row of a dataset's contents that has all behaviours."""
-DATASETS = ("dataset", "rollouts")
-"""Kinds of artifacts that are a dataset."""
 COSTLY_SHARE = (0.03, 0.15)
 """Share of costly decision steps that a dataset should have: with less a model learns no cost, with more nothing of driving well."""
 
@@ -241,11 +239,7 @@ def write_quality(layout: Layout, artifact: Trained, path: Path) -> None:
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]], *, numbers: bool = False) -> list[str]:
     """A Markdown table; its first column is of words, unless all are of numbers."""
     rule = "|" + " ---: |" * len(head) if numbers else "| --- |" + " ---: |" * (len(head) - 1)
-    return [_line(head), rule, *map(_line, rows)]
-
-
-def _line(cells: Sequence[Any]) -> str:
-    return "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
+    return [markdown_row(head), rule, *map(markdown_row, rows)]
 
 
 def _short(value: Any) -> str:

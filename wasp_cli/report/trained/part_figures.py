@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wasp_cli.report.figures.style import PALETTE, drawn
-from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.curves import STEPS
-from wasp_cli.report.trained.lines import GREY, Line, draw_lines
-from wasp_cli.report.trained.read import column_of, config_of, read_json, read_table, rows_of
+from wasp_cli.report.figures.style import GREY, PALETTE, Line, draw_lines, drawn
+from wasp_cli.report.trained.artifacts import Trained, column_of, config_of, read_json, read_table, rows_of
+from wasp_cli.report.trained.figures import STEPS
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from wasp_cli.plan.node import Part
+from wasp_cli.plan.reasons import few
 from wasp_cli.report.stats.summary import Value, over_seeds
 from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.tables.titles import task_title
@@ -67,9 +68,11 @@ class Training:
         return cls(wanted, told, {part: failures[key] for part, key in parts if key in failures})
 
     def tasks(self) -> list[str]:
+        """List the tasks that have a part."""
         return list(dict.fromkeys(task for task, _, _ in self.wanted))
 
     def rounds(self, task: str) -> list[int]:
+        """List the rounds of a task."""
         return sorted({number for named, _, number in self.wanted if named == task})
 
     def parts(self, task: str, stage: str, number: int) -> tuple[Part, ...]:
@@ -91,6 +94,7 @@ class Training:
         return any(name in self.summaries.get(part, {}) for part in parts)
 
     def missing(self, parts: Sequence[Part]) -> list[Part]:
+        """List the parts that are not there."""
         return [part for part in parts if part not in self.summaries]
 
 
@@ -166,9 +170,8 @@ def _incomplete(training: Training) -> tuple[str, ...]:
     if not absent:
         return ()
     absent.sort(key=lambda part: part not in training.failures)  # what failed explains the rest
-    names = [f"{part} ({training.failures[part]})" if part in training.failures else str(part) for part in absent[:NAMED]]
-    more = f" and {len(absent) - NAMED} more" if len(absent) > NAMED else ""
-    return (f"INCOMPLETE: {len(absent)} of {len(everything)} parts are missing: {', '.join(names)}{more}.",)
+    names = [f"{part} ({training.failures[part]})" if part in training.failures else str(part) for part in absent]
+    return (f"INCOMPLETE: {len(absent)} of {len(everything)} parts are missing: {few(names, NAMED)}.",)
 
 
 def _share(training: Training, parts: Sequence[Part]) -> str:

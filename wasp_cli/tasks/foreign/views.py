@@ -107,7 +107,7 @@ class Views:
         return means
 
     def vector(self, observation: Any, entry: str) -> Floats:
-        """Return an entry of an observation as float64, flat.
+        """Return an entry of an observation as float64 [N], flat.
 
         Raises:
             TaskError: it is not there, not finite, or has another size than the observation space says.

@@ -1,0 +1,95 @@
+"""Public functions say what they do, and arrays say how they are shaped: the docstrings, read as text."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "wasp_cli"
+
+NO_VERB = re.compile(
+    "A|All|Also|An|And|Any|As|At|Before|Both|By|Each|Either|Every|Everything|First|For|From|How|If|In|Into|Is|It|Its|Mean|No|None|Not|"
+    "Nothing|Of|On|One|Only|Or|Probability|That|The|Their|There|These|They|This|Those|Through|To|What|When|Where|Whether|Which|Who|Why|"
+    "With|Without"
+)
+"""Words with which a docstring does not say what a function does."""
+
+ROOMS_OF_ARRAYS = ("learning", "models", "methods", "operators", "tasks", "metrics", "video", "studies")
+ARRAYS = re.compile(r"\b(Tensor|NDArray|ndarray|Floats|Bools|Ints|Images|Pixels)\b")
+NAMED = re.compile(r"dict\[str, [\w.]+(\[\w+\])?\]")
+"""a dictionary of arrays: it says their names instead"""
+SHAPE = re.compile(r"\[[^\]]+\]|shape", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Function:
+    """A public function or method, as it stands in a file."""
+
+    place: str
+    name: str
+    owner: str | None
+    """the class of a method"""
+    docstring: str | None
+    signature: str
+    legend: str
+    """docstrings of the class and of the module"""
+
+
+def _functions(tree: ast.Module, place: str) -> Iterator[Function]:
+    def inside(body: list[ast.stmt], owner: ast.ClassDef | None) -> Iterator[Function]:
+        for item in body:
+            if isinstance(item, ast.ClassDef) and not item.name.startswith("_"):
+                yield from inside(item.body, item)
+            elif isinstance(item, ast.FunctionDef) and not item.name.startswith("_"):
+                if any("property" in ast.unparse(decorator) for decorator in item.decorator_list):
+                    continue
+                legend = (ast.get_docstring(tree) or "") + (ast.get_docstring(owner) or "" if owner else "")
+                types = [argument.annotation for argument in ast.walk(item.args) if isinstance(argument, ast.arg)]
+                signature = " ".join(ast.unparse(each) for each in [*types, item.returns] if each is not None)
+                name, line = (f"{owner.name}.{item.name}" if owner else item.name), item.lineno
+                yield Function(
+                    f"{place}:{line} {name}", item.name, owner.name if owner else None, ast.get_docstring(item), signature, legend
+                )
+
+    yield from inside(tree.body, None)
+
+
+def _package() -> list[Function]:
+    return [
+        function
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for function in _functions(ast.parse(path.read_text()), path.relative_to(PACKAGE).as_posix())
+    ]
+
+
+def _has_verb(docstring: str) -> bool:
+    first = docstring.split()[0].rstrip(",.:;")
+    return first[0].isalpha() and first[0].isupper() and not NO_VERB.fullmatch(first) and not first.isupper()
+
+
+def test_docstrings_begin_with_a_verb() -> None:
+    assert not [f"{each.place}: {each.docstring}" for each in _package() if each.docstring and not _has_verb(each.docstring)]
+
+
+def test_public_functions_have_docstrings() -> None:
+    # A method may leave its docstring to the protocol or the base class that documents a method of that name.
+    functions = _package()
+    documented = {each.name for each in functions if each.owner and each.docstring}
+    assert not [each.place for each in functions if not each.docstring and not (each.owner and each.name in documented)]
+
+
+def test_arrays_have_shapes() -> None:
+    # In brackets, in the docstring or in the legend of the class or the module.
+    silent = [
+        each.place
+        for each in _package()
+        if each.place.startswith(ROOMS_OF_ARRAYS)
+        and each.docstring
+        and not each.docstring.startswith("See `")
+        and ARRAYS.search(NAMED.sub("", each.signature))
+        and not SHAPE.search(each.docstring + each.legend)
+    ]
+    assert not silent
