@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator
 from concurrent.futures import BrokenExecutor
+from contextlib import contextmanager
 from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError
@@ -65,19 +66,25 @@ class LokyPool:
         with warnings.catch_warnings():
             # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
             warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
-            yield from workers(delayed(execute)(job) for job in node_jobs)
+            with _signals_wait():
+                results = workers(delayed(execute)(job) for job in node_jobs)
+            yield from results
 
     def _one_by_one(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
         if self._single is None:
             self._single = _new_worker()
         for job in node_jobs:
-            result: NodeResult = self._single.submit(execute, job).result()
+            with _signals_wait():
+                running = self._single.submit(execute, job)
+            result: NodeResult = running.result()
             yield result
 
     def alone(self, job: NodeJob) -> NodeResult:
         worker = _new_worker()
         try:
-            result: NodeResult = worker.submit(execute, job).result()
+            with _signals_wait():
+                running = worker.submit(execute, job)
+            result: NodeResult = running.result()
         except BrokenExecutor as error:
             raise WorkersDied(str(error)) from error
         finally:
@@ -135,10 +142,24 @@ def _new_worker() -> Any:
     return ProcessPoolExecutor(max_workers=1, initializer=start_worker, initargs=(os.getpid(),))
 
 
+@contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Hold back signals while processes start. They begin with this thread's mask; one that is not ready would end with a traceback."""
+    from joblib.externals.loky.backend import resource_tracker
+
+    resource_tracker.ensure_running()  # it lifts the mask when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def start_worker(parent: int) -> None:
     """Prepare a worker process: being stopped is the parent's business, and without a parent there is nobody to work for."""
     for number in SIGNALS:  # a terminal and a service manager send theirs to the whole group
         signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # children of this process begin with its mask
     threading.Thread(target=_end_with, args=(parent,), daemon=True, name="parent-watch").start()
 
 

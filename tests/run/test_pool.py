@@ -1,0 +1,46 @@
+"""Worker processes and the signals that a terminal sends to the whole group."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from wasp_cli.run.interrupt import SIGNALS
+from wasp_cli.run.pool import LokyPool, _signals_wait
+
+MASK = "import signal; print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"
+
+
+def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c() -> None:
+    with _signals_wait():
+        process = subprocess.Popen([sys.executable, "-c", MASK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert not set(SIGNALS) & signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    process.send_signal(signal.SIGINT)
+    out, errors = process.communicate(timeout=30)
+    assert (process.returncode, errors) == (0, "")
+    assert all(number.name in out for number in SIGNALS)
+
+
+def test_a_worker_that_is_ready_has_no_signals_waiting() -> None:
+    code = f"from wasp_cli.run.pool import start_worker; start_worker({os.getpid()}); {MASK}"
+    with _signals_wait():
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_worker_starts_with_the_signals_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = []
+
+    class Executor:
+        def submit(self, *job: object) -> object:
+            held.append(set(SIGNALS) <= signal.pthread_sigmask(signal.SIG_BLOCK, []))
+            raise RuntimeError("no worker here")
+
+    monkeypatch.setattr("wasp_cli.run.pool._new_worker", Executor)
+    with pytest.raises(RuntimeError, match="no worker here"):
+        next(LokyPool(1).run([object()]))  # type: ignore[list-item]
+    assert held == [True]
