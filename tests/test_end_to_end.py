@@ -222,6 +222,7 @@ def same_with_one_worker(results: Path, again: Path, *options: str) -> None:
     assert all(path.read_bytes() == judged[key].read_bytes() for key, path in branched.items())
 
 
+@pytest.mark.slow
 def test_published_results_give_the_same_tables_on_a_fresh_machine(results: Path, tmp_path: Path) -> None:
     spec, here = str(results.parent / "chain.yaml"), tmp_path / "results"
     done = wasp("publish", spec, "--results", str(results), "--to", str(here / "published"))

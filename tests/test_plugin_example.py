@@ -80,6 +80,7 @@ def test_every_block_of_the_page_is_a_file() -> None:
     assert {text for _, text in blocks()} == known
 
 
+@pytest.mark.slow
 def test_its_own_tests_pass(home: Home) -> None:
     done = home.python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(home.source / "tests"))
     assert done.returncode == 0, done.stdout

@@ -58,6 +58,7 @@ def timed_under_both_planners(more: float) -> None:
     assert paper["safety"] > more * smoke["safety"]
 
 
+@pytest.mark.slow
 def test_the_table_says_what_is_timed_and_the_mean_decision(smaller: None) -> None:
     text = invoke("specs/smoke.yaml", "--threads", "1", "--repeats", "1", "--batch", "2")
     assert "2 episodes side by side, 1 thread" in text

@@ -170,6 +170,7 @@ def test_the_lagrangian_residual_learns_what_pays(parts: Parts) -> None:
     assert np.nanmean([row["return"] for row in curve[-4:]]) > np.nanmean([row["return"] for row in curve[:4]]) + 0.5
 
 
+@pytest.mark.slow
 def test_rsa_does_no_more_than_the_least_return_asks_for(parts: Parts) -> None:
     rsa = SMALL.model_copy(update={"mode": "rsa", "multiplier_lr": 0.3, "multiplier_init": 2.0, "interactions": 3000})
     content, _, calm = pushes(parts, rsa, expert_return=1e-3)

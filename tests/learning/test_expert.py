@@ -94,6 +94,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     return root / "out", summary
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rollouts", [1, 4])
 def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, Any], tmp_path: Path, rollouts: int) -> None:
     count = 0

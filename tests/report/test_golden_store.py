@@ -98,6 +98,7 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     assert label in strict.output.partition("error: golden: 1 of 32 cells is missing:")[2]
 
 
+@pytest.mark.slow
 def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(results, tmp_path / "results")
     done = run_here("report", folder, columns=120)
