@@ -25,7 +25,8 @@ def test_commands_may_stand_without_a_record() -> None:
 def test_a_command_may_change_where_a_gate_fired() -> None:
     record = blank_record(2)
     record.gate[1] = 3
-    checked(Decision(CHANGED, record), Mine(), COMMANDS)
+    decision = Decision(CHANGED, record)
+    assert checked(decision, Mine(), COMMANDS) is decision
 
 
 @pytest.mark.parametrize(
@@ -45,4 +46,5 @@ def test_what_breaks_the_contract_is_said(decision: object, message: str) -> Non
 
 def test_an_undefined_command_is_the_tasks_to_refuse() -> None:
     commands = torch.full((1, 2), torch.nan)
-    checked(Decision(commands.clone()), Mine(), commands)
+    decision = Decision(commands.clone())
+    assert checked(decision, Mine(), commands) is decision
