@@ -1,4 +1,4 @@
-"""The readout of the privileged vector against plain numpy, and where the groups of its entries lie."""
+"""The readout of the privileged vector against plain numpy."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from tests.learning.recordings import TINY, recording
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.readout import StateReadout, embeddings, fit_ridge, imagined_features
 from wasp_cli.learning.world_model import build
-from wasp_cli.tasks.make import make_task
-from wasp_cli.tasks.privileged_groups import privileged_groups
 
 
 def test_a_ridge_regression_is_the_textbook_one() -> None:
@@ -85,34 +83,3 @@ def test_an_imagined_latent_is_held_against_the_row_it_arrives_at(monkeypatch: p
     noise = -(-torch.rand((1, 1, model.noise_size), generator=torch.Generator().manual_seed(5)).clamp(1e-20, 1 - 1e-7).log()).log()
     wanted = model.imagine(latents.at(torch.tensor([0])), torch.from_numpy(data.action[1:2]), noise[0]).features
     assert torch.allclose(one, wanted, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "moved", "wanted"),
-    [
-        ("goal1", "goal", {"goal"}), ("goal1", "hazards", {"things"}),
-        ("race1", "goal", {"goal"}), ("race1", "hazards", {"things"}),
-        ("formula1", "goal", {"goal"}), ("formula1", "bodies", {"things"}),
-    ],
-)  # fmt: skip
-def test_groups_lie_where_the_task_writes_them(name: str, moved: str, wanted: set[str]) -> None:
-    """Another place of one thing changes the entries of its own group, and of no other."""
-    task = make_task(name, 1, action_repeat=4, observe=("privileged",), threads=1)
-    before = task.reset([3]).privileged
-    snapshot = task.snapshot()
-    key = next(key for key in snapshot if key.lstrip("_") == moved)
-    snapshot[key] = snapshot[key].copy()
-    snapshot[key][..., :2] *= 0.5
-    after = task.restore(snapshot).privileged
-    assert before is not None
-    assert after is not None
-    groups = privileged_groups(name, task.privileged_size)
-    assert groups.pop("all") == slice(0, task.privileged_size)
-    assert [part.start for part in groups.values()] == [0, *(part.stop for part in groups.values())][:-1], "one after the other"
-    assert list(groups.values())[-1].stop == task.privileged_size
-    assert {group for group, part in groups.items() if not np.array_equal(before[:, part], after[:, part])} == wanted
-
-
-def test_tasks_without_groups_are_judged_as_a_whole() -> None:
-    assert privileged_groups("pkg:Own-v0", 12) == {"all": slice(0, 12)}
-    assert list(privileged_groups("goal0", 7)) == ["all", "motion", "goal"], "there is nothing that costs"

@@ -52,7 +52,7 @@ MAY_HAVE = {
     "learning.privileged_state",
     "latents": f"{WORLD} learning.latents learning.shards learning.encoding learning.device",
     "diagnostics": (
-        f"{POLICY} {WORLD} {LATENTS} learning.encoding learning.dataset learning.diagnostics learning.image_samples "
+        f"{POLICY} {WORLD} {LATENTS} learning.encoding learning.dataset learning.diagnostics learning.image_samples learning.readout "
         "metrics metrics.ranking metrics.reliability stages.finite"
     ),
     "policies": (

@@ -137,7 +137,6 @@ class WorldModelConfig(Config):
     taught_batch: int = assumed(128, "images per such update", ge=1)
     taught_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
     taught_head: int = assumed(256, "width of the two layers that read the embedding meanwhile", ge=1)
-    taught_shift: int = assumed(0, "most pixels by which such images are shifted at random", ge=0)
     privileged: float = deviates(
         100.0,
         "weight of the squared error, summed over the standardised privileged vector, of a head on filtered latents; not in Eq. 6; "

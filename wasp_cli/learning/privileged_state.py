@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import Recording
+from wasp_cli.learning.windows import in_mirror
 from wasp_cli.models.nets import mlp
 from wasp_cli.models.world_model import SafetyWorldModel
 
@@ -24,8 +25,12 @@ CONSTANT = 1e-3
 """Standard deviation below which an entry of the vector counts as constant."""
 
 
+Mirror = tuple[NDArray[np.int64], NDArray[np.float32]]
+"""Order and sign [P] of a mirrored vector, see `tasks.privileged_layout`."""
+
+
 class Readout(nn.Module):
-    """A two-layer head that tells the standardised privileged vector from features."""
+    """A two-layer head that tells the standardised privileged vector [P] from features [F]."""
 
     mean: Tensor
     std: Tensor
@@ -42,10 +47,25 @@ class Readout(nn.Module):
         self.mean.copy_(torch.from_numpy(mean))
         self.std.copy_(torch.from_numpy(np.where(std > CONSTANT, std, 1.0).astype(np.float32)))
 
-    def errors(self, features: Tensor, privileged: Tensor) -> Tensor:
-        """Return the squared errors [...] of features [..., F] for vectors [..., P], summed over the standardised vector."""
-        wanted = (privileged - self.mean) / self.std
-        return (self.net(features).float() - wanted).square().sum(-1)  # type: ignore[no-any-return]
+    def loss(self, features: Tensor, privileged: Tensor, mirrored: Tensor, mirror: Mirror | None) -> Tensor:
+        """Return the squared error, summed over the standardised vector, as a mean over the rows whose vector is known.
+
+        Args:
+            features: [B, ..., F] of what was seen.
+            privileged: [B, ..., P] recorded with it.
+            mirrored: [B] where it was seen in a mirror.
+            mirror: what a vector is there; None leaves these rows out.
+        """
+        known = torch.ones_like(privileged[..., 0])
+        turned = mirrored.view(-1, *[1] * (privileged.dim() - 1))
+        if mirror is None:
+            known = known * (~mirrored).to(known.dtype).view(-1, *[1] * (known.dim() - 1))
+        else:
+            order, sign = (torch.from_numpy(each).to(privileged.device) for each in mirror)
+            privileged = torch.where(turned, privileged[..., order] * sign, privileged)
+        errors = (self.net(features).float() - (privileged - self.mean) / self.std).square().sum(-1)
+        mean: Tensor = (errors * known).sum() / known.sum().clamp(min=1.0)
+        return mean
 
 
 def new_readout(model: SafetyWorldModel, recording: Recording, rows: NDArray[np.int64], config: WorldModelConfig) -> Readout:
@@ -56,17 +76,25 @@ def new_readout(model: SafetyWorldModel, recording: Recording, rows: NDArray[np.
 
 
 def teach_encoder(
-    model: SafetyWorldModel, recording: Recording, rows: NDArray[np.int64], config: WorldModelConfig, seed: int, report: Report
+    model: SafetyWorldModel,
+    recording: Recording,
+    rows: NDArray[np.int64],
+    config: WorldModelConfig,
+    seed: int,
+    report: Report,
+    *,
+    mirror: Mirror | None = None,
 ) -> list[float]:
     """Train the encoder on single images to tell the privileged vector, before Eq. 6 trains the whole model.
 
     Args:
         model: its encoder is trained in place.
-        recording: pixels and privileged of the whole dataset.
-        rows: those of it that may be learned from.
-        config: updates, batch, learning rate and shift.
+        recording: pixels and privileged of the whole dataset [N].
+        rows: [K] those of it that may be learned from.
+        config: updates, batch, learning rate.
         seed: of the batches and the head's first weights.
         report: called every 20 updates.
+        mirror: where given, half of the images are seen in a mirror.
 
     Returns:
         The mean squared error per entry of the standardised vector, a value per 20 updates.
@@ -87,8 +115,9 @@ def teach_encoder(
             # Constant for the first half, then down to a tenth.
             group["lr"] = config.taught_rate * min(1.0, 1.9 - 1.8 * update / config.taught)
         index = places[torch.randint(len(places), (config.taught_batch,), generator=source, device=device).cpu()]
-        images = shifted_images(pixels[index].to(device), config.taught_shift, source)
-        loss = readout.errors(model.encoder(images, model.mean_image), privileged[index].to(device)).mean()
+        mirrored = torch.rand(len(index), generator=source, device=device) < (0.5 if mirror is not None else 0.0)
+        images = in_mirror(pixels[index].to(device), mirrored)
+        loss = readout.loss(model.encoder(images, model.mean_image), privileged[index].to(device), mirrored, mirror)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
@@ -96,15 +125,3 @@ def teach_encoder(
             curve.append(float(loss.detach()) / privileged.shape[1])
             report((update + 1) / config.taught, f"teaching the encoder, update {update + 1}/{config.taught}, error {curve[-1]:.2f}")
     return curve
-
-
-def shifted_images(pixels: Tensor, most: int, source: torch.Generator) -> Tensor:
-    """Shift every image of [B, C, 64, 64] by up to `most` pixels in both directions, its border repeated."""
-    if not most:
-        return pixels
-    batch, height, width = len(pixels), pixels.shape[-2], pixels.shape[-1]
-    moved = torch.randint(-most, most + 1, (2, batch, 1), generator=source, device=pixels.device)
-    down = (torch.arange(height, device=pixels.device) + moved[0]).clamp(0, height - 1)  # [B, H]
-    right = (torch.arange(width, device=pixels.device) + moved[1]).clamp(0, width - 1)
-    each = torch.arange(batch, device=pixels.device).view(-1, 1, 1)
-    return pixels.permute(0, 2, 3, 1)[each, down.unsqueeze(2), right.unsqueeze(1)].permute(0, 3, 1, 2)

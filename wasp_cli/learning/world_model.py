@@ -17,7 +17,7 @@ from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.device import mixed_precision
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.privileged_state import Readout
+from wasp_cli.learning.privileged_state import Mirror, Readout
 from wasp_cli.learning.sampling import generator, gumbel, roll_prior
 from wasp_cli.learning.shards import Recording
 from wasp_cli.learning.windows import Context, Window, Windows
@@ -65,6 +65,7 @@ def train(
     *,
     readout: Readout | None = None,
     mirror: NDArray[np.float32] | None = None,
+    privileged_mirror: Mirror | None = None,
     before: Latents | None = None,
 ) -> tuple[dict[str, list[float]], int]:
     """Minimise Eq. 6 on those rows of a recording, on the model's device; goes on from its own checkpoint in `work`.
@@ -80,6 +81,7 @@ def train(
         report: called every 20 updates.
         readout: head of the loss on the privileged vector, trained along, where `config.privileged` gives that loss a weight.
         mirror: [A, A], what an action becomes in a mirror, where sequences may be seen in one.
+        privileged_mirror: what a privileged vector becomes there, where that is known.
         before: what the model inferred at every row of the recording, where it has been trained before.
 
     Returns:
@@ -113,10 +115,8 @@ def train(
         with mixed_precision(device):
             losses, latent = compute(batch, noise, decoded, config.free_nats, start=start, ahead=ahead)
             if readout is not None:
-                errors = readout.errors(latent.features, privileged[window.rows.cpu()].to(device))  # [B, T]
-                # What a privileged vector becomes in a mirror is not known.
-                seen = (~window.mirrored).to(errors.dtype).unsqueeze(1).expand_as(errors)
-                losses["privileged"] = (errors * seen).sum() / seen.sum().clamp(min=1.0)
+                told = privileged[window.rows.cpu()].to(device)  # [B, T, P]
+                losses["privileged"] = readout.loss(latent.features, told, window.mirrored, privileged_mirror)
         if losses.keys() != weights.keys():
             raise TrainingError(f"losses {sorted(losses)} and weights {sorted(weights)} differ")
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()

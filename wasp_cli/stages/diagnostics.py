@@ -41,7 +41,7 @@ class DiagnosticsStage:
         from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
-        from wasp_cli.tasks.privileged_groups import privileged_groups
+        from wasp_cli.tasks.privileged_layout import privileged_groups
 
         config = cast(DiagnosticsConfig, job.config)
         alarm = judge.Alarm(config.threshold, job.settings["returns"].gamma_c)

@@ -47,6 +47,7 @@ class WorldModelStage:
         from wasp_cli.models.weights import load_weights, save_weights
         from wasp_cli.models.world_model import load_world_model, save_world_model
         from wasp_cli.seeds import derive
+        from wasp_cli.tasks.privileged_layout import privileged_mirror
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(WorldModelConfig, job.config)
@@ -66,7 +67,7 @@ class WorldModelStage:
 
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
         matrix = TASKS[job.task].mirror if config.mirror else None
-        mirror = None if matrix is None else np.array(matrix, np.float32)
+        mirror, turned = None if matrix is None else np.array(matrix, np.float32), privileged_mirror(job.task)
         before = encode(model, recording, during(0.0, 0.1)) if "previous" in job.inputs else None
         readout: Readout | None = None
         if config.privileged:
@@ -78,11 +79,13 @@ class WorldModelStage:
         teaching = job.work_dir / "teaching.json"
         if "previous" not in job.inputs and config.taught and not has_training(job.work_dir):
             # Not resumed: an interrupted teaching begins anew, and ends with the same bytes.
-            taught = teach_encoder(model, recording, rows, config, derive("world-model-teaching", *names), during(0.0, 0.1))
+            shown, teaching_seed = turned if mirror is not None else None, derive("world-model-teaching", *names)
+            taught = teach_encoder(model, recording, rows, config, teaching_seed, during(0.0, 0.1), mirror=shown)
             teaching.write_text(json.dumps(taught))
         curves, skipped = learning.train(
-            model, recording, rows, config, updates, seed, job.work_dir, during(0.1, 0.85), readout=readout, mirror=mirror, before=before
-        )
+            model, recording, rows, config, updates, seed, job.work_dir, during(0.1, 0.85),
+            readout=readout, mirror=mirror, privileged_mirror=turned, before=before,
+        )  # fmt: skip
         model.requires_grad_(False)
         latents = encode(model, recording, during(0.85, 0.95))
         learning.refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
