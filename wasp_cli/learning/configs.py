@@ -116,7 +116,10 @@ class WorldModelConfig(Config):
     reward_scale: float = assumed(5.0, "rewards are multiplied by it before the squared error", gt=0.0)
     cost_weight: float = assumed(5.0, "weight of costly steps; its logarithm is removed from the logit at inference", ge=1.0)
     cost_windows: float = assumed(1 / 3, "share of sequences that contain a costly step", ge=0.0, le=1.0)
-    mirror: bool = assumed(True, "half of the sequences are seen in a mirror, where the task has one: Goal, not the tracks")
+    mirror: bool = assumed(
+        True,
+        "half of the sequences are seen in a mirror, where the task has one: Goal, not the tracks; of the images of `taught` everywhere",
+    )
     context: bool = assumed(True, "sequences within an episode go on from the latent that training last inferred before them")
     ahead: float = assumed(1.0, "weight of reward and cost on imagined steps, relative to beta_r and beta_c; not in Eq. 6", ge=0.0)
     ahead_image: float = assumed(0.3, "weight of the image on imagined steps, relative to beta_o; not in Eq. 6", ge=0.0)

@@ -26,7 +26,7 @@ CONSTANT = 1e-3
 
 
 Mirror = tuple[NDArray[np.int64], NDArray[np.float32]]
-"""Order and sign [P] of a mirrored vector, see `tasks.privileged_layout`."""
+"""Order and sign [P] of a mirrored vector, see `tasks.privileged_layout`; a sign of 0 marks an entry that is not known."""
 
 
 class Readout(nn.Module):
@@ -48,24 +48,22 @@ class Readout(nn.Module):
         self.std.copy_(torch.from_numpy(np.where(std > CONSTANT, std, 1.0).astype(np.float32)))
 
     def loss(self, features: Tensor, privileged: Tensor, mirrored: Tensor, mirror: Mirror | None) -> Tensor:
-        """Return the squared error, summed over the standardised vector, as a mean over the rows whose vector is known.
+        """Return the squared error, summed over the known entries of the standardised vector, as a mean over the rows.
 
         Args:
             features: [B, ..., F] of what was seen.
             privileged: [B, ..., P] recorded with it.
             mirrored: [B] where it was seen in a mirror.
-            mirror: what a vector is there; None leaves these rows out.
+            mirror: what a vector is there; None: nothing is known of it.
         """
-        known = torch.ones_like(privileged[..., 0])
         turned = mirrored.view(-1, *[1] * (privileged.dim() - 1))
-        if mirror is None:
-            known = known * (~mirrored).to(known.dtype).view(-1, *[1] * (known.dim() - 1))
-        else:
+        sign = torch.zeros_like(self.mean)
+        if mirror is not None:
             order, sign = (torch.from_numpy(each).to(privileged.device) for each in mirror)
             privileged = torch.where(turned, privileged[..., order] * sign, privileged)
-        errors = (self.net(features).float() - (privileged - self.mean) / self.std).square().sum(-1)
-        mean: Tensor = (errors * known).sum() / known.sum().clamp(min=1.0)
-        return mean
+        known = torch.where(turned, (sign != 0).to(privileged.dtype), 1.0)
+        errors = (self.net(features).float() - (privileged - self.mean) / self.std).square()
+        return (errors * known).sum(-1).mean()  # type: ignore[no-any-return]
 
 
 def new_readout(model: SafetyWorldModel, recording: Recording, rows: NDArray[np.int64], config: WorldModelConfig) -> Readout:

@@ -79,7 +79,7 @@ class WorldModelStage:
         teaching = job.work_dir / "teaching.json"
         if "previous" not in job.inputs and config.taught and not has_training(job.work_dir):
             # Not resumed: an interrupted teaching begins anew, and ends with the same bytes.
-            shown, teaching_seed = turned if mirror is not None else None, derive("world-model-teaching", *names)
+            shown, teaching_seed = turned if config.mirror else None, derive("world-model-teaching", *names)
             taught = teach_encoder(model, recording, rows, config, teaching_seed, during(0.0, 0.1), mirror=shown)
             teaching.write_text(json.dumps(taught))
         curves, skipped = learning.train(
