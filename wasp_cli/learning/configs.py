@@ -329,6 +329,16 @@ class ResidualConfig(Config):
     operators: dict[str, tuple[float, ...]] = assumed(LADDER, "operators mixed per episode", min_length=1)
 
 
+class CoverageConfig(Config):
+    """Human-only episodes for a threshold with a guarantee (`wasp.tau_c: {coverage: ...}`); it holds for this mixture of operators."""
+
+    operators: dict[str, tuple[float, ...]] = assumed(
+        LADDER, "who drives: one severity of one variant in each episode, drawn with equal chances", min_length=1
+    )
+    episodes: int = assumed(60, "episodes from which the threshold is taken; only those that cost count", ge=1)
+    fresh: int = assumed(60, "further episodes, on which the share of costly ones with an onset without an alert is measured", ge=0)
+
+
 class RolloutsConfig(Config):
     """Data of a further round: full WASP assists the operators in the real task, with thresholds that nobody has calibrated yet."""
 
