@@ -90,10 +90,10 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
 def test_a_threshold_with_a_guarantee_is_taken_from_episodes_of_the_operators_and_shown(results: Path) -> None:
     """The trained parts are those of the first round; episodes, calibration and cells are new."""
     narrowed = ("methods=[human, wasp]", "variants=[full]", "rounds=1", "stages=[]", "name=guarantee")
-    options = [part for setting in (*narrowed, "wasp.tau_c={coverage: 0.5}", "coverage.episodes=8") for part in ("--set", setting)]
+    options = [part for setting in (*narrowed, "wasp.tau_c={coverage: 0.5}", "coverage.episodes=16") for part in ("--set", setting)]
     done = wasp("run", str(results.parent / "chain.yaml"), "--results", str(results), "-j", "2", *options)
     assert done.returncode == 0, done.stderr
-    (told,) = [path for path in (results / "store" / "calibration").glob("*/coverage.json")]
+    (told,) = (results / "store" / "calibration").glob("*/coverage.json")
     statement = json.loads(told.read_text())["statement"]
     assert "at most 50.0% have an onset without an alert" in statement
     shown = wasp("show", told.parent.name, "--results", str(results))

@@ -216,18 +216,20 @@ def guaranteed(
     missed = sum(score <= found.value for score in fresh)
     low, high = clopper_pearson(missed, len(fresh))
     mixture = ", ".join(f"{variant} {value:g}" for variant, value in facts.mixture)
-    fired = [float(np.mean(signal > found.value)) for signal in signals[facts.calibration :]]
+    fresh_signals = signals[facts.calibration :]
+    alerts = float(np.mean(np.concatenate(fresh_signals) > np.float32(found.value))) if fresh_signals else None
+    fires = "" if alerts is None else f"; the gate alerts at {alerts:.1%} of the decisions of fresh episodes"
     return {
         "statement": (
             f"of the costly episodes of these operators alone at most {eps:.1%} have an onset without an alert in the {window} decisions "
             f"up to it (threshold {found.score:.3g}: score {found.k} of {found.n}); of {len(fresh)} fresh ones {missed} have, "
-            f"{LEVEL:.0%} interval {low:.3f} to {high:.3f}; operators, equally likely: {mixture}"
+            f"{LEVEL:.0%} interval {low:.3f} to {high:.3f}{fires}; operators, equally likely: {mixture}"
         ),
         "tau_c": found.value, "eps": eps, "n": found.n, "k": found.k, "episodes": len(known), "window": window,
         "mixture": facts.mixture,
         "fresh": {
-            "episodes": len(signals) - len(known), "costly": len(fresh), "missed": missed, "low": low, "high": high,
-            "alerts": float(np.mean(fired)) if fired else None,
+            "episodes": len(fresh_signals), "costly": len(fresh), "missed": missed, "low": low, "high": high,
+            "alerts": alerts,
         },
         "scores": sorted(score for score in known if score is not None),
     }  # fmt: skip
