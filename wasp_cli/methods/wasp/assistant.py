@@ -134,6 +134,10 @@ class WASP:
         """Return what the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
         return self._nominal(Situation(latent, a_h, operator, torch.arange(len(a_h))), self.noise.next())[0]
 
+    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
+        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
+        return self.nominal(latent, a_h, operator).cost
+
     def _nominal(self, start: Situation, generators: Sequence[np.random.Generator]) -> tuple[Returns, Draws]:
         draws = self._draws(generators, start.operator, self.config.gate_rollouts)
         return self.imagination.nominal(start, draws), draws
