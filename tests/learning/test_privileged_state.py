@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from tests.learning.recordings import MIRROR, ROWS, TINY, recording
+from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.privileged_state import Mirror, Readout, new_readout, teach_encoder
 from wasp_cli.learning.readout import embeddings, fit_ridge
-from wasp_cli.learning.shards import Recording
-from wasp_cli.learning.world_model import build, mean_image, train
+from wasp_cli.learning.shards import Recording, write_shard
+from wasp_cli.learning.world_model import Report, build, mean_image, train
 from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.stages.base import Job
+from wasp_cli.stages.world_model import WorldModelStage
 
 TAUGHT = TINY.model_copy(update={"taught": 150, "taught_batch": 32, "taught_head": 32, "privileged": 100.0, "depth": 4})
 
@@ -140,3 +143,44 @@ def test_latents_learn_to_tell_the_vector(tmp_path: Path) -> None:
     readout = new_readout(model, data, np.arange(120), config)
     curves, _ = train(model, data, np.arange(120), config, 60, 2, tmp_path, silent, readout=readout)
     assert curves["privileged"][-1] < 0.8 * curves["privileged"][0]
+
+
+class Interrupted(Exception):
+    """Somebody presses Ctrl-C."""
+
+
+def stage_job(root: Path, name: str, inputs: dict[str, Path], progress: Report = silent) -> Job:
+    out, work = root / name, root / f"{name}-work"
+    out.mkdir(exist_ok=True)
+    work.mkdir(exist_ok=True)
+    config = TAUGHT.model_copy(update={"taught": 40, "later_updates": 8})
+    return Job("world_model", "goal1", 0, config, {"action_repeat": 4}, {}, inputs, out, work, progress)
+
+
+@pytest.mark.parametrize("at", ["teaching the encoder, update 21/40", "update 8/8"])
+def test_an_interrupted_stage_ends_with_the_same_bytes_and_a_later_round_goes_on_from_it(tmp_path: Path, at: str) -> None:
+    """Interrupted while the encoder is taught, which begins anew, or behind a checkpoint of Eq. 6, which keeps what was taught."""
+    (tmp_path / "dataset").mkdir()
+    random, data = np.random.default_rng(2), recording()
+    privileged = random.normal(size=(36, 65)).astype(np.float32)
+    write_shard(tmp_path / "dataset" / "shard-0000.parquet", data._replace(privileged=privileged), SOURCES)
+    inputs = {"dataset": tmp_path / "dataset"}
+    shown = WorldModelStage().run(stage_job(tmp_path, "whole", inputs))
+    assert shown["final_teaching_error"] > 0
+    assert shown["final_privileged_loss"] > 0
+
+    def interrupt(share: float, text: str) -> None:
+        if text.startswith(at):
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        WorldModelStage().run(stage_job(tmp_path, "again", inputs, interrupt))
+    assert WorldModelStage().run(stage_job(tmp_path, "again", inputs)) == shown
+    written = {name: {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("whole", "again")}
+    assert written["whole"] == written["again"]
+    assert {"world_model.safetensors", "readout.safetensors", "curves.json"} <= set(written["whole"])
+
+    later = WorldModelStage().run(stage_job(tmp_path, "later", inputs | {"previous": tmp_path / "whole"}))
+    assert "final_teaching_error" not in later, "what was taught is in the weights"
+    first, second = (json.loads((tmp_path / name / "curves.json").read_text())["privileged"] for name in ("whole", "later"))
+    assert second[0] < first[0]
