@@ -88,6 +88,7 @@ class WASPConfig(Config):
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
     tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
     bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the plain sum over H ranks better")
+    bootstrap_reward: bool = from_paper(True, "Eq. 7-8: V_r after H for the reward; without it the discounted sum over H")
     continuation: bool = deviates(
         True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"
     )

@@ -6,7 +6,7 @@ R = B * N * M rows of one call to the model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -144,8 +144,8 @@ class Imagination:
             seen.append(latent)
         arrived = Arrived.stack(seen)  # every head runs once, on all steps
         keep = self.model.continues(arrived) if self.config.continuation else None
-        reward = td_lambda(self.model.reward(arrived), self.critics.value_r(arrived), self.gamma_r, self.lam, keep)
-        cost = self._cost_return(arrived, keep)
+        reward = self._summary(self.model.reward(arrived), self.critics.value_r, self.config.bootstrap_reward, self.gamma_r, arrived, keep)
+        cost = self._summary(self.model.cost(arrived), self.critics.value_c, self.config.bootstrap_cost, self.gamma_c, arrived, keep)
         shape = (batch, candidates, rollouts)
         return Returns(reward.view(shape).mean(-1), cost.view(shape).mean(-1), effort.view(shape).mean(-1))
 
@@ -156,12 +156,13 @@ class Imagination:
         found = self.returns(start, nothing, draws)
         return Returns(found.reward.squeeze(1), found.cost.squeeze(1), found.effort.squeeze(1))
 
-    def _cost_return(self, arrived: Latent, keep: Tensor | None) -> Tensor:
-        """Return G^(c) [R] over arrived latents [H, R, .]: Eq. 8 in full, or the discounted sum over H without V_c."""
-        cost = self.model.cost(arrived)
-        if self.config.bootstrap_cost:
-            return td_lambda(cost, self.critics.value_c(arrived), self.gamma_c, self.lam, keep)
-        return discounted_sum(cost, self.gamma_c, keep)
+    def _summary(
+        self, signal: Tensor, value: Callable[[Latent], Tensor], bootstrap: bool, gamma: float, arrived: Latent, keep: Tensor | None
+    ) -> Tensor:
+        """Summarise a signal [H, R] at the arrived latents as a return [R]: Eq. 8 in full, or the discounted sum over H alone."""
+        if bootstrap:
+            return td_lambda(signal, value(arrived), gamma, self.lam, keep)
+        return discounted_sum(signal, gamma, keep)
 
 
 def _over_candidates(draws: Tensor, candidates: int) -> Tensor:
