@@ -61,7 +61,7 @@ AS_PRINTED: WASPVariant = "as-printed"
 """The variant that is the recipe of the paper beside our own in one spec: it sets `recipe`."""
 
 PAPER_RECIPE: Mapping[str, Any] = {
-    "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "continuation": False, "operator_model": "rule",
+    "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False, "operator_model": "rule",
     "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "rescore": False, "takeover_shares": (), "braking": False,
     "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled",
     "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
@@ -142,6 +142,7 @@ class WASPConfig(Config):
         "two", "gamma_r for rewards and gamma_c for costs; the paper has one gamma: that of the rewards or of the costs for both"
     )
     bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the plain sum over H ranks better")
+    bootstrap_reward: bool = from_paper(True, "Eq. 7-8: V_r after H for the reward; without it the discounted sum over H")
     continuation: bool = deviates(
         True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"
     )

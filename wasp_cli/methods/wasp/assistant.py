@@ -33,7 +33,7 @@ CHUNK = 64
 def effective(config: WASPConfig) -> WASPConfig:
     """Return the configuration that a variant stands for: `no-rollout` is a single imagined step with both critics."""
     if config.variant == "no-rollout":
-        return config.model_copy(update={"horizon": 1, "residual_steps": 1, "bootstrap_cost": True})
+        return config.model_copy(update={"horizon": 1, "residual_steps": 1, "bootstrap_cost": True, "bootstrap_reward": True})
     return config
 
 

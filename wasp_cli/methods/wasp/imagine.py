@@ -6,7 +6,7 @@ R = B * N * M rows of one call to the model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -174,8 +174,8 @@ class Imagination:
         arrived = Arrived.stack(seen)  # every head runs once, on all steps
         keep = self.model.continues(arrived) if self.config.continuation else None
         gamma_r, gamma_c = self.discounts
-        reward = td_lambda(self.model.reward(arrived), self.critics.value_r(arrived), gamma_r, self.lam, keep)
-        cost = self._cost_return(arrived, gamma_c, keep)
+        reward = self._summary(self.model.reward(arrived), self.critics.value_r, self.config.bootstrap_reward, gamma_r, arrived, keep)
+        cost = self._summary(self.model.cost(arrived), self.critics.value_c, self.config.bootstrap_cost, gamma_c, arrived, keep)
         returns = Returns(*(field.view(shape).mean(-1) for field in (reward, cost, effort)))
         if part is None:
             return returns, residuals
@@ -212,12 +212,13 @@ class Imagination:
         taken = base + part[:, :1] * (self.expert(latent.features) - base) - part[:, 1:] * base
         return torch.where((part > 0).any(-1, keepdim=True), taken, open_loop)
 
-    def _cost_return(self, arrived: Latent, gamma_c: float, keep: Tensor | None) -> Tensor:
-        """Return G^(c) [R] over arrived latents [H, R, .]: Eq. 8 in full, or the discounted sum over H without V_c."""
-        cost = self.model.cost(arrived)
-        if self.config.bootstrap_cost:
-            return td_lambda(cost, self.critics.value_c(arrived), gamma_c, self.lam, keep)
-        return discounted_sum(cost, gamma_c, keep)
+    def _summary(
+        self, signal: Tensor, value: Callable[[Latent], Tensor], bootstrap: bool, gamma: float, arrived: Latent, keep: Tensor | None
+    ) -> Tensor:
+        """Summarise a signal [H, R] at the arrived latents as a return [R]: Eq. 8 in full, or the discounted sum over H alone."""
+        if bootstrap:
+            return td_lambda(signal, value(arrived), gamma, self.lam, keep)
+        return discounted_sum(signal, gamma, keep)
 
 
 def closed_loop(share: Tensor | None) -> Tensor:
