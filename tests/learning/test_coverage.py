@@ -35,7 +35,7 @@ MIXTURE = [("laggy", 0.7), ("limited-skill", 0.25), ("noisy", 0.4), ("reaction-t
 STREAM = ("race1", 0)
 SMALL = {
     "horizon": 4, "residual_steps": 2, "probe": 8, "candidates": 8, "elites": 3, "feasible": 3, "finalists": 2, "iterations": 2,
-    "gate_rollouts": 2,
+    "gate_rollouts": 4,
 }  # fmt: skip
 
 
@@ -82,7 +82,7 @@ class Watching:
         self.asked.reset(rows, seeds)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        self.read.append(self.asked.nominal(latent, a_h, operator).cost)
+        self.read.append(self.asked.decide(latent, a_h, operator).record.g_cost)
         return Decision(a_h)
 
 

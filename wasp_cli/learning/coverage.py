@@ -70,8 +70,8 @@ class Foreseeing(Protocol):
         """Begin new episodes."""
         ...
 
-    def nominal(self, latent: Latent, a_h: Tensor, operator: Operator) -> Any:
-        """Return what the operator alone leads to; its `cost` [B] is what the gate reads."""
+    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
+        """Return what the gate reads [B]."""
         ...
 
 
@@ -186,7 +186,7 @@ def foreseen(
             at = torch.tensor([starts[number] + min(t, length - 1) for number, length in zip(numbers, lengths, strict=True)])
             latent = Latent(drives.h[at], drives.z[at].float())
             operator.command(latent.features)
-            read.append(assistant.nominal(latent, drives.a_h[at], operator).cost)
+            read.append(assistant.foreseen_cost(latent, drives.a_h[at], operator))
         signals = torch.stack(read).numpy()  # [T, B]
         found += [signals[:length, row] for row, length in enumerate(lengths)]
     return found
