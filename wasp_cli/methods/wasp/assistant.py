@@ -199,9 +199,7 @@ class WASP:
         gains = [self._gain(part, look, generators, -torch.inf)[0].delta_g for (_, part), look in zip(chunks, looks, strict=True)]
         return signals.thresholds(self.tau_c, torch.cat(gains), self.config)
 
-    def _gain(
-        self, start: Situation, look: Look, generators: Sequence[np.random.Generator], tau_r: float
-    ) -> tuple[Gain, Batch | None]:
+    def _gain(self, start: Situation, look: Look, generators: Sequence[np.random.Generator], tau_r: float) -> tuple[Gain, Batch | None]:
         """Return what the best candidate gains (Eq. 11-12), and the random sequences among the candidates, evaluated.
 
         A gain above tau_r is looked at again, where the configuration says so.
