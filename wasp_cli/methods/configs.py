@@ -61,12 +61,12 @@ AS_PRINTED: WASPVariant = "as-printed"
 """The variant that is the recipe of the paper beside our own in one spec: it sets `recipe`."""
 
 PAPER_RECIPE: Mapping[str, Any] = {
-    "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False, "operator_model": "rule",
-    "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "rescore": False, "takeover_shares": (), "braking": False,
-    "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled",
-    "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
+    "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,
+    "operator_model": "rule", "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "rescore": False,
+    "takeover_shares": (), "braking": False, "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0, "recheck": False,
+    "best_of": "all", "effort": "sampled", "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
 }  # fmt: skip
-"""Section 4 to the letter. Sizes, severities of penalties (alpha) and quantiles, which it leaves open, stay as they are; M is one number."""
+"""Section 4 to the letter. What it leaves open stays as it is: sizes, alpha, quantiles; M is one number."""
 
 
 class Coverage(Config):
@@ -83,7 +83,7 @@ class WASPConfig(Config):
     variant: WASPVariant = "full"
     recipe: Literal["own", "paper"] = deviates(
         "own",
-        "`paper`: section 4 to the letter, whatever the fields say that it settles; `own`: as the fields say. The variant `as-printed` sets it",
+        "`paper`: section 4 to the letter, whatever the fields say that it settles; `own`: as they say. The variant `as-printed` sets it",
     )
     horizon: int = from_paper(15, "H, section 5.1", ge=1)
     residual_steps: int = from_paper(5, "L, section 5.1", ge=1)
@@ -170,6 +170,8 @@ class WASPConfig(Config):
     def _one_recipe(cls, data: Any) -> Any:
         if not isinstance(data, Mapping):
             return data
+        if isinstance(shares := data.get("takeover_shares"), list):
+            data = {**data, "takeover_shares": tuple(shares)}  # behind this validator JSON is no longer told from Python, which has tuples
         if data.get("variant") == AS_PRINTED:
             data = {**data, "recipe": "paper"}
         if data.get("recipe") == "paper":

@@ -49,7 +49,7 @@ def safety_gate(nominal: Returns, config: WASPConfig, tau_c: float) -> Tensor:
 
 
 def probe(candidates: Batch, nominal: Tensor, config: WASPConfig, tau_c: float) -> Gain:
-    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over the operator alone (Eq. 12), whose return is `nominal` [B]."""
+    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over `nominal` [B], the return of none (Eq. 12)."""
     found = candidates.returns
     feasible = found.cost <= tau_c  # NaN compares false: a broken rollout is not feasible
     best = torch.where(feasible, task_score(found, config.alpha), -torch.inf).argmax(-1)  # [B]
