@@ -93,7 +93,7 @@ class WorldModelConfig(Config):
 
     deter: int = assumed(256, "size of h", ge=1)
     hidden: int = assumed(128, "width of the layers around the GRU", ge=1)
-    variables: int = assumed(16, "categorical variables in z", ge=1)
+    variables: int = assumed(24, "categorical variables in z", ge=1)
     classes: int = assumed(16, "classes of each", ge=2)
     depth: int = assumed(16, "channels of the first convolution", ge=1)
     head: int = assumed(128, "width of the two layers of each head", ge=1)
@@ -119,7 +119,9 @@ class WorldModelConfig(Config):
     cost_weight: float = deviates(5.0, "weight of costly steps, 1 in Eq. 6; its logarithm is removed from the logit at inference", ge=1.0)
     cost_windows: float = assumed(1 / 3, "share of sequences that contain a costly step", ge=0.0, le=1.0)
     mirror: bool = deviates(
-        True, "half of the sequences are seen in a mirror, not as replayed, where the task has one: Goal, not the tracks"
+        True,
+        "half of the sequences are seen in a mirror, not as replayed, where the task has one: Goal, not the tracks; and of the images of "
+        "`taught`",
     )
     context: bool = deviates(
         True, "sequences within an episode go on from the latent that training last inferred before them; Eq. 6 begins at t = 1"
@@ -136,6 +138,21 @@ class WorldModelConfig(Config):
     refit_starts: int = deviates(64, "imagined rollouts per update of the refit, which section 4.1 lacks", ge=1)
     refit_horizon: int = deviates(15, "imagined steps of the refit, which section 4.1 lacks", ge=1)
     later_updates: int = assumed(1000, "gradient steps of a later round of data, from the weights of the round before", ge=1)
+    taught: int = deviates(
+        2000,
+        "updates on single images, before Eq. 6, in which the encoder learns to tell the privileged vector: reconstruction alone does not "
+        "teach it where to look; 0 as in the paper",
+        ge=0,
+    )
+    taught_batch: int = assumed(128, "images per such update", ge=1)
+    taught_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    taught_head: int = assumed(256, "width of the two layers that read the embedding meanwhile", ge=1)
+    privileged: float = deviates(
+        100.0,
+        "weight of the squared error, summed over the standardised privileged vector, of a head on filtered latents; not in Eq. 6; "
+        "0 as in the paper",
+        ge=0.0,
+    )
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
 
@@ -152,6 +169,9 @@ class DiagnosticsConfig(Config):
     starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)
     image_starts: int = assumed(128, "moments from which images are imagined", ge=1)
+    readout_rows: int = assumed(8000, "recorded moments from which a ridge regression learns to tell the privileged vector", ge=2)
+    readout_penalty: float = assumed(0.01, "its penalty, per row, relative to the features' mean variance", gt=0.0)
+    readout_step: int = assumed(5, "imagined step at which it is read too", ge=1)
     threshold: float = assumed(
         0.5,
         "expected costly steps within the horizon, discounted as in the safety gate, from which a cost counts as foreseen: tau_c",
