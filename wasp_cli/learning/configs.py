@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wasp_cli.config import Config, assumed, from_paper
+from wasp_cli.config import Config, assumed, deviates, from_paper
 
 Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
 """Widths of hidden layers."""
@@ -102,7 +102,7 @@ class WorldModelConfig(Config):
 
     deter: int = assumed(256, "size of h", ge=1)
     hidden: int = assumed(128, "width of the layers around the GRU", ge=1)
-    variables: int = assumed(16, "categorical variables in z", ge=1)
+    variables: int = assumed(24, "categorical variables in z", ge=1)
     classes: int = assumed(16, "classes of each", ge=2)
     depth: int = assumed(16, "channels of the first convolution", ge=1)
     head: int = assumed(128, "width of the two layers of each head", ge=1)
@@ -139,6 +139,22 @@ class WorldModelConfig(Config):
     refit_starts: int = assumed(64, "imagined rollouts per update of the refit", ge=1)
     refit_horizon: int = assumed(15, "imagined steps of the refit", ge=1)
     later_updates: int = assumed(1000, "gradient steps of a later round of data, from the weights of the round before", ge=1)
+    taught: int = deviates(
+        2000,
+        "updates on single images, before Eq. 6, in which the encoder learns to tell the privileged vector: reconstruction alone does not "
+        "teach it where to look; 0 as in the paper",
+        ge=0,
+    )
+    taught_batch: int = assumed(128, "images per such update", ge=1)
+    taught_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    taught_head: int = assumed(256, "width of the two layers that read the embedding meanwhile", ge=1)
+    taught_shift: int = assumed(0, "most pixels by which such images are shifted at random", ge=0)
+    privileged: float = deviates(
+        100.0,
+        "weight of the squared error, summed over the standardised privileged vector, of a head on filtered latents; not in Eq. 6; "
+        "0 as in the paper",
+        ge=0.0,
+    )
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
 
