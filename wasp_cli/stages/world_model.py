@@ -1,7 +1,7 @@
-"""World model: Eq. 6 on sequences, then a refit of the heads on prior latents.
+"""World model: the encoder taught on single images, Eq. 6 on sequences, then a refit of the heads on prior latents.
 
-Artifact: `world_model.safetensors` (+ .json sizes), `curves.json`, `readout.safetensors` where the privileged vector was learned along. What it infers at every recorded row is stored by the stage `latents`;
-what the model is worth is said by the stage `diagnostics`.
+Artifact: `world_model.safetensors` (+ .json sizes), `curves.json`, and `readout.safetensors` where the privileged vector was learned along.
+What it infers at every recorded row is stored by the stage `latents`; what the model is worth is said by the stage `diagnostics`.
 """
 
 from __future__ import annotations
