@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.parts import Parts
 from wasp_cli.learning.shards import HELD_OUT, Recording, held_out_period
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.tasks.base import VectorTask
@@ -129,6 +128,15 @@ class Commander:
         action = np.where((repeats | ((self._held > 0) & ~begins))[:, None], self._last, action).clip(-1, 1)
         self._last = action.astype(np.float32)
         return self._last
+
+
+class Parts(NamedTuple):
+    """What is recorded of B episodes."""
+
+    begin: Mapping[str, NDArray[Any]]
+    """Snapshot of the task in which every row is where its part begins."""
+    decisions: NDArray[np.int64]
+    """[B] most decisions from there on"""
 
 
 def record(

@@ -6,24 +6,16 @@ episodes side by side.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
+from wasp_cli.learning.dataset import Parts
 from wasp_cli.learning.shards import HELD_OUT, held_out_period
 from wasp_cli.tasks.base import VectorTask
-
-
-class Parts(NamedTuple):
-    """What is recorded of B episodes."""
-
-    begin: Mapping[str, NDArray[Any]]
-    """Snapshot of the task in which every row is where its part begins."""
-    decisions: NDArray[np.int64]
-    """[B] most decisions from there on"""
 
 
 def whole_episodes(share: float, episodes: int, random: np.random.Generator) -> NDArray[np.bool_]:

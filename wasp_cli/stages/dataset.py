@@ -48,7 +48,7 @@ class DatasetStage:
         schedule = behaviours(
             config.mixture.model_dump(), planned, len(skills), np.random.default_rng(derive("dataset-mixture", job.task, job.seed))
         )
-        whole = whole_episodes(config.whole_share, planned, np.random.default_rng(derive("dataset-whole", job.task, job.seed)))
+        uncut = whole_episodes(config.whole_share, planned, np.random.default_rng(derive("dataset-whole", job.task, job.seed)))
         blind = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=("privileged",), threads=job.threads)
         files = []
         while steps < config.steps:
@@ -65,7 +65,7 @@ class DatasetStage:
                     # Half of the rows are brought there by the expert, who gets everywhere, the others by their own behaviour.
                     drivers = [EXPERT if chance.random() < 0.5 else row for row in rows]
                     ahead = Commander(skills, drivers, task.action_size, chance)
-                    parts = lead(blind, seeds, ahead.command, whole[numbers], part, chance)
+                    parts = lead(blind, seeds, ahead.command, uncut[np.array(numbers)], part, chance)
                 recording = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs, parts)
                 partial = path.with_suffix(".partial")
                 write_shard(partial, recording, task.cost_sources)
