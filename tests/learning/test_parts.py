@@ -78,6 +78,8 @@ def test_every_part_that_an_episode_reaches_is_equally_likely() -> None:
     parts = lead(task, seeds.tolist(), lambda seen: np.zeros((4000, 2)), np.zeros(4000, bool), 2, np.random.default_rng(0))
     begun = parts.begin["t"]
     assert not parts.begin["ended"].any(), "a part begins before the end"
+    assert (task.t <= 4).all(), "nobody is driven beyond the last part"
+    assert (task.t == 0).mean() == pytest.approx(1 / 3, abs=0.04), "and whoever records the first part is not driven at all"
     for length, expected in ((2, {0: 1.0}), (3, {0: 0.5, 2: 0.5}), (4, {0: 0.5, 2: 0.5}), (5, {0: 1 / 3, 2: 1 / 3, 4: 1 / 3})):
         mine = begun[2 + seeds % 4 == length]
         assert {value: pytest.approx(share, abs=0.06) for value, share in expected.items()} == {

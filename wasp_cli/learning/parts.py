@@ -67,16 +67,20 @@ def lead(
     """
     parts = -(-task.max_decisions // decisions)
     wanted = np.where(whole, 0, random.integers(parts, size=task.batch))
-    seen = task.reset(seeds)
-    passed = [task.snapshot()]
-    for count in range(1, int(wanted.max()) * decisions + 1):
-        assert seen.privileged is not None
-        step = task.step(command(seen.privileged))
-        seen = step.observation
-        if step.ended.all():
-            break
+    seen, ended = task.reset(seeds), np.zeros(task.batch, bool)
+    passed: list[dict[str, NDArray[Any]]] = []
+    for count in range(int(wanted.max()) * decisions + 1):
+        if count:
+            assert seen.privileged is not None
+            step = task.step(command(seen.privileged))
+            seen, ended = step.observation, step.ended
         if count % decisions == 0:
-            passed.append(task.snapshot())
+            passed.append(now := task.snapshot())
+            # Rows that are where their part begins end here for the task, which would else drive them on to the last part.
+            ended = now["ended"] | (wanted <= count // decisions)
+            task.restore({**now, "ended": ended})
+        if ended.all():
+            break
     reached = sum((~snapshot["ended"]).astype(np.int64) for snapshot in passed)
     # An episode that is over before the part that was drawn: one of the parts that there are.
     part = np.where(wanted < reached, wanted, (random.random(task.batch) * reached).astype(np.int64))

@@ -154,7 +154,8 @@ class PoliciesStage:
         return {
             "return": final["latent"]["return"], "cost": final["latent"]["cost"],
             "privileged_return": final["privileged"]["return"], "privileged_cost": final["privileged"]["cost"],
-            "return_share": final["return_share"], "cost_ratio": final["cost_ratio"], "reached": final["reached"],
+            "return_share": final["return_share"], "return_share_se": final["return_share_se"],
+            "cost_ratio": final["cost_ratio"], "reached": final["reached"],
             "rounds": sum("labelled" in row for row in rounds) - 1, "kept_round": kept, "reinforced": "reinforced" in rounds[kept],
             "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
             "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3), "agreement": round(agree[f"{fractions[-1]:g}"], 3),
