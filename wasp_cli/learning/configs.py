@@ -182,6 +182,9 @@ class ReinforceConfig(Config):
     """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where labels alone did not reach the bounds."""
 
     interactions: int = assumed(200_000, "decision steps; 0 leaves the latent expert as it was distilled", ge=0)
+    return_share: float = assumed(
+        0.85, "latent return / privileged return from which, within the cost, nothing is reinforced; labels may aim higher", gt=0.0
+    )
     envs: int = assumed(32, "episodes side by side", ge=1)
     rollout: int = assumed(128, "decision steps per environment and update", ge=1)
     epochs: int = assumed(4, "passes over a rollout", ge=1)

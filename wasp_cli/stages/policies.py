@@ -114,8 +114,9 @@ class PoliciesStage:
                 break
 
         # -- reinforcement
-        if not verdicts[-1].reached and config.reinforce.interactions:
-            best = verdict.best_round(verdicts)
+        best = verdict.best_round(verdicts)
+        enough = verdicts[best].return_share >= config.reinforce.return_share and not verdicts[best].excess_cost
+        if not (verdicts[best].reached or enough) and config.reinforce.interactions:
             skills.load_state_dict(weights[best])
             # Its limit comes from episodes of their own, and many, since none of them needs a camera.
             batches = [[seed("policies-limit", k, i) for i in range(config.evaluation_episodes)] for k in range(LIMIT_BATCHES)]
