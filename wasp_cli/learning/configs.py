@@ -179,6 +179,9 @@ class DiagnosticsConfig(Config):
     starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)
     image_starts: int = assumed(128, "moments from which images are imagined", ge=1)
+    readout_rows: int = assumed(8000, "recorded moments from which a ridge regression learns to tell the privileged vector", ge=2)
+    readout_penalty: float = assumed(0.01, "its penalty, per row, relative to the features' mean variance", gt=0.0)
+    readout_step: int = assumed(5, "imagined step at which it is read too", ge=1)
     threshold: float = assumed(
         0.5,
         "expected costly steps within the horizon, discounted as in the safety gate, from which a cost counts as foreseen: tau_c",
