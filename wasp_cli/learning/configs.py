@@ -222,16 +222,18 @@ class PoliciesConfig(Config):
         0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
     )
     imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
-    labelling_rounds: int = assumed(2, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
-    labelling_episodes: int = assumed(24, "episodes per round", ge=1)
-    labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
+    labelling_rounds: int = assumed(3, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_episodes: int = assumed(48, "episodes per round; what the labels teach grows with the layouts met", ge=1)
+    labelling_updates: int = assumed(1500, "gradient steps per round", ge=1)
     labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
     driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
     reinforce: ReinforceConfig = ReinforceConfig()
     return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
     cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
     cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
-    evaluation_episodes: int = assumed(32, "episodes that judge a round, and others that evaluate each skill", ge=1)
+    evaluation_episodes: int = assumed(
+        48, "episodes that judge a round, and others that evaluate each skill; the share of the return is then known to .05", ge=1
+    )
 
 
 class CriticsConfig(Config):
