@@ -63,14 +63,19 @@ class ExpertConfig(Config):
 class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
-    expert: float = assumed(0.23, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
-    laggy: float = assumed(0.12, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
-    delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    expert: float = assumed(0.16, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    noisy: float = assumed(0.08, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.10, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    delayed: float = assumed(0.08, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    tardy: float = assumed(0.06, "the same with 2 to 6 decision steps and Gaussian noise 0.15 to 0.5", ge=0.0, le=1.0)
     early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
-    bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(0.20, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
-    random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
+    between: float = assumed(0.05, "the mean of one of them and the expert", ge=0.0, le=1.0)
+    bursts: float = assumed(0.06, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    careless: float = assumed(0.12, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    wandering: float = assumed(0.10, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
+    biased: float = assumed(0.06, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
+    scaled: float = assumed(0.04, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
+    random: float = assumed(0.04, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> MixtureConfig:
@@ -85,6 +90,12 @@ class DatasetConfig(Config):
 
     steps: int = assumed(100_000, "decision steps", ge=1)
     envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    decisions: int | None = assumed(
+        50,
+        "recorded of an episode: one of its parts of so many decisions, so that the same images show more layouts; null: whole episodes",
+        ge=2,
+    )
+    whole_share: float = assumed(0.1, "share of the episodes that are recorded whole all the same", ge=0.0, le=1.0)
     mixture: MixtureConfig = MixtureConfig()
 
 
@@ -183,6 +194,9 @@ class ReinforceConfig(Config):
     """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where labels alone did not reach the bounds."""
 
     interactions: int = assumed(200_000, "decision steps; 0 leaves the latent expert as it was distilled", ge=0)
+    return_share: float = assumed(
+        0.85, "latent return / privileged return from which, within the cost, nothing is reinforced; labels may aim higher", gt=0.0
+    )
     envs: int = assumed(32, "episodes side by side", ge=1)
     rollout: int = assumed(128, "decision steps per environment and update", ge=1)
     epochs: int = assumed(4, "passes over a rollout", ge=1)
@@ -209,16 +223,18 @@ class PoliciesConfig(Config):
         0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
     )
     imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
-    labelling_rounds: int = assumed(2, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
-    labelling_episodes: int = assumed(24, "episodes per round", ge=1)
-    labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
+    labelling_rounds: int = assumed(3, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_episodes: int = assumed(48, "episodes per round; what the labels teach grows with the layouts met", ge=1)
+    labelling_updates: int = assumed(1500, "gradient steps per round", ge=1)
     labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
     driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
     reinforce: ReinforceConfig = ReinforceConfig()
     return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
     cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
     cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
-    evaluation_episodes: int = assumed(32, "episodes that judge a round, and others that evaluate each skill", ge=1)
+    evaluation_episodes: int = assumed(
+        48, "episodes that judge a round, and others that evaluate each skill; the share of the return is then known to .05", ge=1
+    )
 
 
 class CriticsConfig(Config):

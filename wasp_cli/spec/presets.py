@@ -65,8 +65,8 @@ _QUICK: Document = {
     },
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
     "policies": {
-        "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 1, "labelling_episodes": 12, "labelling_updates": 500,
-        "reinforce": {"interactions": 60_000, "envs": 16},
+        "updates": 1500, "batch": 256, "evaluation_episodes": 20, "labelling_rounds": 2, "labelling_episodes": 24, "labelling_updates": 800,
+        "reinforce": {"interactions": 60_000, "envs": 16, "return_share": 0.75},
     },
     "critics": {"updates": 500, "starts": 128, "slow": 0.3},
     "gate_signals": {"critics": {"updates": 250, "starts": 128, "slow": 0.3}},
