@@ -235,7 +235,7 @@ def test_reliability_groups_are_equally_large_and_ordered() -> None:
 def test_critics_at_other_discounts_are_trained_and_the_known_one_is_kept() -> None:
     known = LinearCritics()
     config = GateSignalsConfig(
-        gammas=(0.95, 0.5, 0.8), critics=CriticsConfig(hidden=(8,), updates=150, starts=4, learning_rate=1e-2, horizon=15)
+        gammas=(0.95, 0.5, 0.8), critics=CriticsConfig(hidden=(8,), updates=150, starts=4, learning_rate=1e-2, horizon=15, recorded=0.0)
     )
     told: list[float] = []
     critics, curves = gate_signals.cost_critics(
@@ -289,7 +289,7 @@ def test_the_stage_judges_every_operator_that_can_be_built(
     monkeypatch.setattr("wasp_cli.tasks.make.make_task", costly_task)
     config = GateSignalsConfig(
         operators={"noisy": (0.4,), "limited-skill": (0.25, 0.5)}, episodes=2, window=WINDOW, horizon=3, rollouts=2, gammas=(0.95, 0.99),
-        critics=CriticsConfig(hidden=(8,), updates=2, starts=4, horizon=3),
+        critics=CriticsConfig(hidden=(8,), updates=2, starts=4, horizon=3, q_updates=2, q_batch=4),
     )  # fmt: skip
     job = Job("gate_signals", "goal1", 1, config, {"action_repeat": 4, "returns": ReturnsConfig()}, {}, inputs, tmp_path, tmp_path)
     summaries = []

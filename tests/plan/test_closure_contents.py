@@ -58,9 +58,10 @@ MAY_HAVE = {
         f"{DRIVING} {LATENTS} {PPO} methods.human learning.dataset learning.latent_ppo learning.policies "
         "learning.privileged learning.reinforce learning.verdicts stages.finite"
     ),
-    "critics": f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout",
+    "critics": f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values",
     "gate_signals": (
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
+        "learning.recorded_values "
         "methods.configs methods.noise methods.wasp.imagine metrics metrics.ranking metrics.windows stages.finite"
     ),
     "rollouts": (f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} learning.contents learning.dataset learning.rollouts learning.shards"),

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wasp_cli.config import Config, assumed, from_paper
+from wasp_cli.config import Config, assumed, deviates, from_paper
 
 Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
 """Widths of hidden layers."""
@@ -194,11 +194,11 @@ class PoliciesConfig(Config):
 
 
 class CriticsConfig(Config):
-    """V_r and V_c on imagined rollouts of the nominal expert."""
+    """V_r and V_c of the nominal expert, from imagined rollouts and from recorded transitions."""
 
     hidden: Layers = assumed((128, 128), "layers of a critic")
     updates: int = assumed(1000, "gradient steps; curve.json shows whether V_r has converged", ge=1)
-    starts: int = assumed(256, "imagined rollouts per update", ge=1)
+    starts: int = assumed(128, "imagined rollouts per update, and as many recorded segments", ge=1)
     cost_starts: float = assumed(
         0.0, "share of the rollouts that begin where a cost followed within H recorded steps; 0.3 ranked no better", ge=0.0, le=1.0
     )
@@ -208,6 +208,18 @@ class CriticsConfig(Config):
     learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
     slow: float = assumed(
         0.2, "share of the online critic that enters the target critic per update; at 0.02 V_r takes thousands", gt=0.0, le=1.0
+    )
+    recorded: float = deviates(
+        0.3,
+        "weight of Q of recorded transitions, read at the expert's action, as a second target of V; the paper has latent roll-outs alone "
+        "(0), whose drift V then learns; as the replay loss of DreamerV3's critic",
+        ge=0.0,
+    )
+    q_updates: int = assumed(2500, "gradient steps of Q", ge=1)
+    q_batch: int = assumed(256, "recorded transitions per update of Q", ge=1)
+    q_learning_rate: float = assumed(5e-4, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    q_slow: float = assumed(
+        0.1, "share of the online Q that enters the target per update; a reward travels back one decision in 1 / q_slow", gt=0.0, le=1.0
     )
 
 

@@ -46,9 +46,10 @@ class GateSignalsStage:
         returns = job.settings["returns"]
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
         trained = load_module(LatentCritics, job.inputs["critics"] / "critics.safetensors")
+        recording = read_shards(job.inputs["dataset"], ["action", "reward", "cost", "terminal", "first", "episode"])
         critics, curves = cost_critics(
-            model, skills, read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"]), load_latents(job.inputs["latents"]),
-            trained, config, returns, (job.task, job.seed), lambda share, text: job.progress(TRAINING * share, text),
+            model, skills, recording, load_latents(job.inputs["latents"]), trained, config, returns, (job.task, job.seed),
+            lambda share, text: job.progress(TRAINING * share, text),
         )  # fmt: skip
 
         asked: list[tuple[str, float | None]] = [(UNIMPAIRED, None)]
