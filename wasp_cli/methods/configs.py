@@ -57,6 +57,14 @@ class SafeRLConfig(Config):
 WASPVariant = Literal["full", "safety-only", "task-only", "no-case2", "no-rollout"]
 
 
+class Coverage(Config):
+    """A threshold by what it has to guarantee, taken from Human-only episodes (stage `coverage`)."""
+
+    coverage: float = assumed(
+        0.1, "largest share of costly episodes of the operators alone with an onset before which nothing was foreseen", gt=0.0, lt=1.0
+    )
+
+
 class WASPConfig(Config):
     """WASP: gates (section 4.2) and residual planning (section 4.3). N candidates, M rollouts, H horizon, L residuals."""
 
@@ -79,10 +87,10 @@ class WASPConfig(Config):
     )
     feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
     alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
-    tau_c: float = assumed(
+    tau_c: Annotated[float, Field(gt=0.0)] | Coverage = assumed(
         0.5,
-        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less",
-        gt=0.0,
+        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less; "
+        "`{coverage: 0.1}`: so that of the costly episodes of the operators alone at most this share has an onset without an alert",
     )
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the re-scored gain under the unimpaired expert")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
-from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.configs import Coverage, WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, normal, uniform
 from wasp_cli.methods.record import Planned, blank_record
-from wasp_cli.methods.wasp.gates import TAU_R_FALLBACK, Gain, Signals, probe, safety_gate
+from wasp_cli.methods.wasp.gates import TAU_R_FALLBACK, Gain, Signals, probe, resolved_tau_c, safety_gate
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
 from wasp_cli.methods.wasp.planner import Plan, plan_residuals, propose
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
@@ -46,9 +46,7 @@ class WASP:
     def __init__(self, config: WASPConfig, imagination: Imagination, thresholds: Mapping[str, float]) -> None:
         """WASP over any world model; `imagination` has the effective configuration of the variant."""
         self.whole, self.config, self.imagination = config, imagination.config, imagination
-        # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
-        own = self.config.variant == "no-rollout"
-        self.tau_c = thresholds.get("tau_c", self.config.tau_c) if own else self.config.tau_c
+        self.tau_c = resolved_tau_c(self.config, thresholds)
         calibrated = thresholds.get("tau_r", TAU_R_FALLBACK)
         self.tau_r = calibrated if self.config.tau_r == "calibrated" else float(self.config.tau_r)
         self.noise = DecisionNoise()
@@ -136,6 +134,10 @@ class WASP:
         """Return what the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
         return self._nominal(Situation(latent, a_h, operator, torch.arange(len(a_h))), self.noise.next())[0]
 
+    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
+        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
+        return self.nominal(latent, a_h, operator).cost
+
     def _nominal(self, start: Situation, generators: Sequence[np.random.Generator]) -> tuple[Returns, Draws]:
         draws = self._draws(generators, start.operator, self.config.gate_rollouts)
         return self.imagination.nominal(start, draws), draws
@@ -165,7 +167,8 @@ class WASP:
             candidates = propose(*self._start_distribution(chunk), normal(own, self.config.probe, *self.plan.shape[1:]))
             gain.append((start, candidates, draws.first(self.config.rollouts), fresh))
         found = Signals(torch.cat(cost), torch.cat(whole_cost), cost_ahead)
-        tau_c = found.own_tau_c(self.whole.tau_c) if self.config.variant == "no-rollout" else self.tau_c
+        fixed = self.whole.tau_c
+        tau_c = found.own_tau_c(fixed) if self.config.variant == "no-rollout" and not isinstance(fixed, Coverage) else self.tau_c
         gains = torch.cat([probe(self.imagination, *case, tau_c).delta_g for case in gain])
         return found.thresholds(tau_c, gains, self.config)
 

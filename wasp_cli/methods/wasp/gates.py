@@ -5,16 +5,17 @@ Safety comes first; the task gate is asked only where safety is silent. B = deci
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.configs import Coverage, WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
 
-TAU_R_FALLBACK = 0.5
-"""tau_r where it is to be calibrated and no calibration exists yet."""
+TAU_C_FALLBACK, TAU_R_FALLBACK = 0.5, 0.5
+"""Thresholds that are to be calibrated, where no calibration exists yet."""
 
 
 class Gain(NamedTuple):
@@ -26,6 +27,15 @@ class Gain(NamedTuple):
     """[B] index of the corrected candidate"""
     returns: Returns
     """of the whole probe, which becomes the first CEM iteration when the gate fires"""
+
+
+def resolved_tau_c(config: WASPConfig, thresholds: Mapping[str, float]) -> float:
+    """Return tau_c in force: the configuration's, or a calibrated one where the configuration or the unit of the signal asks for it."""
+    fixed = None if isinstance(config.tau_c, Coverage) else config.tau_c
+    # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
+    if fixed is None or config.variant == "no-rollout":
+        return thresholds.get("tau_c", TAU_C_FALLBACK if fixed is None else fixed)
+    return fixed
 
 
 def safety_gate(nominal_cost: Tensor, tau_c: float) -> Tensor:
