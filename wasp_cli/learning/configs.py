@@ -232,7 +232,7 @@ class CriticsConfig(Config):
 
 
 class GateSignalsConfig(Config):
-    """Which number foresees costs best at the safety gate, on fresh Human-only episodes."""
+    """Which number foresees costs best at the safety gate, and the return at the task gate, on fresh Human-only episodes."""
 
     operators: dict[str, tuple[float, ...]] = assumed(
         {"laggy": (0.7,), "noisy": (0.4,), "reaction-time": (0.24,), "limited-skill": (0.25,)},
@@ -244,7 +244,8 @@ class GateSignalsConfig(Config):
     rollouts: int = assumed(8, "M: imagined futures of the operator, the same for every signal", ge=1)
     first_steps: int = assumed(5, "imagined steps of the short sum; L", ge=1)
     gammas: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = assumed(
-        (0.9, 0.95, 0.99, 0.997), "discounts at which V_c is compared, besides gamma_c; V_c at another discount is trained here"
+        (0.9, 0.95, 0.99, 0.997),
+        "discounts at which V_c and V_r are compared, besides gamma_c and gamma_r; critics at others are trained here",
     )
     threshold: float = assumed(0.5, "tau_c, at which the gate is judged", gt=0.0)
     critics: CriticsConfig = CriticsConfig(updates=500)

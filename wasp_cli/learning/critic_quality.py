@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Heldout
+from wasp_cli.metrics.ranking import spearman
 from wasp_cli.models.base import Critics
 
 CUT_OFF = 0.05
@@ -54,17 +55,26 @@ def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any],
     return sums, beyond
 
 
-def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> Pairs:
-    """Pair predictions [N] with real returns [N], without decisions whose return the time limit cuts.
+def whole_returns(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> tuple[Floats, NDArray[np.bool_], float]:
+    """Return what really followed every decision, and where the time limit cuts so little of it that it counts.
 
     At most `CUT_OFF` of a return may be cut. Where episodes are too short for that, what half of the longest one cuts is allowed. What is
-    cut is filled up with the mean of the signal, which favours no state.
+    cut is filled up with the mean of the signal, which favours no state. Arguments as in `returns_ahead`.
+
+    Returns:
+        Returns [K], where they count [K], and the largest share that is cut of one that counts.
     """
     sums, beyond = returns_ahead(signal, episode, terminal, gamma)
-    longest = int(np.unique(episode, return_counts=True)[1].max())
+    longest = int(np.unique(episode, return_counts=True)[1].max(initial=0))
     whole = beyond <= (1 + 1e-9) * max(CUT_OFF, gamma ** (longest / 2))  # a product of many factors is not quite their power
-    real = sums + (beyond * signal.mean() / (1 - gamma) if gamma < 1 else 0.0)
-    return Pairs(predicted[whole], real[whole], float(beyond[whole].max(initial=0.0)))
+    filled = sums + (beyond * signal.mean() / (1 - gamma) if gamma < 1 and len(signal) else 0.0)
+    return filled, whole, float(beyond[whole].max(initial=0.0))
+
+
+def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> Pairs:
+    """Pair predictions [N] with real returns [N], without decisions whose return the time limit cuts (see `whole_returns`)."""
+    real, whole, cut_off = whole_returns(signal, episode, terminal, gamma)
+    return Pairs(predicted[whole], real[whole], cut_off)
 
 
 @torch.inference_mode()
@@ -88,18 +98,6 @@ def quality(found: Pairs) -> dict[str, float | None]:
         "predicted_over_real": float(found.predicted.mean()) / mean if mean else None,
         "real_mean": mean, "decisions": len(found.real), "cut_off": found.cut_off,
     }  # fmt: skip
-
-
-def spearman(a: Floats, b: Floats) -> float:
-    """Return the rank correlation of two arrays [N], ties at their average rank: discounted costs have many exact ties at zero."""
-    return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
-
-
-def _ranks(values: Floats) -> Floats:
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts).astype(np.float64)
-    average: Floats = (last - (counts - 1) / 2)[inverse]
-    return average
 
 
 def write_pairs(path: Path, found: Mapping[str, Pairs]) -> None:

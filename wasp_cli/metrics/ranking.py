@@ -1,8 +1,8 @@
-"""Ranking quality of a score for a rare event."""
+"""Ranking quality of a score for a rare event, and correlation of a score with a value."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,71 @@ def average_precision_resampled(
     with_events = hits[:, -1] > 0
     values: NDArray[np.float64] = found[with_events].sum(1) / hits[with_events, -1]
     return values
+
+
+class Correlations(NamedTuple):
+    """Of a score with a value, on the rows there are and on resampled clusters."""
+
+    pearson: float
+    rank: float
+    resampled: NDArray[np.float64]
+    """[resamples, 2] both of them; empty where fewer than two clusters are there"""
+
+
+def correlations(score: NDArray[Any], value: NDArray[Any], cluster: NDArray[Any], *, resamples: int = 1000, seed: int = 0) -> Correlations:
+    """Correlate a score [N] with a value [N], as numbers and by ranks; NaN where either does not vary.
+
+    The draws depend on the clusters and the seed alone, so that two scores can be compared draw by draw.
+
+    Args:
+        score: [N].
+        value: [N].
+        cluster: [N] the episode of each row.
+        resamples: draws of as many clusters as there are, with replacement.
+        seed: of the draws.
+    """
+    _, place = np.unique(cluster, return_inverse=True)
+    clusters = int(place.max()) + 1 if len(place) else 0
+    pairs = [_Weighted(score), _Weighted(value)]
+
+    def both(weight: NDArray[np.float64]) -> tuple[float, float]:
+        a, b = pairs
+        return _pearson(a.values, b.values, weight), _pearson(a.ranks(weight), b.ranks(weight), weight)
+
+    found = both(np.ones(len(place)))
+    if clusters < 2:
+        return Correlations(*found, np.zeros((0, 2)))
+    drawn = np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1.0 / clusters), resamples)  # [R, clusters]
+    return Correlations(*found, np.array([both(row[place].astype(np.float64)) for row in drawn]))
+
+
+def spearman(a: NDArray[Any], b: NDArray[Any]) -> float:
+    """Return the rank correlation of two arrays [N], ties at their average rank: discounted costs have many exact ties at zero."""
+    weight = np.ones(len(a))
+    return _pearson(_Weighted(a).ranks(weight), _Weighted(b).ranks(weight), weight)
+
+
+class _Weighted:
+    """Values [N] whose ranks under weights need no further sorting."""
+
+    def __init__(self, values: NDArray[Any]) -> None:
+        self.values = np.asarray(values, np.float64)
+        _, self._place = np.unique(self.values, return_inverse=True)
+
+    def ranks(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the average rank [N] of every value where each row is there `weight` [N] times."""
+        counts = np.bincount(self._place, weight)
+        average: NDArray[np.float64] = (np.cumsum(counts) - (counts - 1) / 2)[self._place]
+        return average
+
+
+def _pearson(a: NDArray[np.float64], b: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+    total = weight.sum()
+    if not total:
+        return float("nan")
+    a, b = a - (weight @ a) / total, b - (weight @ b) / total
+    spread = (weight @ a**2) * (weight @ b**2)
+    return float(weight @ (a * b) / np.sqrt(spread)) if spread > 0 else float("nan")
 
 
 def percentiles(values: NDArray[np.float64], share: float = 0.95) -> tuple[float, float]:
