@@ -132,8 +132,8 @@ def _stages(training: Training, notes: tuple[str, ...]) -> Table:
         rows.append(Row((task_title(task), str(number) + _share(training, own)), tuple(values[i] for values in shown)))
     meanings: tuple[str, ...] = (
         "The latent expert drives by the world model's filter; beside it the privileged one that it was distilled from. rank: correlation "
-        "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off; / real: their "
-        "means, one over the other.",
+        "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off; / real: the "
+        "mean of the critic over that of these sums.",
     )
     if any(column.key.startswith("gate_signals.") for column in columns):
         meanings += ("Gate AUPRC: of the safety gate's signal for a cost ahead, under several operators; with V_c: of Eq. 8 as written.",)
