@@ -15,7 +15,7 @@ from torch import Tensor
 
 from tests.learning.recordings import recording
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
-from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, returns_ahead, spearman, write_pairs
+from wasp_cli.learning.critic_quality import Pairs, heldout_pairs, pairs, quality, returns_ahead, write_pairs
 from wasp_cli.learning.critics import Starts, imagine, train_critics
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.recorded_values import Segments, recorded_values
@@ -207,10 +207,25 @@ def test_only_decisions_with_a_recorded_future_count() -> None:
     assert pairs(predicted, signal, episode, np.zeros(130), 1.0).cut_off == 1.0
 
 
-def test_rank_correlation_is_scipys_with_ties() -> None:
+def test_ranks_and_ratios_have_intervals_over_episodes() -> None:
     random = np.random.default_rng(1)
-    a, b = random.integers(0, 4, 60).astype(float), random.normal(size=60)
-    assert spearman(a, a + b) == pytest.approx(spearmanr(a, a + b).statistic)
+    a, b = random.integers(0, 4, 60).astype(float), random.normal(size=60) + 2
+    found = quality(Pairs(a, a + b, np.repeat([0, 1, 2, 3], 15), 0.0))
+    assert found["rank"] == pytest.approx(spearmanr(a, a + b).statistic)
+    assert found["predicted_over_real"] == pytest.approx(a.mean() / (a + b).mean())
+    for name in ("rank", "predicted_over_real"):
+        low, value, high = (found[name + end] for end in ("_low", "", "_high"))
+        assert low is not None
+        assert value is not None
+        assert high is not None
+        assert low < value < high
+    # One episode has all of the cost: a quarter of the resamples has more than twice as much of it as there is, many have none.
+    rare = quality(Pairs(np.ones(60), np.repeat([0.0, 0.0, 0.0, 4.0], 15), np.repeat([0, 1, 2, 3], 15), 0.0))
+    assert rare["predicted_over_real"] == 1.0
+    assert rare["predicted_over_real_high"] == 1.0
+    assert rare["predicted_over_real_low"] == pytest.approx(1 / 3)
+    alone = quality(Pairs(a, a + b, np.zeros(60), 0.0))
+    assert (alone["rank"], alone["rank_low"], alone["predicted_over_real_high"]) == (found["rank"], None, None)
 
 
 def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path: Path) -> None:

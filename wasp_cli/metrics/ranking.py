@@ -70,11 +70,9 @@ def average_precision_resampled(
     The draws depend on the clusters and the seed alone, so that two scores can be compared draw by draw. Resamples without any event say
     nothing and are left out. Arguments as in `average_precision_interval`.
     """
-    _, place = np.unique(cluster, return_inverse=True)
-    clusters = int(place.max()) + 1 if len(place) else 0
-    if clusters < 2:
+    place, drawn = cluster_draws(cluster, resamples, seed)
+    if not len(drawn):
         return np.zeros(0)
-    drawn = np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1.0 / clusters), resamples)  # [R, clusters]
     order = np.argsort(-score, kind="stable")
     last = np.append(np.diff(score[order]) != 0, True)
     weight = drawn[:, place[order]]  # [R, N] how often each row is drawn
@@ -84,6 +82,19 @@ def average_precision_resampled(
     with_events = hits[:, -1] > 0
     values: NDArray[np.float64] = found[with_events].sum(1) / hits[with_events, -1]
     return values
+
+
+def cluster_draws(cluster: NDArray[Any], resamples: int, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Draw as many clusters as there are, with replacement.
+
+    Returns:
+        The number [N] of each row's cluster, and how often each cluster is drawn [resamples, clusters]; [0, clusters] of fewer than two.
+    """
+    _, place = np.unique(cluster, return_inverse=True)
+    clusters = int(place.max()) + 1 if len(place) else 0
+    if clusters < 2:
+        return place, np.zeros((0, clusters), np.int64)
+    return place, np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1.0 / clusters), resamples)
 
 
 class Correlations(NamedTuple):
@@ -107,8 +118,7 @@ def correlations(score: NDArray[Any], value: NDArray[Any], cluster: NDArray[Any]
         resamples: draws of as many clusters as there are, with replacement.
         seed: of the draws.
     """
-    _, place = np.unique(cluster, return_inverse=True)
-    clusters = int(place.max()) + 1 if len(place) else 0
+    place, drawn = cluster_draws(cluster, resamples, seed)
     pairs = [_Weighted(score), _Weighted(value)]
 
     def both(weight: NDArray[np.float64]) -> tuple[float, float]:
@@ -116,20 +126,11 @@ def correlations(score: NDArray[Any], value: NDArray[Any], cluster: NDArray[Any]
         return _pearson(a.values, b.values, weight), _pearson(a.ranks(weight), b.ranks(weight), weight)
 
     found = both(np.ones(len(place)))
-    if clusters < 2:
-        return Correlations(*found, np.zeros((0, 2)))
-    drawn = np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1.0 / clusters), resamples)  # [R, clusters]
-    return Correlations(*found, np.array([both(row[place].astype(np.float64)) for row in drawn]))
-
-
-def spearman(a: NDArray[Any], b: NDArray[Any]) -> float:
-    """Return the rank correlation of two arrays [N], ties at their average rank: discounted costs have many exact ties at zero."""
-    weight = np.ones(len(a))
-    return _pearson(_Weighted(a).ranks(weight), _Weighted(b).ranks(weight), weight)
+    return Correlations(*found, np.array([both(row[place].astype(np.float64)) for row in drawn]).reshape(-1, 2))
 
 
 class _Weighted:
-    """Values [N] whose ranks under weights need no further sorting."""
+    """Values [N] whose ranks under weights need no further sorting; ties have their average rank, and costs have many at zero."""
 
     def __init__(self, values: NDArray[Any]) -> None:
         self.values = np.asarray(values, np.float64)

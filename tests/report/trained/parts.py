@@ -99,7 +99,7 @@ def write_images(folder: Path) -> None:
 
 def write_all_pairs(folder: Path, *names: str) -> None:
     random = np.random.default_rng(0)
-    write_pairs(folder / "pairs.parquet", {name: Pairs(random.random(105), random.random(105), 0.0) for name in names})
+    write_pairs(folder / "pairs.parquet", {name: Pairs(random.random(105), random.random(105), np.zeros(105), 0.0) for name in names})
 
 
 def artifact(layout: Layout, kind: str, number: int = 1, seed: int = 0) -> Trained:
