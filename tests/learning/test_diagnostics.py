@@ -19,7 +19,7 @@ from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.dataset import behaviours
-from wasp_cli.learning.diagnostics import Forecast, unseen_behaviours
+from wasp_cli.learning.diagnostics import HALF_TRAINED, Forecast, unseen_behaviours
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.image_samples import CALM, COSTLY, decoded_sample, imagined_samples, sampled_windows, write_samples
 from wasp_cli.learning.latents import save_latents
@@ -256,6 +256,10 @@ def test_the_unseen_operators_are_not_in_the_mixture() -> None:
     known = {dataclasses.replace(b, name="") for b in behaviours(MixtureConfig().model_dump(), 400, 4, np.random.default_rng(0))}
     unseen = unseen_behaviours(4)
     assert not {dataclasses.replace(b, name="") for b in unseen} & known
+    half: set[float] = {HALF_TRAINED}
+    held: dict[str, set[float]] = {"delay": {4}, "drift": {0.5, -0.5}, "sticky": {1.0}, "skill": half, "other": half}
+    for name, kept_out in held.items():
+        assert not kept_out & {getattr(b, name) for b in known}, f"{name} is not judged with a value that the dataset has"
     assert {b.name for b in unseen[:4]} == {"sticky noise", "delay with noise", "drift", "half trained"}
     assert "half trained" not in {b.name for b in unseen_behaviours(3)}, "the third of three checkpoints is the expert"
 

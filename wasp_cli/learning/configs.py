@@ -63,14 +63,19 @@ class ExpertConfig(Config):
 class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
-    expert: float = assumed(0.23, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
-    laggy: float = assumed(0.12, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
-    delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    expert: float = assumed(0.16, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    noisy: float = assumed(0.08, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.10, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    delayed: float = assumed(0.08, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    tardy: float = assumed(0.06, "the same with 2 to 6 decision steps and Gaussian noise 0.15 to 0.5", ge=0.0, le=1.0)
     early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
-    bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(0.20, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
-    random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
+    between: float = assumed(0.05, "the mean of one of them and the expert", ge=0.0, le=1.0)
+    bursts: float = assumed(0.06, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    careless: float = assumed(0.12, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    wandering: float = assumed(0.10, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
+    biased: float = assumed(0.06, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
+    scaled: float = assumed(0.04, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
+    random: float = assumed(0.04, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> MixtureConfig:
@@ -85,6 +90,12 @@ class DatasetConfig(Config):
 
     steps: int = assumed(100_000, "decision steps", ge=1)
     envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    decisions: int | None = assumed(
+        50,
+        "recorded of an episode: one of its parts of so many decisions, so that the same images show more layouts; null: whole episodes",
+        ge=2,
+    )
+    whole_share: float = assumed(0.1, "share of the episodes that are recorded whole all the same", ge=0.0, le=1.0)
     mixture: MixtureConfig = MixtureConfig()
 
 
@@ -183,6 +194,9 @@ class ReinforceConfig(Config):
     """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where labels alone did not reach the bounds."""
 
     interactions: int = assumed(200_000, "decision steps; 0 leaves the latent expert as it was distilled", ge=0)
+    return_share: float = assumed(
+        0.85, "latent return / privileged return from which, within the cost, nothing is reinforced; labels may aim higher", gt=0.0
+    )
     envs: int = assumed(32, "episodes side by side", ge=1)
     rollout: int = assumed(128, "decision steps per environment and update", ge=1)
     epochs: int = assumed(4, "passes over a rollout", ge=1)
@@ -209,24 +223,26 @@ class PoliciesConfig(Config):
         0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
     )
     imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
-    labelling_rounds: int = assumed(2, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
-    labelling_episodes: int = assumed(24, "episodes per round", ge=1)
-    labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
+    labelling_rounds: int = assumed(3, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_episodes: int = assumed(48, "episodes per round; what the labels teach grows with the layouts met", ge=1)
+    labelling_updates: int = assumed(1500, "gradient steps per round", ge=1)
     labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
     driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
     reinforce: ReinforceConfig = ReinforceConfig()
     return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
     cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
     cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
-    evaluation_episodes: int = assumed(32, "episodes that judge a round, and others that evaluate each skill", ge=1)
+    evaluation_episodes: int = assumed(
+        48, "episodes that judge a round, and others that evaluate each skill; the share of the return is then known to .05", ge=1
+    )
 
 
 class CriticsConfig(Config):
-    """V_r and V_c on imagined rollouts of the nominal expert."""
+    """V_r and V_c of the nominal expert, from imagined rollouts and from recorded transitions."""
 
     hidden: Layers = assumed((128, 128), "layers of a critic")
     updates: int = assumed(1000, "gradient steps; curve.json shows whether V_r has converged", ge=1)
-    starts: int = assumed(256, "imagined rollouts per update", ge=1)
+    starts: int = assumed(128, "imagined rollouts per update, and as many recorded segments", ge=1)
     cost_starts: float = assumed(
         0.0, "share of the rollouts that begin where a cost followed within H recorded steps; 0.3 ranked no better", ge=0.0, le=1.0
     )
@@ -237,10 +253,22 @@ class CriticsConfig(Config):
     slow: float = assumed(
         0.2, "share of the online critic that enters the target critic per update; at 0.02 V_r takes thousands", gt=0.0, le=1.0
     )
+    recorded: float = deviates(
+        0.3,
+        "weight of Q of recorded transitions, read at the expert's action, as a second target of V; the paper has latent roll-outs alone "
+        "(0), whose drift V then learns; as the replay loss of DreamerV3's critic",
+        ge=0.0,
+    )
+    q_updates: int = assumed(2500, "gradient steps of Q", ge=1)
+    q_batch: int = assumed(256, "recorded transitions per update of Q", ge=1)
+    q_learning_rate: float = assumed(5e-4, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    q_slow: float = assumed(
+        0.1, "share of the online Q that enters the target per update; a reward travels back one decision in 1 / q_slow", gt=0.0, le=1.0
+    )
 
 
 class GateSignalsConfig(Config):
-    """Which number foresees costs best at the safety gate, on fresh Human-only episodes."""
+    """Which number foresees costs best at the safety gate, and the return at the task gate, on fresh Human-only episodes."""
 
     operators: dict[str, tuple[float, ...]] = assumed(
         {"laggy": (0.7,), "noisy": (0.4,), "reaction-time": (0.24,), "limited-skill": (0.25,)},
@@ -252,7 +280,8 @@ class GateSignalsConfig(Config):
     rollouts: int = assumed(8, "M: imagined futures of the operator, the same for every signal", ge=1)
     first_steps: int = assumed(5, "imagined steps of the short sum; L", ge=1)
     gammas: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = assumed(
-        (0.9, 0.95, 0.99, 0.997), "discounts at which V_c is compared, besides gamma_c; V_c at another discount is trained here"
+        (0.9, 0.95, 0.99, 0.997),
+        "discounts at which V_c and V_r are compared, besides gamma_c and gamma_r; critics at others are trained here",
     )
     threshold: float = assumed(0.5, "tau_c, at which the gate is judged", gt=0.0)
     critics: CriticsConfig = CriticsConfig(updates=500)

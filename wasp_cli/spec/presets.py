@@ -31,10 +31,10 @@ _SMOKE: Document = {
         "labelling_rounds": 1, "labelling_episodes": 2, "labelling_updates": 5,
         "reinforce": {"interactions": 128, "envs": 4, "rollout": 32, "batch": 64},
     },
-    "critics": {"updates": 5, "starts": 16, "hidden": [32, 32]},
+    "critics": {"updates": 5, "starts": 16, "hidden": [32, 32], "q_updates": 5, "q_batch": 16},
     "gate_signals": {
         "episodes": 1, "rollouts": 2, "horizon": 4, "first_steps": 2, "gammas": [0.95, 0.99],
-        "critics": {"updates": 3, "starts": 16, "hidden": [32, 32]},
+        "critics": {"updates": 3, "starts": 16, "hidden": [32, 32], "q_updates": 3, "q_batch": 16},
     },
     "heldout": {"episodes": 2},
     "coverage": {"episodes": 6, "fresh": 2},
@@ -45,7 +45,10 @@ _SMOKE: Document = {
     "counterfactual": {"window": 4, "most": 3},
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
-    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2},
+    "wasp": {
+        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "takeover_rollouts": 1,
+        "finalists": 2,
+    },
 }  # fmt: skip
 
 # Minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
@@ -62,11 +65,11 @@ _QUICK: Document = {
     },
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
     "policies": {
-        "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 1, "labelling_episodes": 12, "labelling_updates": 500,
-        "reinforce": {"interactions": 60_000, "envs": 16},
+        "updates": 1500, "batch": 256, "evaluation_episodes": 20, "labelling_rounds": 2, "labelling_episodes": 24, "labelling_updates": 800,
+        "reinforce": {"interactions": 60_000, "envs": 16, "return_share": 0.75},
     },
-    "critics": {"updates": 500, "starts": 128, "slow": 0.3},
-    "gate_signals": {"critics": {"updates": 250, "starts": 128, "slow": 0.3}},
+    "critics": {"updates": 500, "starts": 64, "slow": 0.3},
+    "gate_signals": {"critics": {"updates": 250, "starts": 64, "slow": 0.3}},
     "heldout": {"episodes": 16},
     "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128]},
     "denoiser": {"updates": 3000, "batch": 256},
@@ -86,8 +89,8 @@ _GPU: Document = {
         "batch": 16, "length": 64, "updates": 20_000, "warmup": 1000, "learning_rate": 4e-4, "decode_share": 1.0, "refit_updates": 2000,
     },
     "policies": {"updates": 5000, "hidden": [256, 256], "reinforce": {"interactions": 1_000_000, "envs": 32}},
-    "critics": {"updates": 5000, "starts": 1024, "hidden": [256, 256]},
-    "gate_signals": {"critics": {"updates": 2500, "starts": 1024, "hidden": [256, 256]}},
+    "critics": {"updates": 5000, "starts": 512, "hidden": [256, 256], "q_updates": 10_000, "q_batch": 512},
+    "gate_signals": {"critics": {"updates": 2500, "starts": 512, "hidden": [256, 256], "q_updates": 10_000, "q_batch": 512}},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000, "envs": 32},
 }  # fmt: skip
@@ -105,7 +108,7 @@ _PAPER: Document = {
     "ida_q": {"updates": 10_000},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000},
-    "wasp": {"rollouts": 5, "gate_rollouts": 5, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
+    "wasp": {"rollouts": 5, "gate_rollouts": 8, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
 }
 
 PRESETS: Mapping[str, Document] = {"smoke": _SMOKE, "quick": _QUICK, "cpu": _CPU, "gpu": _GPU, "paper": _PAPER}
