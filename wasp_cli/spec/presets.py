@@ -60,7 +60,7 @@ _QUICK: Document = {
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {
         "deter": 192, "hidden": 128, "variables": 24, "classes": 16, "depth": 8, "head": 96,
-        "batch": 8, "length": 16, "updates": 1800, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25,
+        "batch": 8, "length": 16, "updates": 1500, "taught": 1000, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25,
         "ahead_starts": 32, "ahead_images": 16, "refit_updates": 300,
     },
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
