@@ -59,6 +59,9 @@ MAY_HAVE = {
         "learning.privileged learning.reinforce learning.verdicts stages.finite"
     ),
     "critics": f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout",
+    "lookahead": (
+        f"{WORLD} {LATENTS} models.ensemble models.lookahead learning.lookahead metrics metrics.ranking metrics.reliability stages.finite"
+    ),
     "gate_signals": (
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
         "methods.configs methods.noise methods.wasp.imagine metrics metrics.ranking metrics.windows stages.finite"

@@ -59,6 +59,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
+        StageInfo("lookahead", "wasp_cli.stages.lookahead:LookaheadStage", weight=6),
         StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage", skips_missing_skills=True, weight=0),
         StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage", "round", weight=12),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.learning.recordings import SOURCES, recording
-from tests.report.trained.parts import QUALITY, artifact, diagnosed, signals
+from tests.report.trained.parts import LOOKAHEAD, QUALITY, artifact, diagnosed, signals
 from wasp_cli.learning.contents import contents
 from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, bootstrap, critic_alone, discounted, one_step
 from wasp_cli.report.trained.artifacts import Trained
@@ -17,6 +17,7 @@ from wasp_cli.report.trained.figures import STEPS
 from wasp_cli.report.trained.pages import (
     contents_markdown,
     dataset_warnings,
+    lookahead_markdown,
     open_loop_markdown,
     quality_markdown,
     signal_title,
@@ -94,6 +95,14 @@ def test_every_signal_has_a_title() -> None:
     titles = [signal_title(name, signals()) for name in names]
     assert len(set(titles)) == len(names)
     assert not set(titles) & set(names)
+
+
+def test_a_look_ahead_has_a_row_for_each_window_and_bins_that_are_not_empty() -> None:
+    page = lookahead_markdown(LOOKAHEAD)
+    rows = [line for line in page.splitlines() if line.startswith(("| 5 |", "| 10 |"))]
+    assert [row.split("|")[3].strip() for row in rows] == ["0.625", "0.625"]
+    assert [row.split("|")[6].strip() for row in rows] == ["-", "-"]
+    assert page.endswith("| 0.050 | 0.000 | 90 |\n| 0.900 | 1.000 | 3 |\n")
 
 
 def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:

@@ -25,6 +25,7 @@ COLUMNS = (
     ("policies", Column("privileged_cost", "privileged", digits=1, spread=False, optional=True)),
     ("critics", Column("rank_r", "rank V_r")),
     ("critics", Column("rank_c", "rank V_c")),
+    ("lookahead", Column("auprc@15", "Look ahead AUPRC", optional=True)),
     ("gate_signals", Column("auprc", "Gate AUPRC", optional=True)),
     ("gate_signals", Column("auprc_bootstrap", "with V_c", optional=True)),
 )
