@@ -44,12 +44,13 @@ class Ahead(NamedTuple):
     @property
     def at_risk(self) -> NDArray[np.bool_]:
         """[R, H] what is known of it, and no cost came before."""
-        before = np.cumsum(self.cost, 1) - self.cost
-        return np.logical_and(self.known, before == 0)
+        before: NDArray[np.int64] = np.cumsum(self.cost, 1) - self.cost
+        risk: NDArray[np.bool_] = self.known & (before == 0)
+        return risk
 
     def any_within(self, window: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return whether anything cost within a window [R], and whether that is known [R]: a cost before a time limit is enough."""
-        event: NDArray[np.bool_] = self.cost[:, :window].any(1)
+        event = self.cost[:, :window].sum(1) > 0
         return event, event | self.known[:, window - 1]
 
 
