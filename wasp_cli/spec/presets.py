@@ -45,7 +45,7 @@ _SMOKE: Document = {
     "counterfactual": {"window": 4, "most": 3},
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
-    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2},
+    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "takeover_rollouts": 1, "finalists": 2},
 }  # fmt: skip
 
 # Minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
@@ -108,7 +108,7 @@ _PAPER: Document = {
     "ida_q": {"updates": 10_000},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000},
-    "wasp": {"rollouts": 5, "gate_rollouts": 5, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
+    "wasp": {"rollouts": 5, "gate_rollouts": 8, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
 }
 
 PRESETS: Mapping[str, Document] = {"smoke": _SMOKE, "quick": _QUICK, "cpu": _CPU, "gpu": _GPU, "paper": _PAPER}

@@ -71,6 +71,8 @@ class Literal:
                 g_c = costs[k] + GAMMA_C * ((1 - LAM) * 0.25 * abs(positions[k]) + LAM * g_c)
             if not self.config.bootstrap_cost:
                 g_c = sum(GAMMA_C**k * c for k, c in enumerate(costs))
+            if not self.config.bootstrap_reward:
+                g_r = sum(GAMMA_R**k * r for k, r in enumerate(rewards))
             total = [a + b / rollouts for a, b in zip(total, (g_r, g_c, effort), strict=True)]
         return total[0], total[1], total[2]
 
@@ -145,7 +147,8 @@ def drawn(seed: int, horizon: int, rollouts: int) -> Draws:
 
 CORNERS: dict[str, dict[str, Any]] = {
     "as configured": {}, "horizon is residual_steps": {"horizon": 3}, "one rollout": {"rollouts": 1},
-    "cost bootstrapped": {"bootstrap_cost": True}, "bounds hit": {"initial_std": 3.0}, "single step": {"horizon": 1, "residual_steps": 1},
+    "cost bootstrapped": {"bootstrap_cost": True}, "reward not bootstrapped": {"bootstrap_reward": False},
+    "bounds hit": {"initial_std": 3.0}, "single step": {"horizon": 1, "residual_steps": 1},
 }  # fmt: skip
 
 

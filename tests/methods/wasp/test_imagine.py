@@ -59,13 +59,15 @@ def literal(
         g_c = costs[k] + 0.8 * (0.3 * 0.25 * abs(positions[k]) + 0.7 * g_c)
     if not config.bootstrap_cost:
         g_c = sum(0.8**k * c for k, c in enumerate(costs))
+    if not config.bootstrap_reward:
+        g_r = sum(0.9**k * r for k, r in enumerate(rewards))
     return g_r, g_c, effort
 
 
 @pytest.mark.parametrize("composition", ["per_step", "hold"])
-@pytest.mark.parametrize("bootstrap", [False, True])
-def test_returns_of_every_candidate_equal_the_literal_rollout(composition: str, bootstrap: bool) -> None:
-    config = small(composition=composition, bootstrap_cost=bootstrap)
+@pytest.mark.parametrize("bootstrap", ["neither", "cost", "reward"])
+def test_returns_of_every_candidate_equal_the_literal_rollout(composition: str, bootstrap: str) -> None:
+    config = small(composition=composition, bootstrap_cost=bootstrap == "cost", bootstrap_reward=bootstrap == "reward")
     source = torch.Generator().manual_seed(0)
     residuals = 1.5 * torch.randn(B, N, L, 1, generator=source, dtype=torch.float64)
     draws = Draws(
