@@ -66,7 +66,10 @@ MAY_HAVE = {
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
         "methods.configs methods.noise methods.wasp.imagine metrics metrics.ranking metrics.windows stages.finite"
     ),
-    "rollouts": (f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} learning.contents learning.dataset learning.rollouts learning.shards"),
+    "rollouts": (
+        f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} models.ensemble models.lookahead learning.contents learning.dataset learning.rollouts "
+        "learning.shards"
+    ),
     "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout",
     "denoiser": (

@@ -62,7 +62,7 @@ AS_PRINTED: WASPVariant = "as-printed"
 
 PAPER_RECIPE: Mapping[str, Any] = {
     "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False, "operator_model": "rule",
-    "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "rescore": False, "takeover_shares": (), "braking": False,
+    "tau_c": "calibrated", "witness": "sum", "probe_with": "random", "probe_first": False, "rescore": False, "takeover_shares": (), "braking": False,
     "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled",
     "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
 }  # fmt: skip
@@ -99,9 +99,7 @@ class WASPConfig(Config):
     probe_first: bool = deviates(
         True, "random sequences of a probe that fired are the first iteration of the search; the paper has the probe for gating only"
     )
-    rescore: bool = deviates(
-        True, "the probe's winner must gain tau_r on fresh rollouts too; the paper takes the gain as it was scored"
-    )
+    rescore: bool = deviates(True, "the probe's winner must gain tau_r on fresh rollouts too; the paper takes the gain as it was scored")
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
     )
@@ -135,6 +133,13 @@ class WASPConfig(Config):
     tau_c_quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
     )
+    witness: Literal["sum", "head", "both"] = deviates(
+        "sum",
+        "what must speak for a cost before the safety gate fires. `sum`: Eq. 9; `head`: the direct look ahead (stage `lookahead`); `both`: "
+        "the sum, and either the look ahead too or the sum of the decision before. The paper has the first alone",
+    )
+    tau_head: float = assumed(0.1, "witness head, both: probability of any cost above which the look ahead speaks for one", ge=0.0, lt=1.0)
+    head_window: int = assumed(5, "decisions within which; of 5, 10 and 15 the first needs the fewest alarms for the same recall", ge=1)
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the gain under the unimpaired expert; of takeovers it is 0")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
     tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)

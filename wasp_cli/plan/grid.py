@@ -232,9 +232,10 @@ class _Builder:
 
     def _rollouts(self, task: str, seed: int, number: int) -> Node:
         operators = self._operators(ROLLOUTS)
-        axes = _round_axis(number) | {"method": ASSISTANT, "method_config": self.method_config(ASSISTANT, CALIBRATED_VARIANT)}
+        config = self.method_config(ASSISTANT, CALIBRATED_VARIANT)
+        axes = _round_axis(number) | {"method": ASSISTANT, "method_config": config}
         axes |= _plugins(operators)
-        needs = self._inputs(ROLLOUTS, task, seed, number - 1)
+        needs = self._inputs(ROLLOUTS, task, seed, number - 1, METHODS[ASSISTANT].needs_of(config))
         roots = (module_of(METHODS[ASSISTANT].target), *_roots(operators))
         return self._node(ROLLOUTS, task, seed, axes, needs, roots, _in_round(ROLLOUTS, number))
 
