@@ -79,6 +79,9 @@ MAY_HAVE = {
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
     ),
+    "clone": (
+        f"{DRIVING} {OPERATORS_BY_NAME} learning.sampling models.clone methods.human methods.wasp methods.wasp.operator_model learning.clone"
+    ),
     "calibration": f"{METHOD} metrics.windows learning.heldout",
     "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.parquet store.tables",
     "counterfactual": (
@@ -94,7 +97,7 @@ def closures() -> dict[str, frozenset[str]]:
     """By node kind, every module in the closure of one, over all tasks, methods, their variants, and operators."""
     document = {
         "name": "all", "preset": "smoke", "rounds": 2, "tasks": list(TASKS), "methods": list(METHODS), "seeds": [0],
-        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS},
+        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS}, "wasp": {"operator_model": "cloned"},
     }  # fmt: skip
     found: dict[str, frozenset[str]] = {}
     for node in lay_out(validate(document)).nodes:

@@ -151,10 +151,10 @@ class WASPConfig(Config):
     continuation: bool = deviates(
         True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"
     )
-    operator_model: Literal["rule", "expert", "hold"] = from_paper(
+    operator_model: Literal["rule", "expert", "hold", "cloned"] = from_paper(
         "rule",
         "section 4.2: the very operator with its memory is imagined; `expert`: the unimpaired one in its place; "
-        "`hold`: the last command, held",
+        "`hold`: the last command, held; `cloned`: a policy fitted to recorded commands of that operator (stage `clone`)",
     )
     initial_std: float = assumed(0.5, "standard deviation of the first residual distribution", gt=0.0)
     std_floor: float = assumed(0.05, "keeps the distribution from collapsing", gt=0.0)

@@ -127,7 +127,7 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.wasp.assistant:wasp",
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
-            needs_with=(("witness", "head", "lookahead"), ("witness", "both", "lookahead")),
+            needs_with=(("witness", "head", "lookahead"), ("witness", "both", "lookahead"), ("operator_model", "cloned", "clone")),
             calibrated=True,
             variants={
                 "full": "full",

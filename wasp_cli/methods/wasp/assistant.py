@@ -19,7 +19,7 @@ from wasp_cli.methods.record import Planned, blank_record
 from wasp_cli.methods.wasp.candidates import Batch, none_taken, propose, takeovers
 from wasp_cli.methods.wasp.gates import Gain, Signals, probe, resolved_tau_c, resolved_tau_r, safety_gate, scored_again
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.operator_model import imagined_operator
+from wasp_cli.methods.wasp.operator_model import imagined_operator, load_clone
 from wasp_cli.methods.wasp.planner import Plan, plan_residuals
 from wasp_cli.methods.wasp.witness import Witness, load_witness
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
@@ -27,6 +27,7 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
+from wasp_cli.operators.cloned import ClonedOperator
 
 CHUNK = 64
 """Held-out decisions that are looked at together."""
@@ -50,7 +51,10 @@ def wasp(config: Config, parts: Parts) -> WASP:
         parts.world_model, critics, config, parts.gamma_r, parts.gamma_c, parts.lam, expert=parts.skills.expert
     )  # fmt: skip
     witness = None if config.witness == "sum" else load_witness(config, parts.inputs["lookahead"])
-    return WASP(whole, imagination, parts.thresholds, witness)
+    clone = None
+    if config.operator_model == "cloned":
+        clone = load_clone(parts.inputs["clone"], parts.skills.expert, parts.world_model.action_size)
+    return WASP(whole, imagination, parts.thresholds, witness, clone)
 
 
 class Look(NamedTuple):
@@ -77,7 +81,12 @@ class WASP:
     """The assistant. Decisions of a batch are independent; each draws from its own episode's stream."""
 
     def __init__(
-        self, config: WASPConfig, imagination: Imagination, thresholds: Mapping[str, float], witness: Witness | None = None
+        self,
+        config: WASPConfig,
+        imagination: Imagination,
+        thresholds: Mapping[str, float],
+        witness: Witness | None = None,
+        clone: ClonedOperator | None = None,
     ) -> None:
         """WASP over any world model; `imagination` has the effective configuration of the variant.
 
@@ -86,6 +95,7 @@ class WASP:
         """
         if imagination.config.witness != "sum" and witness is None:
             raise WaspError(f"wasp.witness is '{imagination.config.witness}', but there is no look ahead here", "set wasp.witness=sum")
+        self.clone = clone
         self.witness = witness if imagination.config.witness != "sum" else None
         self.whole, self.config, self.imagination = config, imagination.config, imagination
         self.tau_c, self.tau_r = resolved_tau_c(self.config, thresholds), resolved_tau_r(self.config, thresholds)
@@ -172,7 +182,7 @@ class WASP:
         return self._look(self._situation(latent, a_h, operator), self.noise.next()).nominal
 
     def _situation(self, latent: Latent, a_h: Tensor, operator: Operator) -> Situation:
-        imagined = imagined_operator(self.config.operator_model, operator, a_h, self.imagination.expert)
+        imagined = imagined_operator(self.config.operator_model, operator, a_h, self.imagination.expert, self.clone)
         return Situation(latent, a_h, imagined, torch.arange(len(a_h)))
 
     def _look(self, start: Situation, generators: Sequence[np.random.Generator]) -> Look:
