@@ -62,7 +62,7 @@ AS_PRINTED: WASPVariant = "as-printed"
 
 PAPER_RECIPE: Mapping[str, Any] = {
     "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,
-    "operator_model": "rule", "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "rescore": False,
+    "operator_model": "rule", "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "task_search": True, "rescore": False,
     "takeover_shares": (), "braking": False, "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0, "recheck": False,
     "best_of": "all", "effort": "sampled", "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
 }  # fmt: skip
@@ -100,6 +100,9 @@ class WASPConfig(Config):
         True, "random sequences of a probe that fired are the first iteration of the search; the paper has the probe for gating only"
     )
     rescore: bool = deviates(True, "the probe's winner must gain tau_r on fresh rollouts too; the paper takes the gain as it was scored")
+    task_search: bool = deviates(
+        True, "where the task gate fired a residual plan is searched, as in the paper; without it the probe's winner is carried out"
+    )
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
     )

@@ -118,6 +118,17 @@ def test_an_operator_who_drives_backwards_is_taken_over() -> None:
     assert decision.action.item() > 0.5
 
 
+def test_without_a_search_the_probes_winner_is_carried_out() -> None:
+    operator = LaggyOperator(expert, 1, EpisodeNoise([0]), 1)
+    operator.p = 0.9
+    operator.memory = {"last": torch.tensor([[-0.9]]), "started": torch.ones(1, 1, dtype=torch.bool)}
+    decision = assisted(operator, 0.0, -0.9, task_search=False)
+    assert int(decision.record.gate) == 2
+    assert decision.action.item() == pytest.approx(float(expert(torch.tensor([[0.0]]))))
+    assert decision.planned.safe[0].tolist() == [-1, 2 * L]
+    assert (decision.planned.residuals[0, :, 0] > 0.5).any()
+
+
 def test_a_calibrated_tau_r_is_the_floor_since_the_expert_gains_nothing() -> None:
     config = WASPConfig.model_validate(SIZES)
     model = Imagination(Corridor(5.0, 6.0, 0.05), LinearCritics(), config, 0.9, 0.8, 0.7, expert)
