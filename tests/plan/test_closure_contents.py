@@ -73,7 +73,8 @@ MAY_HAVE = {
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
     ),
-    "calibration": f"{METHOD} metrics.windows learning.heldout",
+    "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
+    "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
     "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.parquet store.tables",
     "counterfactual": (
         f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
@@ -125,7 +126,7 @@ def test_nothing_is_allowed_that_no_node_has(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["evaluate", "calibration", "heldout", "counterfactual"])
 def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> None:
     reached = {module for module in short(closures()[kind]) if module.startswith("learning.")}
-    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "playback", "rerun"}
+    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "coverage", "playback", "rerun"}
     assert reached <= {f"learning.{name}" for name in known}
 
 

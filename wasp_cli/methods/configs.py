@@ -69,6 +69,14 @@ PAPER_RECIPE: Mapping[str, Any] = {
 """Section 4 to the letter. What it leaves open stays as it is: sizes, alpha, quantiles; M is one number."""
 
 
+class Coverage(Config):
+    """A threshold by what it has to guarantee, taken from Human-only episodes (stage `coverage`)."""
+
+    coverage: float = assumed(
+        0.1, "largest share of costly episodes of the operators alone with an onset before which nothing was foreseen", gt=0.0, lt=1.0
+    )
+
+
 class WASPConfig(Config):
     """WASP: gates (section 4.2) and residual planning (section 4.3). N candidates, M rollouts, H horizon, L residuals."""
 
@@ -128,10 +136,11 @@ class WASPConfig(Config):
     effort: Literal["clipped", "sampled"] = deviates(
         "clipped", "the residual that Eq. 11, 16 and 17 penalise: what is executed of it within the bounds; the paper: as it was sampled"
     )
-    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] | Coverage = assumed(
         0.5,
         "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less; "
-        "`calibrated`: a quantile of its own signal under the expert",
+        "`calibrated`: a quantile of its own signal under the expert; "
+        "`{coverage: 0.1}`: so that of the costly episodes of the operators alone at most this share has an onset without an alert",
     )
     tau_c_quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0

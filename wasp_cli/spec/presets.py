@@ -37,6 +37,7 @@ _SMOKE: Document = {
         "critics": {"updates": 3, "starts": 16, "hidden": [32, 32]},
     },
     "heldout": {"episodes": 2},
+    "coverage": {"episodes": 6, "fresh": 2},
     "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},
     "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},

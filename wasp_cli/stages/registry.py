@@ -62,6 +62,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage", skips_missing_skills=True, weight=0),
         StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage", "round", weight=12),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
+        StageInfo("coverage", "wasp_cli.stages.coverage:CoverageStage", skips_missing_skills=True, weight=6),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),

@@ -176,6 +176,11 @@ class WASP:
         nominal = Returns(*(values[:, :several].mean(1) for values in returns))
         return Look(nominal, taken, returns.reward[:, 0], draws)
 
+    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
+        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
+        start = self._situation(latent, a_h, operator)
+        return self.imagination.nominal(start, self._draws(self.noise.next(), start.operator, self.config.gate_rollouts)).cost
+
     def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
         """Keep the plans for the next decision, and those of Case II for some more."""
         self.plan, self.warm = plan, warm
@@ -198,7 +203,7 @@ class WASP:
             whole = replace(self.imagination, config=self.whole.model_copy(update={"variant": "full"}))
             whole_cost = torch.cat([whole.nominal(part, drawn).cost for (_, part), drawn in zip(chunks, draws, strict=True)])
         signals = Signals(cost, whole_cost, cost_ahead)
-        self.tau_c = signals.tau_c(self.config)
+        self.tau_c = signals.tau_c(self.config, self.tau_c)
         gains = [self._gain(part, look, generators, -torch.inf)[0].delta_g for (_, part), look in zip(chunks, looks, strict=True)]
         return signals.thresholds(self.tau_c, torch.cat(gains), self.config)
 
