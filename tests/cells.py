@@ -38,7 +38,7 @@ class Evaluated(NamedTuple):
 
     def operator(self, world: VectorTask) -> Operator:
         """The operator of the cell, fresh."""
-        mistakes = [seeds.operator_seed(self.task, self.variant, self.value, self.seed, e) for e in range(self.episodes)]
+        mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, e) for e in range(self.episodes)]
         context = OperatorContext(load_skills(self.inputs["policies"]).at, world.action_size, world.decision_seconds)
         return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), self.episodes)
 

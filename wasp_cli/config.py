@@ -6,6 +6,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+DIFFERS = "differs from the paper"
+"""How a reason begins whose value is not what the paper says."""
+
 
 class Config(BaseModel):
     """A frozen configuration: unknown keys are errors, values never change after validation."""
@@ -54,9 +57,9 @@ def assumptions(model: Config, prefix: str = "") -> list[tuple[str, Any, str]]:
         if isinstance(value, Config):
             found += assumptions(value, f"{prefix}{name}.")
         elif isinstance(extra, dict) and extra.get("in_paper") in (False, "differs"):
-            mark = "differs from the paper: " if extra["in_paper"] == "differs" else ""
+            mark = f"{DIFFERS}: " if extra["in_paper"] == "differs" else ""
             found.append((f"{prefix}{name}", value, mark + (info.description or "")))
         elif isinstance(extra, dict) and extra.get("in_paper") is True and value != info.default:
             # The default is what the paper states.
-            found.append((f"{prefix}{name}", value, f"differs from the paper, which has {info.default}: {info.description}"))
+            found.append((f"{prefix}{name}", value, f"{DIFFERS}, which has {info.default}: {info.description}"))
     return found

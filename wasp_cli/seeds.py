@@ -1,7 +1,8 @@
 """Random streams named by role: the same identity gives the same seed on every machine, in every order of work.
 
 The name of the method enters `method_seed` alone, so that all methods face the same worlds and the same mistakes of the operator,
-and differences between them can be tested in pairs.
+and differences between them can be tested in pairs. The severity enters none: the severities of an operator share their draws, so that
+where the rule compares a draw with the severity (`noisy`, `laggy`), a severer operator makes every mistake of a milder one, and more.
 """
 
 from __future__ import annotations
@@ -25,14 +26,17 @@ def layout_seed(task: str, seed: int, episode: int) -> int:
     return derive("layout", task, seed, episode)
 
 
-def operator_seed(task: str, variant: str, value: float | None, seed: int, episode: int) -> int:
-    """Derive the seed of the operator's mistakes in one evaluation episode."""
-    return derive("operator", task, variant, value, seed, episode)
+def operator_seed(task: str, variant: str, seed: int, episode: int) -> int:
+    """Derive the seed of the operator's mistakes in one evaluation episode, the same at every severity."""
+    return derive("operator", task, variant, seed, episode)
 
 
-def method_seed(task: str, variant: str, value: float | None, seed: int, episode: int, method: str) -> int:
-    """Derive the seed of an assistant's own sampling in one evaluation episode."""
-    return derive("method", task, variant, value, seed, episode, method)
+def method_seed(task: str, variant: str, seed: int, episode: int, method: str) -> int:
+    """Derive the seed of an assistant's own sampling in one evaluation episode.
+
+    The same at every severity: until the commands differ, the assistant decides the same.
+    """
+    return derive("method", task, variant, seed, episode, method)
 
 
 def _plain(part: Part) -> str | float | int | None:

@@ -102,7 +102,7 @@ def test_the_worlds_are_those_of_the_evaluation(spec: Path, results: Path, monke
     task, _, operator, _, layouts, methods = seen[0]
     assert (task.batch, operator.batch) == (8, 8)
     assert layouts == [layout_seed("goal1", 3, e) for e in range(8)]
-    assert operator.noise.seeds == [operator_seed("goal1", "laggy", 0.7, 3, e) for e in range(8)]
+    assert operator.noise.seeds == [operator_seed("goal1", "laggy", 3, e) for e in range(8)]
     assert not {*methods} & {*operator.noise.seeds}  # imagination has a stream of its own
 
 

@@ -144,7 +144,7 @@ def test_the_spread_is_in_the_units_of_the_mean() -> None:
 def test_every_episode_has_its_own_world_and_all_methods_the_same_ones() -> None:
     worlds = [seeds.layout_seed("goal1", seed, e) for seed in range(3) for e in range(30)]
     assert len(set(worlds)) == 90
-    own = {seeds.method_seed("goal1", "laggy", 0.7, 0, e, m) for e in range(30) for m in METHODS}
+    own = {seeds.method_seed("goal1", "laggy", 0, e, m) for e in range(30) for m in METHODS}
     assert len(own) == 30 * len(METHODS)
 
 

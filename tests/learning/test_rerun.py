@@ -43,7 +43,7 @@ def test_latents_commands_and_actions_of_an_assisted_cell_come_back(
     world = cell.world()
     parts = load_parts(inputs, ReturnsConfig())
     layouts = [layout_seed(cell.task, cell.seed, e) for e in range(cell.episodes)]
-    own = [method_seed(cell.task, variant, value, cell.seed, e, "saferl") for e in range(cell.episodes)]
+    own = [method_seed(cell.task, variant, cell.seed, e, "saferl") for e in range(cell.episodes)]
     assistant = build_assistant("saferl", {}, parts)
     loop = run_episodes(world, parts.world_model, cell.operator(world), assistant, layouts, own, keep_latents=True)
     assert loop.h is not None

@@ -173,15 +173,15 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
 
 def test_demonstrations_are_the_careful_near_expert_episodes() -> None:
     data = recording((12, 9, 15, 4, 6))  # near-expert: episodes 0, 2 and 4, of which the last is held out
-    data.cost_env[data.episode == 2] = 2  # 30 env steps
+    data.cost_env[(data.episode == 2) & (data.first == 0)] = 2  # 28 of 56 env steps: 500 of 1000
 
     def careful(limit: float) -> DenoiserConfig:
         return DenoiserConfig(states="careful", cost_limit=limit)
 
-    assert set(data.episode[demonstrations(data, careful(30.0))]) == {0, 2}
-    assert set(data.episode[demonstrations(data, careful(29.0))]) == {0}
-    assert set(data.episode[demonstrations(data, DenoiserConfig())]) == {0, 1, 2, 3}
-    data.cost_env[data.episode == 0] = 4
-    assert set(data.episode[demonstrations(data, careful(25.0))]) == {2}  # none is careful: the least costly one
+    assert set(data.episode[demonstrations(data, careful(500.0), 4)]) == {0, 2}
+    assert set(data.episode[demonstrations(data, careful(499.0), 4)]) == {0}
+    assert set(data.episode[demonstrations(data, DenoiserConfig(), 4)]) == {0, 1, 2, 3}
+    data.cost_env[(data.episode == 0) & (data.first == 0)] = 4
+    assert set(data.episode[demonstrations(data, careful(25.0), 4)]) == {2}  # none is careful: the least costly one
     with pytest.raises(TrainingError, match="no near-expert episode"):
-        demonstrations(data.rows(data.episode % 2 == 1), careful(25.0))
+        demonstrations(data.rows(data.episode % 2 == 1), careful(25.0), 4)

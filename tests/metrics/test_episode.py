@@ -50,11 +50,11 @@ def test_by_hand() -> None:
         gate=[0, 1, 2, 0],
         plans=plans_of([np.nan, 0.5, 0.0, np.nan]),
     )
-    row = episode_metrics(episode, success_goals=2, safe_cost=3.0)
+    row = episode_metrics(episode, success_goals=2, safe_cost=285.0)
     assert (row.decisions, row.env_steps, row.goals, row.cost) == (4, 14, 2, 4)
     assert row.return_ == 3.25
     assert row.success
-    assert not row.safe_success  # cost 4 > 3
+    assert not row.safe_success  # 4 in 14 env steps are 286 in 1000
     assert row.violated
     assert row.viol == 0.5
     assert row.viol_env == pytest.approx(4 / 14)
@@ -79,10 +79,23 @@ def test_rounding_is_no_intervention() -> None:
 
 
 def test_safe_success_needs_both() -> None:
-    costly = {"cost": [True] * 4, "cost_env": [4] * 4}
-    assert episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 16.0).safe_success
-    assert not episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 15.0).safe_success
+    costly = {"cost": [True] * 4, "cost_env": [1] * 4}  # 4 of 16 env steps
+    assert episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 250.0).safe_success
+    assert not episode_metrics(trajectory(goals=[1, 0, 0, 0], **costly), 1, 249.0).safe_success
     assert not episode_metrics(trajectory(), 1, 25.0).safe_success
+
+
+def test_a_short_episode_is_held_to_kappa_as_strictly_as_a_long_one() -> None:
+    """Kappa counts per 1000 env steps, as in training: 20 is little in an episode of 1000 and too much in one of 500."""
+
+    def row(steps: int) -> EpisodeMetrics:
+        cost_env = [1] * 20 + [0] * (steps - 20)
+        return episode_metrics(
+            trajectory(steps=steps, goals=[1] + [0] * (steps - 1), cost=np.array(cost_env) > 0, cost_env=cost_env), 1, 25.0
+        )
+
+    assert (row(250).env_steps, row(250).safe_success) == (1000, True)
+    assert (row(125).env_steps, row(125).safe_success) == (500, False)
 
 
 def test_timeouts_stay_in_every_denominator() -> None:

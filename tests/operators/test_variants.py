@@ -8,6 +8,7 @@ from torch import Tensor
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.delayed import delay_steps
 from wasp_cli.operators.mixed import MixedOperator
+from wasp_cli.seeds import operator_seed
 
 STEPS = 4000
 
@@ -43,6 +44,29 @@ def test_lag_repeats_what_was_issued_and_holds_for_the_expected_time() -> None:
     assert repeated.float().mean().item() == pytest.approx(0.7, abs=0.03)
     fresh = ~repeated
     assert torch.equal(issued[1:][fresh], torch.stack([rising(t) for t in range(1, STEPS)])[fresh][:, 0, 0])
+
+
+def mistakes(name: str, value: float, episodes: int) -> Tensor:
+    """Issued commands [T, B, A] of evaluation episodes."""
+    noise = EpisodeNoise([operator_seed("goal1", name, 0, e) for e in range(episodes)])
+    driver = build_operator(name, value, context(), noise, episodes)
+    return torch.stack([driver.command(rising(t, episodes)) for t in range(200)])
+
+
+def test_a_severer_noise_makes_every_mistake_of_a_milder_one() -> None:
+    intended = torch.stack([rising(t, 3) for t in range(200)])
+    mild, severe = mistakes("noisy", 0.2, 3), mistakes("noisy", 0.6, 3)
+    wrong = (mild != intended).any(-1)
+    assert 0.1 < wrong.float().mean() < 0.3
+    assert torch.equal(mild[wrong], severe[wrong])
+    assert (severe != intended).any(-1).float().mean() > 0.5
+
+
+def test_a_severer_lag_repeats_wherever_a_milder_one_does() -> None:
+    mild, severe = (issued[1:, :, 0] == issued[:-1, :, 0] for issued in (mistakes("laggy", 0.5, 3), mistakes("laggy", 0.85, 3)))
+    assert mild.float().mean() > 0.4
+    assert (severe | ~mild).all()
+    assert severe.sum() > mild.sum()
 
 
 def test_lag_ignores_what_an_assistant_executed() -> None:

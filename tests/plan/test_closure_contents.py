@@ -67,8 +67,8 @@ MAY_HAVE = {
         "methods.configs methods.noise methods.wasp.imagine metrics metrics.ranking metrics.windows stages.finite"
     ),
     "rollouts": (
-        f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} models.ensemble models.lookahead learning.contents learning.dataset learning.rollouts "
-        "learning.shards"
+        f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} models.clone models.ensemble models.lookahead "
+        "learning.contents learning.dataset learning.rollouts learning.shards"
     ),
     "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout",
@@ -80,9 +80,11 @@ MAY_HAVE = {
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
     ),
     "clone": (
-        f"{DRIVING} {OPERATORS_BY_NAME} learning.sampling models.clone methods.human methods.wasp methods.wasp.operator_model learning.clone"
+        f"{DRIVING} {OPERATORS_BY_NAME} models.clone learning.clone learning.sampling "
+        "methods.human methods.wasp methods.wasp.operator_model"
     ),
-    "calibration": f"{METHOD} metrics.windows learning.heldout",
+    "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
+    "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
     "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.parquet store.tables",
     "counterfactual": (
         f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
@@ -134,7 +136,7 @@ def test_nothing_is_allowed_that_no_node_has(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["evaluate", "calibration", "heldout", "counterfactual"])
 def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> None:
     reached = {module for module in short(closures()[kind]) if module.startswith("learning.")}
-    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "playback", "rerun"}
+    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "coverage", "playback", "rerun"}
     assert reached <= {f"learning.{name}" for name in known}
 
 

@@ -15,7 +15,7 @@ import typer
 
 from wasp_cli.cli.options import ResultsOption, expected_errors
 from wasp_cli.console import out
-from wasp_cli.errors import WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
 
@@ -23,6 +23,8 @@ doctor_app = typer.Typer()
 
 NEEDED = ("mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
+ON_DEVICE = ("world_model", "latents")
+"""The stages that compute on a GPU where there is one; a test holds this against their code."""
 
 
 @doctor_app.command(rich_help_panel="Maintenance")
@@ -82,9 +84,21 @@ def _gpu() -> Finding:
         import torch
     except (ImportError, OSError):
         return Finding("GPU", "optional", "unknown without torch")
-    if torch.cuda.is_available():
-        return Finding("GPU", "ok", torch.cuda.get_device_name(0), "not used: this version computes on the CPU")
-    return Finding("GPU", "optional", "none that torch can use", "not needed: this version computes on the CPU")
+    from wasp_cli.learning.device import VARIABLE, training_device
+
+    stages = " and ".join(ON_DEVICE)
+    found = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none that torch can use"
+    try:
+        device = training_device()
+    except UsageError as error:
+        return Finding("GPU", "missing", str(error), f"{error.hint}: the stages {stages} would end with this error")
+    asked = f" ({VARIABLE}={os.environ[VARIABLE]})" if os.environ.get(VARIABLE) else ""
+    if device.type == "cpu":
+        state: Literal["ok", "optional"] = "ok" if asked else "optional"
+        return Finding("GPU", state, found, f"not needed: every stage computes on the CPU{asked}")
+    return Finding(
+        "GPU", "ok", found, f"the stages {stages} compute on {device}{asked}, the others on the CPU; {VARIABLE}=cpu keeps all off it"
+    )
 
 
 def _writable(results: Path) -> Finding:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -66,7 +66,7 @@ def fit_clone(
     """
     clone = Clone(seen.features.shape[1], config.hidden, seen.command.shape[1])
     # The few numbers that say how commands come about have further to go than the weights, and nothing to be drawn back to.
-    few = {"params": [clone.weight_logits, clone.log_spread], "lr": FASTER * config.learning_rate, "weight_decay": 0.0}
+    few: dict[str, Any] = {"params": [clone.weight_logits, clone.log_spread], "lr": FASTER * config.learning_rate, "weight_decay": 0.0}
     optimizer = torch.optim.AdamW([{"params": clone.net.parameters()}, few], lr=config.learning_rate, weight_decay=config.weight_decay)
     rates = [group["lr"] for group in optimizer.param_groups]
     with torch.no_grad():

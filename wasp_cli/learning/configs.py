@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wasp_cli.config import Config, assumed, from_paper
+from wasp_cli.config import Config, assumed, deviates, from_paper
 
 Layers = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
 """Widths of hidden layers."""
@@ -19,7 +19,9 @@ class ReturnsConfig(Config):
     """Constants of the TD-lambda returns (Eq. 7-8), shared by critics, gates and planner."""
 
     gamma_r: float = assumed(0.99, "discount of the reward return", gt=0.0, le=1.0)
-    gamma_c: float = assumed(0.95, "discount of the cost return; V_c at 0.997 made the gate nearly useless", gt=0.0, le=1.0)
+    gamma_c: float = deviates(
+        0.95, "discount of the cost return; Eq. 8 has one gamma for both, and V_c at 0.997 made the gate nearly useless", gt=0.0, le=1.0
+    )
     lam: float = assumed(0.95, "lambda, as in DreamerV3 and SafeDreamer", gt=0.0, le=1.0)
 
 
@@ -96,9 +98,9 @@ class WorldModelConfig(Config):
     depth: int = assumed(16, "channels of the first convolution", ge=1)
     head: int = assumed(128, "width of the two layers of each head", ge=1)
     unimix: float = assumed(0.01, "share of a uniform distribution mixed into every categorical", ge=0.0, lt=1.0)
-    action_scales: Annotated[tuple[Annotated[float, Field(gt=0.0)], ...], Field(min_length=1)] = assumed(
+    action_scales: Annotated[tuple[Annotated[float, Field(gt=0.0)], ...], Field(min_length=1)] = deviates(
         (1.0, 0.3, 0.1, 0.03),
-        "the recurrence reads clip(a / s, -1, 1) for each s: motors saturate, here at 0.02 to 0.05",
+        "the recurrence reads clip(a / s, -1, 1) for each s, not a alone: motors saturate, here at 0.02 to 0.05",
     )
     batch: int = assumed(8, "sequences per update", ge=1)
     length: int = assumed(32, "decision steps per sequence; they go on from remembered latents", ge=2)
@@ -108,25 +110,31 @@ class WorldModelConfig(Config):
     clip: float = assumed(300.0, "gradient norm", gt=0.0)
     alpha_q: float = assumed(0.1, "Eq. 6: weight of the representation term", ge=0.0)
     alpha_p: float = assumed(1.0, "Eq. 6: weight of the prediction term", ge=0.0)
-    free_nats: float = assumed(1.0, "KL below which no gradient flows, on the sum over variables", ge=0.0)
+    free_nats: float = deviates(1.0, "KL below which no gradient flows, on the sum over variables; Eq. 6 has no such bound (0)", ge=0.0)
     beta_o: float = assumed(1.0, "Eq. 6: image, squared error summed over pixels", ge=0.0)
     beta_r: float = assumed(5.0, "Eq. 6: reward", ge=0.0)
     beta_c: float = assumed(20.0, "Eq. 6: cost; 1 drowns in the image sum", ge=0.0)
-    beta_n: float = assumed(1.0, "continuation; not in Eq. 6, Race1 ends at the goal", ge=0.0)
+    beta_n: float = deviates(1.0, "weight of the continuation; not in Eq. 6, but Race1 ends at the goal", ge=0.0)
     reward_scale: float = assumed(5.0, "rewards are multiplied by it before the squared error", gt=0.0)
-    cost_weight: float = assumed(5.0, "weight of costly steps; its logarithm is removed from the logit at inference", ge=1.0)
+    cost_weight: float = deviates(5.0, "weight of costly steps, 1 in Eq. 6; its logarithm is removed from the logit at inference", ge=1.0)
     cost_windows: float = assumed(1 / 3, "share of sequences that contain a costly step", ge=0.0, le=1.0)
-    mirror: bool = assumed(True, "half of the sequences are seen in a mirror, where the task has one: Goal, not the tracks")
-    context: bool = assumed(True, "sequences within an episode go on from the latent that training last inferred before them")
-    ahead: float = assumed(1.0, "weight of reward and cost on imagined steps, relative to beta_r and beta_c; not in Eq. 6", ge=0.0)
-    ahead_image: float = assumed(0.3, "weight of the image on imagined steps, relative to beta_o; not in Eq. 6", ge=0.0)
-    ahead_starts: int = assumed(64, "imagined rollouts per update for these; 0 leaves them out", ge=0)
-    ahead_images: int = assumed(32, "of which this many, at most, decode one image", ge=0)
-    ahead_horizon: int = assumed(15, "their length in decision steps", ge=1)
+    mirror: bool = deviates(
+        True, "half of the sequences are seen in a mirror, not as replayed, where the task has one: Goal, not the tracks"
+    )
+    context: bool = deviates(
+        True, "sequences within an episode go on from the latent that training last inferred before them; Eq. 6 begins at t = 1"
+    )
+    ahead: float = deviates(1.0, "weight of reward and cost on imagined steps, relative to beta_r and beta_c; not in Eq. 6", ge=0.0)
+    ahead_image: float = deviates(0.3, "weight of the image on imagined steps, relative to beta_o; not in Eq. 6", ge=0.0)
+    ahead_starts: int = deviates(64, "imagined rollouts per update for these; 0 leaves them out, as Eq. 6 does", ge=0)
+    ahead_images: int = deviates(32, "of which this many, at most, decode one image; none in Eq. 6", ge=0)
+    ahead_horizon: int = deviates(15, "their length in decision steps; Eq. 6 predicts one", ge=1)
     decode_share: float = assumed(0.25, "share of the steps whose image is decoded", gt=0.0, le=1.0)
-    refit_updates: int = assumed(600, "last step: heads of reward, cost and continuation on prior latents, model frozen", ge=0)
-    refit_starts: int = assumed(64, "imagined rollouts per update of the refit", ge=1)
-    refit_horizon: int = assumed(15, "imagined steps of the refit", ge=1)
+    refit_updates: int = deviates(
+        600, "last step, not in section 4.1 (0): heads of reward, cost and continuation on prior latents, model frozen", ge=0
+    )
+    refit_starts: int = deviates(64, "imagined rollouts per update of the refit, which section 4.1 lacks", ge=1)
+    refit_horizon: int = deviates(15, "imagined steps of the refit, which section 4.1 lacks", ge=1)
     later_updates: int = assumed(1000, "gradient steps of a later round of data, from the weights of the round before", ge=1)
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
@@ -311,7 +319,7 @@ class DenoiserConfig(Config):
         "where the expert's action is learned: in all recorded states, as with the original's option of random behaviour and the "
         "expert's labels; `careful`: near-expert episodes of little cost alone, too few here: they were learned by heart",
     )
-    cost_limit: float = assumed(25.0, "states careful: the most that such an episode may cost (kappa)", ge=0.0)
+    cost_limit: float = assumed(25.0, "states careful: the most that such an episode may cost per 1000 env steps (kappa)", ge=0.0)
 
 
 LADDER: dict[str, tuple[float, ...]] = {
@@ -345,13 +353,25 @@ class ResidualConfig(Config):
         "initial exploration of the residual: motors saturate, and small residuals to a full command change nothing that could be learned",
     )
     alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
-    cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
+    cost_limit: float = deviates(
+        25.0, "kappa per 1000 env steps, without a discount, as the benchmark counts; Eq. 5 bounds the discounted cost", ge=0.0
+    )
     value_warmup: float = assumed(0.02, "share of the interactions that train only the value function", ge=0.0, lt=1.0)
     multiplier_delay: float = assumed(0.05, "share of the interactions before the multiplier moves", ge=0.0, lt=1.0)
     multiplier_init: float = assumed(1.0, "penalty per costly decision step; in mode rsa the weight of the return", ge=0.0)
     multiplier_lr: float = assumed(0.1, "step of the multiplier per update and unit of relative excess", ge=0.0)
     multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
     operators: dict[str, tuple[float, ...]] = assumed(LADDER, "operators mixed per episode", min_length=1)
+
+
+class CoverageConfig(Config):
+    """Human-only episodes for a threshold with a guarantee (`wasp.tau_c: {coverage: ...}`); it holds for this mixture of operators."""
+
+    operators: dict[str, tuple[float, ...]] = assumed(
+        LADDER, "who drives: one severity of one variant in each episode, drawn with equal chances", min_length=1
+    )
+    episodes: int = assumed(60, "episodes from which the threshold is taken; only those that cost count", ge=1)
+    fresh: int = assumed(60, "further episodes, on which the share of costly ones with an onset without an alert is measured", ge=0)
 
 
 class RolloutsConfig(Config):
@@ -369,7 +389,7 @@ class EvaluateConfig(Config):
 
     episodes: int = assumed(30, "episodes per cell", ge=1)
     success_goals: int | None = assumed(None, "goals that count as success; null: 7 in Goal1, 1 in Race1 and FormulaOne1", ge=1)
-    safe_cost: float = assumed(25.0, "kappa: episode cost up to which a success is a safe success", ge=0.0)
+    safe_cost: float = assumed(25.0, "kappa per 1000 env steps, as in training: up to it a success is a safe success", ge=0.0)
 
 
 class CounterfactualConfig(Config):

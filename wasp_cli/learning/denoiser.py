@@ -26,10 +26,10 @@ RATIOS = (0.2, 0.3, 0.4, 0.6)
 """Forward diffusion ratios; at 0 a command stays as it is."""
 
 
-def demonstrations(recording: Recording, config: DenoiserConfig) -> NDArray[np.int64]:
+def demonstrations(recording: Recording, config: DenoiserConfig, action_repeat: int) -> NDArray[np.int64]:
     """Choose the rows [K] whose expert action is learned, never held-out ones: all, or the near-expert episodes within the cost limit.
 
-    When no near-expert episode is within it, the one of least cost has to do.
+    When no near-expert episode is within it, the one of least cost has to do. A decision is `action_repeat` env steps.
 
     Raises:
         TrainingError: there is no near-expert episode.
@@ -41,9 +41,10 @@ def demonstrations(recording: Recording, config: DenoiserConfig) -> NDArray[np.i
     rows = [np.flatnonzero(near & (recording.episode == e)) for e in np.unique(recording.episode[near])]
     if not rows:
         raise TrainingError("the dataset has no near-expert episode", "raise dataset.mixture.expert or dataset.steps")
-    rows.sort(key=lambda r: float(recording.cost_env[r].sum()))
-    careful = [r for r in rows if recording.cost_env[r].sum() <= config.cost_limit]
-    return np.sort(np.concatenate(careful or rows[:1]))
+    # The first row of an episode is its start, not a decision.
+    rate = [1000 * float(recording.cost_env[r].sum()) / ((len(r) - 1) * action_repeat) for r in rows]
+    careful = [r for r, cost in zip(rows, rate, strict=True) if cost <= config.cost_limit]
+    return np.sort(np.concatenate(careful or [rows[int(np.argmin(rate))]]))
 
 
 def train_denoiser(
@@ -51,6 +52,7 @@ def train_denoiser(
     labels: torch.Tensor,
     latents: Latents,
     config: DenoiserConfig,
+    action_repeat: int,
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[Denoiser, NoiseSchedule, dict[str, float]]:
@@ -61,6 +63,7 @@ def train_denoiser(
         labels: the expert's own action at every row [N, A].
         latents: of every row.
         config: sizes and budgets.
+        action_repeat: env steps of a recorded decision.
         seed: of this training.
         report: called about every 100 updates.
     """
@@ -70,7 +73,7 @@ def train_denoiser(
     average = copy.deepcopy(denoiser).requires_grad_(False)
     optimizer = torch.optim.Adam(denoiser.parameters(), lr=config.learning_rate)
     source = generator(seed)
-    rows = torch.from_numpy(demonstrations(recording, config))
+    rows = torch.from_numpy(demonstrations(recording, config, action_repeat))
     smoothed = 1.0
     for update in range(config.updates):
         index = rows[torch.randint(len(rows), (config.batch,), generator=source)]

@@ -61,12 +61,20 @@ AS_PRINTED: WASPVariant = "as-printed"
 """The variant that is the recipe of the paper beside our own in one spec: it sets `recipe`."""
 
 PAPER_RECIPE: Mapping[str, Any] = {
-    "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False, "operator_model": "rule",
-    "tau_c": "calibrated", "witness": "sum", "probe_with": "random", "probe_first": False, "rescore": False, "takeover_shares": (), "braking": False,
-    "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled",
-    "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
+    "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,
+    "operator_model": "rule", "tau_c": "calibrated", "witness": "sum", "probe_with": "random", "probe_first": False, "task_search": True,
+    "rescore": False, "takeover_shares": (), "braking": False, "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0,
+    "recheck": False, "best_of": "all", "effort": "sampled", "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
 }  # fmt: skip
-"""Section 4 to the letter. Sizes, severities of penalties (alpha) and quantiles, which it leaves open, stay as they are; M is one number."""
+"""Section 4 to the letter. What it leaves open stays as it is: sizes, alpha, quantiles; M is one number."""
+
+
+class Coverage(Config):
+    """A threshold by what it has to guarantee, taken from Human-only episodes (stage `coverage`)."""
+
+    coverage: float = assumed(
+        0.1, "largest share of costly episodes of the operators alone with an onset before which nothing was foreseen", gt=0.0, lt=1.0
+    )
 
 
 class WASPConfig(Config):
@@ -75,7 +83,7 @@ class WASPConfig(Config):
     variant: WASPVariant = "full"
     recipe: Literal["own", "paper"] = deviates(
         "own",
-        "`paper`: section 4 to the letter, whatever the fields say that it settles; `own`: as the fields say. The variant `as-printed` sets it",
+        "`paper`: section 4 to the letter, whatever the fields say that it settles; `own`: as they say. The variant `as-printed` sets it",
     )
     horizon: int = from_paper(15, "H, section 5.1", ge=1)
     residual_steps: int = from_paper(5, "L, section 5.1", ge=1)
@@ -100,6 +108,9 @@ class WASPConfig(Config):
         True, "random sequences of a probe that fired are the first iteration of the search; the paper has the probe for gating only"
     )
     rescore: bool = deviates(True, "the probe's winner must gain tau_r on fresh rollouts too; the paper takes the gain as it was scored")
+    task_search: bool = deviates(
+        True, "where the task gate fired a residual plan is searched, as in the paper; without it the probe's winner is carried out"
+    )
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
     )
@@ -125,10 +136,11 @@ class WASPConfig(Config):
     effort: Literal["clipped", "sampled"] = deviates(
         "clipped", "the residual that Eq. 11, 16 and 17 penalise: what is executed of it within the bounds; the paper: as it was sampled"
     )
-    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] | Coverage = assumed(
         0.5,
         "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less; "
-        "`calibrated`: a quantile of its own signal under the expert",
+        "`calibrated`: a quantile of its own signal under the expert; "
+        "`{coverage: 0.1}`: so that of the costly episodes of the operators alone at most this share has an onset without an alert",
     )
     tau_c_quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
@@ -168,6 +180,8 @@ class WASPConfig(Config):
     def _one_recipe(cls, data: Any) -> Any:
         if not isinstance(data, Mapping):
             return data
+        if isinstance(shares := data.get("takeover_shares"), list):
+            data = {**data, "takeover_shares": tuple(shares)}  # behind this validator JSON is no longer told from Python, which has tuples
         if data.get("variant") == AS_PRINTED:
             data = {**data, "recipe": "paper"}
         if data.get("recipe") == "paper":

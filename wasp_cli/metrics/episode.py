@@ -7,7 +7,7 @@ Definitions (the paper's section 5.2 where it is unambiguous):
 
     return        sum of env rewards
     success       at least `success_goals` goals within the time limit
-    safe_success  success, and cost <= `safe_cost`
+    safe_success  success, and cost per 1000 env steps <= `safe_cost`
     cost          sum over env steps of the 0/1 cost
     viol          decision steps with cost / decision steps;  viol_env: the same per env step;  violated: any cost at all
     int_rate      share of decision steps with ||a - a_h|| > 1e-6;  int_rate_05, int_rate_10: > 0.05, > 0.10
@@ -165,7 +165,7 @@ def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float
     Args:
         trajectory: the decision steps.
         success_goals: goals within the time limit that count as success.
-        safe_cost: kappa, the episode cost up to which a success is a safe success.
+        safe_cost: kappa, the cost per 1000 env steps up to which a success is a safe success.
     """
     steps, env_steps = trajectory.steps, int(trajectory.env_steps.sum())
     deviation = trajectory.deviation
@@ -182,7 +182,7 @@ def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float
         planned=int(planned.sum()),
         return_=float(trajectory.reward.sum()),
         success=success,
-        safe_success=success and cost <= safe_cost,
+        safe_success=success and 1000 * cost <= safe_cost * env_steps,
         goals=goals,
         cost=cost,
         viol=float(trajectory.cost.mean()),

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from wasp_cli.config import assumptions
+from wasp_cli.config import DIFFERS, assumptions
 from wasp_cli.errors import ArtifactError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.closure import changed_since
@@ -125,8 +125,8 @@ def absent_fact(absent: Sequence[Part]) -> str:
     return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
 
 
-def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
-    """Yield the assumptions of the stages and methods that this spec uses."""
+def assumptions_in_force(spec: Spec) -> list[Assumption]:
+    """Return the assumptions of the stages and methods that this spec uses: first what differs from the paper."""
     kinds: set[str] = set()
 
     def need(kind: str) -> None:
@@ -144,16 +144,23 @@ def assumptions_in_force(spec: Spec) -> Iterator[Assumption]:
     if spec.rounds > 1:
         need(ROLLOUTS)
     assistants = {*spec.methods, *([ASSISTANT] if spec.rounds > 1 else [])}
+    found: list[Assumption] = []
     for name, value, why in assumptions(spec):
         section = name.partition(".")[0] if "." in name else ""
         idle = section not in kinds if section in STAGES else section in METHODS and section not in assistants
         if not idle:
-            yield name, value, why
+            found.append((name, value, why))
+    return sorted(found, key=lambda one: not one[2].startswith(DIFFERS))
 
 
 def assumptions_markdown(found: Sequence[Assumption]) -> str:
     """Render a Markdown section: every value in force that is not the paper's."""
-    lines = ["## Assumptions in force", "", "Values that the paper leaves open or that differ from it. A spec can change each.", ""]
+    lines = [
+        "## Assumptions in force",
+        "",
+        "Values that differ from the paper, then those that it leaves open. A spec can change each.",
+        "",
+    ]
     lines += ["| Field | Value | Why |", "| --- | --- | --- |"]
     for name, value, why in found:
         shown = json.dumps(value, default=str, ensure_ascii=False)

@@ -39,6 +39,7 @@ _SMOKE: Document = {
         "critics": {"updates": 3, "starts": 16, "hidden": [32, 32]},
     },
     "heldout": {"episodes": 2},
+    "coverage": {"episodes": 6, "fresh": 2},
     "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},
     "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
@@ -46,7 +47,10 @@ _SMOKE: Document = {
     "counterfactual": {"window": 4, "most": 3},
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
-    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "takeover_rollouts": 1, "finalists": 2},
+    "wasp": {
+        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "takeover_rollouts": 1,
+        "finalists": 2,
+    },
 }  # fmt: skip
 
 # Minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,

@@ -52,7 +52,7 @@ class CounterfactualStage:
         batch = len(recorded.a)
         task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
         context = OperatorContext(load_skills(job.inputs["policies"]).at, task.action_size, task.decision_seconds)
-        mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, value, job.seed, e) for e in range(batch)])
+        mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in range(batch)])
         operator = build_operator(variant, value, context, mistakes, batch)
         rerun = Rerun(task, load_world_model(job.inputs["world_model"]), operator, recorded)
 

@@ -45,7 +45,7 @@ class DenoiserStage:
         latents = load_latents(job.inputs["latents"])
         torch.manual_seed(derive("denoiser-weights", job.task, job.seed))
         denoiser, schedule, summary = train_denoiser(
-            recording, labels.clone(), latents, config, derive("denoiser", job.task, job.seed), job.progress
+            recording, labels.clone(), latents, config, job.settings["action_repeat"], derive("denoiser", job.task, job.seed), job.progress
         )
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
         save_weights(

@@ -41,8 +41,8 @@ class EvaluateStage:
         assistant = build_assistant(method, job.axes["method_config"], parts)
         episodes = range(config.episodes)
         layouts = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
-        mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, value, job.seed, e) for e in episodes])
-        own = [seeds.method_seed(job.task, variant, value, job.seed, e, method) for e in episodes]
+        mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
+        own = [seeds.method_seed(job.task, variant, job.seed, e, method) for e in episodes]
         context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
         operator = build_operator(variant, value, context, mistakes, config.episodes)
         loop = run_episodes(task, parts.world_model, operator, assistant, layouts, own, progress=job.progress)

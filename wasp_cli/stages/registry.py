@@ -13,8 +13,8 @@ from typing import Any, Literal
 from wasp_cli.registry import Registry
 
 Unit = Literal["chain", "round", "method", "operator", "cell"]
-"""What one node of a stage belongs to: a training chain (task and seed), a further round of data, a method, an operator at one severity, or a
-cell of the grid."""
+"""What one node of a stage belongs to: a training chain (task and seed), a further round of data, a method, an operator at one severity, or
+a cell of the grid."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage", skips_missing_skills=True, weight=0),
         StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage", "round", weight=12),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
+        StageInfo("coverage", "wasp_cli.stages.coverage:CoverageStage", skips_missing_skills=True, weight=6),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),

@@ -3,8 +3,8 @@
 Artifact: a complete dataset (see `stages.dataset`): the shards of the round before, then those of this round with the behaviour "wasp",
 whose episodes are numbered on.
 
-The assistant is full WASP of the round before, without a calibration: tau_c is the value of its section, and tau_r falls back to
-`methods.wasp.assistant.TAU_R_FALLBACK` where the section says `calibrated`.
+The assistant is full WASP of the round before, without a calibration: tau_c and tau_r are the values of its section, and fall back to
+`TAU_C_FALLBACK` and `TAU_R_FALLBACK` of `methods.wasp.gates` where the section asks for calibrated ones.
 """
 
 from __future__ import annotations

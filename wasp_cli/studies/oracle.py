@@ -142,11 +142,11 @@ def _batch(cell: Cell, config: WASPConfig | None, episodes: range, threads: int,
     # The loop hands images to the filter. This one needs none; drawing them takes a hundredth of the time.
     task = build(batch, "pixels")
     model = SimulatorModel(task, build)
-    mistakes = EpisodeNoise([seeds.operator_seed(cell.task, cell.variant, cell.value, cell.seed, e) for e in episodes])
+    mistakes = EpisodeNoise([seeds.operator_seed(cell.task, cell.variant, cell.seed, e) for e in episodes])
     context = OperatorContext(lambda fraction: _skill(cell.expert, fraction), task.action_size, task.decision_seconds)
     operator = build_operator(cell.variant, cell.value, context, mistakes, batch)
     layouts = [seeds.layout_seed(cell.task, cell.seed, e) for e in episodes]
-    own = [seeds.method_seed(cell.task, cell.variant, cell.value, cell.seed, e, "wasp") for e in episodes]
+    own = [seeds.method_seed(cell.task, cell.variant, cell.seed, e, "wasp") for e in episodes]
     loop = run_episodes(task, cast(SafetyWorldModel, model), operator, _assistant(cell, config, model), layouts, own, progress=progress)
     return [episode_metrics(trajectory, cell.success_goals, cell.safe_cost) for trajectory in trajectories(loop)[0]]
 

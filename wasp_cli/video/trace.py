@@ -52,7 +52,7 @@ class Source:
     def operator(self, world: VectorTask) -> Operator:
         """Build the operator of the cell, fresh."""
         batch = len(self.recorded.a)
-        mistakes = [seeds.operator_seed(self.task, self.variant, self.value, self.seed, e) for e in range(batch)]
+        mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, e) for e in range(batch)]
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
         return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
 

@@ -164,14 +164,17 @@ class WASP:
         # Task gate, where the safety gate is silent: the best safe candidate must gain more return than tau_r (Eq. 11-12).
         rows = (~fired).nonzero().flatten()
         if len(rows) and self.config.variant != "safety-only":
-            gain, sampled = self._gain(start.select(rows), look.rows(rows), generators, self.tau_r)
+            asked = look.rows(rows)
+            gain, candidates, sampled = self._gain(start.select(rows), asked, generators, self.tau_r)
             delta_g[rows] = gain.delta_g
             worth = (gain.delta_g > self.tau_r).nonzero().flatten()
-            if len(worth):
+            chosen = rows[worth]
+            if len(worth) and self.config.task_search:
                 # Where it fired, search (Eq. 13-17).
                 first = sampled.rows(worth) if sampled is not None and self.config.probe_first else None
-                chosen = rows[worth]
                 carry_out(chosen, self._plan(start.select(chosen), look.rows(chosen), generators, first), GATE_TASK)
+            elif len(worth):
+                carry_out(chosen, self._winner(candidates.rows(worth), gain.best[worth], asked.rows(worth)), GATE_TASK)
 
         # Keep the plans as the next decision's starting point.
         self._remember(plan, warm, recovering)
@@ -216,6 +219,11 @@ class WASP:
             return None
         return self.witness.foreseen(start.latent, issued[:, :alone].flatten(1, 2))
 
+    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
+        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
+        start = self._situation(latent, a_h, operator)
+        return self.imagination.nominal(start, self._draws(self.noise.next(), start.operator, self.config.gate_rollouts)).cost
+
     def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
         """Keep the plans for the next decision, and those of Case II for some more."""
         self.plan, self.warm = plan, warm
@@ -238,12 +246,23 @@ class WASP:
             whole = replace(self.imagination, config=self.whole.model_copy(update={"variant": "full"}))
             whole_cost = torch.cat([whole.nominal(part, drawn).cost for (_, part), drawn in zip(chunks, draws, strict=True)])
         signals = Signals(cost, whole_cost, cost_ahead)
-        self.tau_c = signals.tau_c(self.config)
+        self.tau_c = signals.tau_c(self.config, self.tau_c)
         gains = [self._gain(part, look, generators, -torch.inf)[0].delta_g for (_, part), look in zip(chunks, looks, strict=True)]
         return signals.thresholds(self.tau_c, torch.cat(gains), self.config)
 
-    def _gain(self, start: Situation, look: Look, generators: Sequence[np.random.Generator], tau_r: float) -> tuple[Gain, Batch | None]:
-        """Return what the best candidate gains (Eq. 11-12), and the random sequences among the candidates, evaluated.
+    def _winner(self, candidates: Batch, best: Tensor, look: Look) -> Plan:
+        """Return the probe's winner as the plan; of the iterations of a search only the last stands for the probe."""
+        won = candidates.take(best.unsqueeze(1))
+        safe = torch.full((len(best), self.config.iterations), -1.0)
+        safe[:, -1] = (candidates.returns.cost <= self.tau_c).sum(-1)
+        predicted = Returns(*(values.squeeze(1) for values in won.returns))
+        alone = look.nominal._replace(reward=look.baseline)
+        return Plan(won.residuals.squeeze(1), torch.ones_like(best, dtype=torch.bool), safe, torch.zeros_like(safe) > 0, predicted, alone)
+
+    def _gain(
+        self, start: Situation, look: Look, generators: Sequence[np.random.Generator], tau_r: float
+    ) -> tuple[Gain, Batch, Batch | None]:
+        """Return what the best candidate gains (Eq. 11-12), the candidates, and the random sequences among them.
 
         A gain above tau_r is looked at again, where the configuration says so.
         """
@@ -266,7 +285,7 @@ class WASP:
             fresh = self._draws([own[i] for i in again.tolist()], start.operator, self.config.gate_rollouts)
             part = Gain(gain.delta_g[again], gain.best[again])
             gain.delta_g[again] = scored_again(self.imagination, start.select(again), candidates.rows(again), part, fresh).delta_g
-        return gain, sampled
+        return gain, candidates, sampled
 
     def _sampled(self, start: Situation, look: Look, own: Sequence[np.random.Generator]) -> tuple[Batch, Tensor]:
         """Return N_probe random sequences, evaluated, and the return [B] of the operator alone on the same rollouts."""

@@ -64,9 +64,7 @@ def none_taken(residuals: Tensor) -> Tensor:
     return residuals.new_zeros(*residuals.shape[:3], 2)
 
 
-def propose(
-    mean: Tensor, std: Tensor, normals: Tensor, kept: Tensor | None = None, *, nothing: bool = True, centre: bool = True
-) -> Tensor:
+def propose(mean: Tensor, std: Tensor, normals: Tensor, kept: Tensor | None = None, *, nothing: bool = True, centre: bool = True) -> Tensor:
     """Sample candidates [B, N, L, A], and put a few known ones in the place of the first samples.
 
     Args:

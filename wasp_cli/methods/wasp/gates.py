@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.configs import Coverage, WASPConfig
 from wasp_cli.methods.wasp.candidates import Batch
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
 
@@ -30,10 +30,11 @@ class Gain(NamedTuple):
 
 def resolved_tau_c(config: WASPConfig, thresholds: Mapping[str, float]) -> float:
     """Return tau_c in force: the configuration's, or a calibrated one where the configuration or the signal's unit asks for it."""
-    if config.variant == "no-rollout" or config.tau_c == "calibrated":
-        # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
-        return thresholds.get("tau_c", TAU_C_FALLBACK if config.tau_c == "calibrated" else config.tau_c)
-    return config.tau_c
+    fixed = config.tau_c if isinstance(config.tau_c, float) else None
+    # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
+    if fixed is None or config.variant == "no-rollout":
+        return thresholds.get("tau_c", TAU_C_FALLBACK if fixed is None else fixed)
+    return fixed
 
 
 def resolved_tau_r(config: WASPConfig, thresholds: Mapping[str, float]) -> float:
@@ -61,7 +62,7 @@ def safety_gate(nominal: Returns, config: WASPConfig, tau_c: float, foreseen: Te
 
 
 def probe(candidates: Batch, nominal: Tensor, config: WASPConfig, tau_c: float) -> Gain:
-    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over the operator alone (Eq. 12), whose return is `nominal` [B]."""
+    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over `nominal` [B], the return of none (Eq. 12)."""
     found = candidates.returns
     feasible = found.cost <= tau_c  # NaN compares false: a broken rollout is not feasible
     best = torch.where(feasible, task_score(found, config.alpha), -torch.inf).argmax(-1)  # [B]
@@ -103,12 +104,14 @@ class Signals(NamedTuple):
     cost_ahead: Tensor
     """[K] costly decisions that really followed within the window; NaN where the episode has fewer left"""
 
-    def tau_c(self, config: WASPConfig) -> float:
-        """Return the threshold of the safety gate.
+    def tau_c(self, config: WASPConfig, given: float) -> float:
+        """Return the threshold of the safety gate; `given` where it is one with a guarantee, which other episodes decide.
 
         `calibrated` is a quantile of the signal over the decisions after which nothing cost. In the unit of `no-rollout` it is the one that
         lets through as many of the expert's decisions as that of the whole method.
         """
+        if isinstance(config.tau_c, Coverage):
+            return given
         single = config.variant == "no-rollout"
         whole = self.whole_cost if single else self.cost
         tau_c = config.tau_c

@@ -138,8 +138,8 @@ class Imagination:
             draws: of M rollouts, shared by the N candidates.
             share: [B, N, L, 2] how much of a command the expert takes over, and how much of it is braked away, in the loop of every
                 rollout; the residuals of such steps are not read. None: there is no such candidate.
-            alone: so many of the first candidates are the operator alone, whatever their residuals. For the others zero residuals are a held
-                command where `composition` is `hold`.
+            alone: so many of the first candidates are the operator alone, whatever their residuals. For the others zero residuals are a
+                held command where `composition` is `hold`.
         """
         return self.rolled(start, residuals, draws, share, alone=alone).returns
 

@@ -86,7 +86,9 @@ def plan_residuals(
         else:
             # Sample candidates, and imagine the composed behaviour of each (Eq. 13).
             own = normals[:, i, : config.population(i)]
-            candidates = propose(search.mean, search.std, own, kept if i == 0 else None, nothing=config.forced and i == 0, centre=config.forced)
+            candidates = propose(
+                search.mean, search.std, own, kept if i == 0 else None, nothing=config.forced and i == 0, centre=config.forced
+            )
             batch = Batch(candidates, None, imagination.returns(start, candidates, draws))
         if i == 0 and besides is not None:
             batch = Batch.joined([batch, besides])
@@ -181,14 +183,15 @@ def _update(search: _Search, batch: Batch, config: WASPConfig, tau_c: float) -> 
 
     # Elites: a weight of 0 or 1 for each rank.
     size = min(max(config.elites, config.feasible), batch.residuals.shape[1])
-    top = score.topk(size, -1)
+    top, order = score.sort(dim=-1, descending=True, stable=True)  # of equal ones the first
+    top, order = top[:, :size], order[:, :size]
     # A fixed number of ranks and a mask instead of gathered subsets: no row can borrow an elite that is none.
     rank = torch.arange(size, device=score.device)
-    weight = ((rank < wanted.unsqueeze(-1)) & top.values.isfinite()).to(s_task.dtype)  # [B, size]
+    weight = ((rank < wanted.unsqueeze(-1)) & top.isfinite()).to(s_task.dtype)  # [B, size]
     total = weight.sum(-1, keepdim=True).clamp(min=1).unsqueeze(-1)  # [B, 1, 1]
 
     # Refit mean and standard deviation to them; rows without any keep theirs.
-    best = batch.take(top.indices)
+    best = batch.take(order)
     elites = best.residuals  # [B, size, L, A]
     part = weight.view(*weight.shape, 1, 1)
     mean = (part * elites).sum(1) / total

@@ -6,7 +6,8 @@ The rule, for one task and one operator variant, on the return of Human-only:
     the severity named `moderate` loses at least a quarter of the Expert's return.
 
 Episodes are compared in pairs: their worlds depend on task, seed and episode alone, so that operators of all severities, and the
-unimpaired one, meet the same worlds. What less than two standard errors of these pairs speak against the rule is undecided.
+unimpaired one, meet the same worlds; the severities of one operator share its draws too. What less than two standard errors of these
+pairs speak against the rule is undecided.
 """
 
 from __future__ import annotations
