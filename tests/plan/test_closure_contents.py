@@ -58,20 +58,24 @@ MAY_HAVE = {
         f"{DRIVING} {LATENTS} {PPO} methods.human learning.dataset learning.latent_ppo learning.policies "
         "learning.privileged learning.reinforce learning.verdicts stages.finite"
     ),
-    "critics": f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout",
+    "critics": (
+        f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values "
+        "metrics metrics.ranking"
+    ),
     "lookahead": (
         f"{WORLD} {LATENTS} models.ensemble models.lookahead learning.lookahead metrics metrics.ranking metrics.reliability stages.finite"
     ),
     "gate_signals": (
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
-        "methods.configs methods.noise methods.wasp.imagine metrics metrics.ranking metrics.windows stages.finite"
+        "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine "
+        "metrics metrics.ranking metrics.windows stages.finite"
     ),
     "rollouts": (
         f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} models.clone models.ensemble models.lookahead "
         "learning.contents learning.dataset learning.rollouts learning.shards"
     ),
     "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
-    "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout",
+    "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
     "denoiser": (
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"

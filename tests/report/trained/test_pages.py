@@ -19,6 +19,7 @@ from wasp_cli.report.trained.pages import (
     dataset_warnings,
     lookahead_markdown,
     open_loop_markdown,
+    promise_title,
     quality_markdown,
     signal_title,
     signals_markdown,
@@ -90,11 +91,22 @@ def test_the_page_of_signals_has_the_best_one_first_and_undefined_ones_last() ->
     assert "None" not in page
 
 
+def test_the_page_of_signals_ranks_those_of_the_return_for_each_operator_and_span() -> None:
+    page = signals_markdown(signals())
+    for who in ("All operators", "Unimpaired", "Laggy 0.7"):
+        for span in ("the next 15 decisions", "the rest of the episode"):
+            part = page.split(f"## {who}: the return of {span}\n")[1].split("##")[0]
+            assert "20 decisions, mean 1.500." in part
+            names = [line.split("|")[1].strip() for line in part.splitlines() if line.startswith("| ")]
+            assert names[2:] == ["**Eq. 8 with V_r, 0.99**", "discounted sum over 4, 0.99", "r-hat now"]
+
+
 def test_every_signal_has_a_title() -> None:
     names = [NOW, GATE, SUM, FIRST, EXPERT, *(kind(0.9) for kind in (critic_alone, one_step, discounted, bootstrap))]
-    titles = [signal_title(name, signals()) for name in names]
-    assert len(set(titles)) == len(names)
-    assert not set(titles) & set(names)
+    for title, named in ((signal_title, names), (promise_title, [name for name in names if name != GATE])):
+        titles = [title(name, signals()) for name in named]
+        assert len(set(titles)) == len(named)
+        assert not set(titles) & set(named)
 
 
 def test_a_look_ahead_has_a_row_for_each_window_and_bins_that_are_not_empty() -> None:
