@@ -67,7 +67,8 @@ MAY_HAVE = {
     ),
     "gate_signals": (
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
-        "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine "
+        "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine methods.wasp.witness "
+        "models.ensemble models.lookahead "
         "metrics metrics.ranking metrics.windows stages.finite"
     ),
     "rollouts": (

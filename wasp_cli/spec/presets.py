@@ -33,7 +33,7 @@ _SMOKE: Document = {
     },
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32], "q_updates": 5, "q_batch": 16},
     "clone": {"episodes": 2, "heldout_episodes": 1, "updates": 5, "batch": 32, "hidden": [16], "draws": 4},
-    "lookahead": {"updates": 5, "batch": 64, "hidden": [32, 32], "samples": 1},
+    "lookahead": {"commands": 4, "updates": 5, "batch": 64, "hidden": [32, 32], "samples": 1},
     "gate_signals": {
         "episodes": 1, "rollouts": 2, "horizon": 4, "first_steps": 2, "gammas": [0.95, 0.99],
         "critics": {"updates": 3, "starts": 16, "hidden": [32, 32], "q_updates": 3, "q_batch": 16},

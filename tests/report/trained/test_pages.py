@@ -11,7 +11,7 @@ import pytest
 from tests.learning.recordings import SOURCES, recording
 from tests.report.trained.parts import LOOKAHEAD, QUALITY, artifact, diagnosed, signals
 from wasp_cli.learning.contents import contents
-from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, bootstrap, critic_alone, discounted, one_step
+from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, bootstrap, critic_alone, discounted, look_ahead, one_step
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.figures import STEPS
 from wasp_cli.report.trained.pages import (
@@ -102,8 +102,8 @@ def test_the_page_of_signals_ranks_those_of_the_return_for_each_operator_and_spa
 
 
 def test_every_signal_has_a_title() -> None:
-    names = [NOW, GATE, SUM, FIRST, EXPERT, *(kind(0.9) for kind in (critic_alone, one_step, discounted, bootstrap))]
-    for title, named in ((signal_title, names), (promise_title, [name for name in names if name != GATE])):
+    names = [NOW, GATE, SUM, FIRST, EXPERT, *(kind(0.9) for kind in (critic_alone, one_step, discounted, bootstrap)), look_ahead(5)]
+    for title, named in ((signal_title, names), (promise_title, [name for name in names if name not in (GATE, look_ahead(5))])):
         titles = [title(name, signals()) for name in named]
         assert len(set(titles)) == len(named)
         assert not set(titles) & set(named)

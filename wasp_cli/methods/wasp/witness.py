@@ -34,9 +34,14 @@ class Witness:
             latent: filtered [B, .].
             issued: the operator's next K commands in M futures, [B, M, K, A]; the first is the one just issued.
         """
-        futures = issued.shape[1]
-        features = latent.features.repeat_interleave(futures, 0)
-        return self.model(features, issued.flatten(0, 1))[:, self.window - 1].view(-1, futures).mean(1)  # type: ignore[no-any-return]
+        return foreseen(self.model, latent, issued)[:, self.window - 1]
+
+
+def foreseen(model: LookAhead, latent: Latent, issued: Tensor) -> Tensor:
+    """Return the probability [B, H] of any cost within 1..H decisions, a mean over imagined futures; arguments as in `Witness.foreseen`."""
+    futures = issued.shape[1]
+    found: Tensor = model(latent.features.repeat_interleave(futures, 0), issued.flatten(0, 1))
+    return found.view(-1, futures, found.shape[-1]).mean(1)
 
 
 def load_witness(config: WASPConfig, folder: Path) -> Witness:

@@ -159,6 +159,7 @@ def signal_title(name: str, document: Document) -> str:
         "first": f"sum over the first {min(document['first_steps'], horizon)}",
         "expert": f"discounted sum over {horizon}, {own}, the expert imagined instead",
         "discounted": f"discounted sum over {horizon}, {gamma}",
+        "head": f"direct look ahead, any cost within {gamma}",
         "critic": f"V_c alone, {gamma}",
         "step": f"one step and V_c, {gamma}",
         "bootstrap": f"Eq. 8 with V_c, {gamma}",
