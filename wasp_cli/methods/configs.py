@@ -139,8 +139,8 @@ class WASPConfig(Config):
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] | Coverage = assumed(
         0.5,
         "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less; "
-        "`calibrated`: a quantile of its own signal under the expert; "
-        "`{coverage: 0.1}`: so that of the costly episodes of the operators alone at most this share has an onset without an alert",
+        "`calibrated`: a quantile of its own signal under the expert; `{coverage: 0.1}`: so that of the costly episodes of the operators "
+        "alone at most this share has an onset without an alert",
     )
     tau_c_quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0

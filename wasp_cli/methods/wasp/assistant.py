@@ -184,6 +184,11 @@ class WASP:
         """Return what the operator alone leads to (Eq. 9-10), [B] each, at the cost of a decision in which nothing else is imagined."""
         return self._look(self._situation(latent, a_h, operator), self.noise.next()).nominal
 
+    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
+        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
+        start, generators = self._situation(latent, a_h, operator), self.noise.next()
+        return self.imagination.nominal(start, self._draws(generators, start.operator, self.config.gate_rollouts)).cost
+
     def _situation(self, latent: Latent, a_h: Tensor, operator: Operator) -> Situation:
         imagined = imagined_operator(self.config.operator_model, operator, a_h, self.imagination.expert, self.clone)
         return Situation(latent, a_h, imagined, torch.arange(len(a_h)))
@@ -218,11 +223,6 @@ class WASP:
         if self.witness is None or issued is None:
             return None
         return self.witness.foreseen(start.latent, issued[:, :alone].flatten(1, 2))
-
-    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
-        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
-        start = self._situation(latent, a_h, operator)
-        return self.imagination.nominal(start, self._draws(self.noise.next(), start.operator, self.config.gate_rollouts)).cost
 
     def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
         """Keep the plans for the next decision, and those of Case II for some more."""
