@@ -95,7 +95,7 @@ class WASPConfig(Config):
     gate_rollouts: int = deviates(
         8, "rollouts of the commands alone and of every second scoring; the paper has one M (recipe `paper`: `rollouts`)", ge=1
     )
-    takeover_rollouts: int = assumed(4, "rollouts of each takeover: the first of `gate_rollouts`, of which it is a divisor", ge=1)
+    takeover_rollouts: int = assumed(4, "rollouts of each takeover: the first of `gate_rollouts`, or all where it is no divisor", ge=1)
     probe_with: Literal["takeovers", "random", "both"] = deviates(
         "takeovers", "what the task gate asks about: the expert's takeovers instead of N_probe random sequences, which the paper samples"
     )
@@ -200,8 +200,6 @@ class WASPConfig(Config):
             for batch in batches:
                 if getattr(self, name) > getattr(self, batch):
                     raise ValueError(f"{name} ({getattr(self, name)}) is more than {batch} ({getattr(self, batch)})")
-        if (self.takeover_shares or self.braking) and self.gate_rollouts % self.takeover_rollouts:
-            raise ValueError(f"takeover_rollouts ({self.takeover_rollouts}) does not divide gate_rollouts ({self.gate_rollouts})")
         if self.rollouts > self.gate_rollouts:
             raise ValueError(
                 f"rollouts ({self.rollouts}) is more than gate_rollouts ({self.gate_rollouts}), with which it shares its draws"

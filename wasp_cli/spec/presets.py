@@ -48,8 +48,7 @@ _SMOKE: Document = {
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
     "wasp": {
-        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "takeover_rollouts": 1,
-        "finalists": 2,
+        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2,
     },
 }  # fmt: skip
 

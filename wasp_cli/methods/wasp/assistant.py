@@ -206,8 +206,9 @@ class WASP:
             nominal = Returns(*(values.squeeze(1) for values in rolled.returns))
             return Look(nominal, None, nominal.reward, draws, self._foreseen(start, rolled.issued, 1))
         # One batch: the operator alone several times, so that together it meets all draws, then the takeovers, which meet the first.
-        each = self.config.takeover_rollouts
-        several = self.config.gate_rollouts // each
+        each, every = self.config.takeover_rollouts, self.config.gate_rollouts
+        each = every if every % each else each
+        several = every // each
         alone = start.a_h.new_zeros(batch, several, self.config.residual_steps, actions)
         residuals = alone[:, :1].expand(-1, several + share.shape[1], -1, -1)
         index = torch.cat([torch.arange(several * each).view(several, each), torch.arange(each).expand(share.shape[1], -1)])

@@ -110,8 +110,6 @@ class Signals(NamedTuple):
         `calibrated` is a quantile of the signal over the decisions after which nothing cost. In the unit of `no-rollout` it is the one that
         lets through as many of the expert's decisions as that of the whole method.
         """
-        if isinstance(config.tau_c, Coverage):
-            return given
         single = config.variant == "no-rollout"
         whole = self.whole_cost if single else self.cost
         tau_c = config.tau_c
