@@ -23,7 +23,7 @@ _SMOKE: Document = {
     "world_model": {
         "deter": 32, "hidden": 32, "variables": 4, "classes": 4, "depth": 4, "head": 32,
         "batch": 4, "length": 16, "updates": 20, "later_updates": 10, "warmup": 5, "ahead_starts": 8, "ahead_images": 4, "refit_updates": 5,
-        "refit_starts": 16, "checkpoint_every": 10,
+        "refit_starts": 16, "checkpoint_every": 10, "taught": 20, "taught_batch": 16, "taught_head": 32,
     },
     "diagnostics": {"episodes": 4, "starts": 60, "samples": 2, "image_starts": 4},
     "policies": {
@@ -60,14 +60,14 @@ _QUICK: Document = {
     "expert": {"interactions": 320_000, "gamma": 0.97, "multiplier_init": 0.2, "multiplier_lr": 0.02, "evaluation_episodes": 10},
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {
-        "deter": 192, "hidden": 128, "variables": 12, "classes": 12, "depth": 8, "head": 96,
-        "batch": 8, "length": 16, "updates": 2400, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25,
+        "deter": 192, "hidden": 128, "variables": 24, "classes": 16, "depth": 8, "head": 96,
+        "batch": 8, "length": 16, "updates": 1800, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25,
         "ahead_starts": 32, "ahead_images": 16, "refit_updates": 300,
     },
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
     "policies": {
-        "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 1, "labelling_episodes": 12, "labelling_updates": 500,
-        "reinforce": {"interactions": 60_000, "envs": 16},
+        "updates": 1500, "batch": 256, "evaluation_episodes": 20, "labelling_rounds": 2, "labelling_episodes": 24, "labelling_updates": 800,
+        "reinforce": {"interactions": 60_000, "envs": 16, "return_share": 0.75},
     },
     "critics": {"updates": 500, "starts": 64, "slow": 0.3},
     "lookahead": {"updates": 800},
