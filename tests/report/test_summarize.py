@@ -215,6 +215,7 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert found["wasp.candidates"] == (8, "differs from the paper, which has 300: N, section 5.1")
     assert "wasp.horizon" not in found  # 15, as in the paper
     assert "wasp.tau_c" in found
+    assert found["the filter"][0] == "mode"  # no setting, and told all the same
     assert found["world_model.free_nats"][1].startswith("differs from the paper: ")
     differs = [why.startswith("differs from the paper") for _, why in found.values()]
     assert differs == sorted(differs, reverse=True)  # what differs comes first

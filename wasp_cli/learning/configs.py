@@ -267,6 +267,41 @@ class CriticsConfig(Config):
     )
 
 
+class LookaheadConfig(Config):
+    """A direct look ahead: the probability of any cost within the next decisions, from the latent and the next commands."""
+
+    horizon: int = from_paper(15, "decisions ahead; H and W", ge=1)
+    commands: int = assumed(
+        5, "next commands that it reads; L. One, ten and fifteen ranked alike under imagined commands (Goal1, quick)", ge=1
+    )
+    members: int = assumed(3, "heads, one batched product; their mean is what counts", ge=1)
+    hidden: Layers = assumed((128, 128), "layers of a head")
+    dropout: float = assumed(0.3, "hidden units left out while learning: episodes are few, and learned by heart", ge=0.0, lt=1.0)
+    updates: int = assumed(1500, "gradient steps; more of them learn the episodes by heart", ge=1)
+    batch: int = assumed(256, "recorded rows per update", ge=1)
+    learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    samples: int = assumed(4, "imagined futures of the rolled-out sum that it is compared with", ge=1)
+
+    @model_validator(mode="after")
+    def _commands_fit(self) -> LookaheadConfig:
+        if self.commands > self.horizon:
+            raise ValueError(f"commands ({self.commands}) are more than the decisions of the horizon ({self.horizon})")
+        return self
+
+
+class CloneConfig(Config):
+    """A policy fitted to recorded commands of one operator, for planners that are not to know its rule."""
+
+    episodes: int = assumed(20, "Human-only episodes of the operator to learn from, on seeds of their own", ge=1)
+    heldout_episodes: int = assumed(8, "others that judge the clone", ge=1)
+    hidden: Layers = assumed((64,), "layers of the correction of the expert's command")
+    updates: int = assumed(1000, "gradient steps", ge=1)
+    batch: int = assumed(256, "commands per update", ge=1)
+    learning_rate: float = assumed(2e-3, "Adam; decays linearly", gt=0.0)
+    weight_decay: float = assumed(0.1, "AdamW: episodes are few", ge=0.0)
+    draws: int = assumed(256, "of the next command, by which every model of the operator is judged", ge=1)
+
+
 class GateSignalsConfig(Config):
     """Which number foresees costs best at the safety gate, and the return at the task gate, on fresh Human-only episodes."""
 

@@ -125,6 +125,15 @@ def absent_fact(absent: Sequence[Part]) -> str:
     return f"{len(absent)} trained parts were not computed, since published results were used in place of what reads them: {kinds}."
 
 
+POSTERIOR = (
+    "the filter",
+    "mode",
+    "no setting: z_t is the mode of the posterior q(z_t | h_t, o_t), not a sample, so that filtering draws nothing and all methods see "
+    "the same latent",
+)
+"""An assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from."""
+
+
 def assumptions_in_force(spec: Spec) -> list[Assumption]:
     """Return the assumptions of the stages and methods that this spec uses: first what differs from the paper."""
     kinds: set[str] = set()
@@ -150,6 +159,8 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
         idle = section not in kinds if section in STAGES else section in METHODS and section not in assistants
         if not idle:
             found.append((name, value, why))
+    if "world_model" in kinds:
+        found.append(POSTERIOR)
     return sorted(found, key=lambda one: not one[2].startswith(DIFFERS))
 
 
@@ -158,7 +169,7 @@ def assumptions_markdown(found: Sequence[Assumption]) -> str:
     lines = [
         "## Assumptions in force",
         "",
-        "Values that differ from the paper, then those that it leaves open. A spec can change each.",
+        "Values that differ from the paper, then those that it leaves open. A spec can change each that is a setting.",
         "",
     ]
     lines += ["| Field | Value | Why |", "| --- | --- | --- |"]

@@ -32,6 +32,8 @@ _SMOKE: Document = {
         "reinforce": {"interactions": 128, "envs": 4, "rollout": 32, "batch": 64},
     },
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32], "q_updates": 5, "q_batch": 16},
+    "clone": {"episodes": 2, "heldout_episodes": 1, "updates": 5, "batch": 32, "hidden": [16], "draws": 4},
+    "lookahead": {"commands": 4, "updates": 5, "batch": 64, "hidden": [32, 32], "samples": 1},
     "gate_signals": {
         "episodes": 1, "rollouts": 2, "horizon": 4, "first_steps": 2, "gammas": [0.95, 0.99],
         "critics": {"updates": 3, "starts": 16, "hidden": [32, 32], "q_updates": 3, "q_batch": 16},
@@ -46,8 +48,7 @@ _SMOKE: Document = {
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
     "wasp": {
-        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "takeover_rollouts": 1,
-        "finalists": 2,
+        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2,
     },
 }  # fmt: skip
 
@@ -69,6 +70,7 @@ _QUICK: Document = {
         "reinforce": {"interactions": 60_000, "envs": 16, "return_share": 0.75},
     },
     "critics": {"updates": 500, "starts": 64, "slow": 0.3},
+    "lookahead": {"updates": 800},
     "gate_signals": {"critics": {"updates": 250, "starts": 64, "slow": 0.3}},
     "heldout": {"episodes": 16},
     "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128]},
@@ -90,6 +92,7 @@ _GPU: Document = {
     },
     "policies": {"updates": 5000, "hidden": [256, 256], "reinforce": {"interactions": 1_000_000, "envs": 32}},
     "critics": {"updates": 5000, "starts": 512, "hidden": [256, 256], "q_updates": 10_000, "q_batch": 512},
+    "lookahead": {"updates": 3000},
     "gate_signals": {"critics": {"updates": 2500, "starts": 512, "hidden": [256, 256], "q_updates": 10_000, "q_batch": 512}},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000, "envs": 32},
@@ -103,6 +106,7 @@ _PAPER: Document = {
     "world_model": {"updates": 8000, "refit_updates": 1500},
     "policies": {"updates": 4000, "reinforce": {"interactions": 1_000_000}},
     "critics": {"updates": 4000},
+    "lookahead": {"updates": 3000},
     "gate_signals": {"critics": {"updates": 2000}},
     "heldout": {"episodes": 30},
     "ida_q": {"updates": 10_000},

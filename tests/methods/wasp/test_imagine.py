@@ -118,8 +118,8 @@ def test_imagining_leaves_the_real_operator_alone() -> None:
 
 def test_nominal_rollouts_follow_the_operator_whatever_the_composition() -> None:
     """Eq. 9-10 know no correction, so that nothing is held, while a candidate without residual is a held command in Eq. 13 as printed."""
-    draws = Draws(torch.randn(B, H, M, 2, dtype=torch.float64), torch.rand(B, H, M, 1, dtype=torch.float64))
-    operator = laggy(0.3)
+    draws = Draws(torch.zeros(B, H, M, 2, dtype=torch.float64), torch.ones(B, H, M, 1, dtype=torch.float64))
+    operator = laggy(0.3)  # never repeats itself with these draws
     found = []
     for composition in ("per_step", "hold"):
         model = imagination(small(composition=composition))

@@ -66,7 +66,7 @@ def test_a_takeover_answers_in_every_rollout_what_the_operator_does_there(share:
     start = Situation(model.model.at(0.2), torch.tensor([[-0.6]], dtype=torch.float64), operator, torch.arange(1))  # type: ignore[attr-defined]
     part = torch.zeros(1, 1, L, 2, dtype=torch.float64)
     part[0, 0, :length] = torch.tensor(share)
-    returns, residuals = model.rolled(start, torch.full((1, 1, L, 1), 9.0, dtype=torch.float64) * (part[..., :1] * 0), draws, part)
+    returns, residuals, _ = model.rolled(start, torch.full((1, 1, L, 1), 9.0, dtype=torch.float64) * (part[..., :1] * 0), draws, part)
     effort, first, rewards = 0.0, [], 0.0
     for m in range(M):
         x, last, path, values = 0.2, -0.6, [], []
@@ -116,6 +116,17 @@ def test_an_operator_who_drives_backwards_is_taken_over() -> None:
     assert int(decision.record.gate) == 2
     assert decision.record.delta_g.item() > 0.1
     assert decision.action.item() > 0.5
+
+
+def test_without_a_search_the_probes_winner_is_carried_out() -> None:
+    operator = LaggyOperator(expert, 1, EpisodeNoise([0]), 1)
+    operator.p = 0.9
+    operator.memory = {"last": torch.tensor([[-0.9]]), "started": torch.ones(1, 1, dtype=torch.bool)}
+    decision = assisted(operator, 0.0, -0.9, task_search=False)
+    assert int(decision.record.gate) == 2
+    assert decision.action.item() == pytest.approx(float(expert(torch.tensor([[0.0]]))))
+    assert decision.planned.safe[0].tolist() == [-1, 2 * L]
+    assert (decision.planned.residuals[0, :, 0] > 0.5).any()
 
 
 def test_a_calibrated_tau_r_is_the_floor_since_the_expert_gains_nothing() -> None:

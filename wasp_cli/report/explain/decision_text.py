@@ -108,6 +108,9 @@ def _plan(facts: DecisionFacts, width: int) -> list[Text]:
         [str(i + 1), "-" if size is None else str(size), str(safe), "II" if case2 else "I"]
         for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe, plan.case2, strict=True))
     ]
+    if plan.safe[0] < 0:  # nothing was searched: what the task gate had found is carried out
+        asked = facts.constants.asked
+        rows = [["probe", "-" if asked is None else str(asked), str(plan.safe[-1]), "I"]]
     lines = table(["iteration", "candidates", "safe (|F_s|)", "case"], rows, width)
     lines += notes(width, *(_case(facts, case2) for case2 in sorted(set(plan.case2))))
     if plan.empty:
