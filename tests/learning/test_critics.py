@@ -15,12 +15,15 @@ from torch import Tensor
 
 from tests.learning.recordings import recording
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
-from wasp_cli.learning.critic_quality import heldout_pairs, pairs, quality, returns_ahead, spearman, write_pairs
+from wasp_cli.learning.critic_quality import Pairs, heldout_pairs, pairs, quality, returns_ahead, write_pairs
 from wasp_cli.learning.critics import Starts, imagine, train_critics
 from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.recorded_values import Segments, recorded_values
 from wasp_cli.learning.sampling import generator
+from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.methods.base import Heldout
 from wasp_cli.models.base import Latent
+from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.policy import Skills
 
 KEEP = 0.9
@@ -51,18 +54,109 @@ def still(rows: int) -> Latents:
     return Latents(torch.zeros(rows, 1), torch.zeros(rows, 1, dtype=torch.uint8), 2)
 
 
+SMALL = CriticsConfig(hidden=(8,), updates=300, starts=4, horizon=15, learning_rate=1e-2, slow=0.2, q_updates=400, q_batch=16,
+                      q_learning_rate=1e-2, q_slow=0.2)  # fmt: skip
+SKILLS = Skills([1.0], 3, [8], 1)
+RETURNS = ReturnsConfig(gamma_r=0.9, gamma_c=0.5)
+
+
+def steady(reward: float, cost: float, lengths: tuple[int, ...] = (12, 9, 15)) -> Recording:
+    """The expert in a world of one state, in which every decision scores the same."""
+    data = recording(lengths)
+    with torch.no_grad():
+        action = SKILLS.expert(torch.tensor([[0.0, 1.0, 0.0]])).numpy()
+    return data._replace(
+        action=action.repeat(len(data.first), 0), reward=np.float32(reward) * (1 - data.first), cost=np.float32(cost) * (1 - data.first)
+    )
+
+
+def trained(
+    world: Any, data: Recording, config: CriticsConfig, latents: Latents | None = None
+) -> tuple[LatentCritics, list[dict[str, float]]]:
+    torch.manual_seed(0)
+    where = still(len(data.first)) if latents is None else latents
+    return train_critics(world, SKILLS, data, where, config, RETURNS, 0, lambda share, text: None)
+
+
 @pytest.mark.parametrize("keep", [KEEP, 1.0])
 def test_values_of_a_plain_world_are_geometric_sums_with_the_continuation(keep: float) -> None:
-    torch.manual_seed(0)
-    data, skills = recording(), Skills([1.0], 3, [8], 1)
-    config = CriticsConfig(hidden=(8,), updates=300, starts=4, horizon=15, learning_rate=1e-2, slow=0.2)
-    returns = ReturnsConfig(gamma_r=0.9, gamma_c=0.5)
-    critics, curve = train_critics(Plain(keep), skills, data, still(36), config, returns, 0, lambda share, text: None)  # type: ignore[arg-type]
+    critics, curve = trained(Plain(keep), recording(), SMALL.model_copy(update={"recorded": 0.0}))
     start = still(1).at(torch.zeros(1, dtype=torch.long))
     assert critics.value_r(start).item() == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
     assert critics.value_c(start).item() == pytest.approx(0.5 / (1 - 0.5 * keep), rel=0.03)
     assert [row["update"] for row in curve] == [*range(20, 301, 20)]
     assert curve[0]["target_r"] < curve[-1]["target_r"] == pytest.approx(1 / (1 - 0.9 * keep), rel=0.03)
+
+
+def test_q_of_recorded_transitions_is_the_discounted_sum_that_follows() -> None:
+    """Endless where a time limit cuts, one decision before an episode's own end its last score, unknown behind it and where held out."""
+    data = steady(2.0, 0.5, (6, 6, 6))
+    data.terminal[11] = 1
+    latents, skills = Latents(torch.eye(18), torch.zeros(18, 1, dtype=torch.uint8), 2), Skills([1.0], 20, [8], 1)
+    with torch.no_grad():
+        data.action[1:] = skills.expert(latents.at(torch.arange(17)).features)  # so that nothing has to be guessed
+    torch.manual_seed(0)
+    config = SMALL.model_copy(update={"q_updates": 1000, "hidden": (32,)})
+    values, curve = recorded_values(skills, data, latents, config, RETURNS, 0, lambda share, text: None)
+    ahead = np.arange(5, 0, -1)
+    np.testing.assert_allclose(values[0, 6:11], 2.0 * (1 - 0.9**ahead) / 0.1, rtol=0.1)
+    np.testing.assert_allclose(values[1, 6:11], 0.5 * (1 - 0.5**ahead) / 0.5, rtol=0.1)
+    assert values.isnan().all(0).tolist() == [False] * 11 + [True] * 7
+    assert curve[-1]["q_loss_r"] < curve[0]["q_loss_r"]
+
+
+def test_segments_end_with_the_episode_and_with_what_is_known() -> None:
+    data = recording((4, 3, 3))
+    values = torch.arange(20.0).view(2, 10)
+    values[:, [3, 7, 8, 9]] = torch.nan  # the first episode ended by itself, the third is held out
+    rows, actions, wanted, counts = Segments(data, values, 3).sample(200, generator(0))
+    assert set(rows.tolist()) == {0, 1, 4, 5}
+    for row, done, target, count in zip(rows.tolist(), actions, wanted.transpose(0, 1), counts, strict=True):
+        last = 2 if row < 4 else 6
+        known = last - row + 1
+        assert count.tolist() == [1.0] * known + [0.0] * (4 - known)
+        np.testing.assert_array_equal(target[:, :known], values[:, row : last + 1])
+        np.testing.assert_array_equal(done[: known - 1], data.action[row + 1 : last + 1])
+
+
+class Blind(Plain):
+    """Nothing is imagined to be worth or to cost anything."""
+
+    def reward(self, latent: Latent) -> Tensor:
+        return torch.zeros(latent.h.shape[:-1])
+
+    cost = reward
+
+
+def test_what_was_recorded_mends_what_imagination_cannot_know() -> None:
+    data = steady(1.0, 0.5)
+    filtered, ahead = still(1).at(torch.zeros(1, dtype=torch.long)), Latent(torch.full((1, 1), 5.0), torch.tensor([[1.0, 0.0]]))
+    alone, _ = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 0.0}))
+    mended, curve = trained(Blind(1.0), data, SMALL.model_copy(update={"recorded": 30.0, "q_updates": 1000}))
+    for latent in (filtered, ahead):
+        assert alone.value_r(latent).item() == pytest.approx(0.0, abs=0.05)
+        assert mended.value_r(latent).item() == pytest.approx(10.0, rel=0.1)
+        assert mended.value_c(latent).item() == pytest.approx(1.0, rel=0.1)
+    assert [row["update"] for row in curve if "q_loss_r" in row] == [*range(100, 1001, 100)]
+    assert [row["update"] for row in curve if "recorded_loss_r" in row] == [*range(20, 301, 20)]
+
+
+@pytest.mark.parametrize("recorded", [0.0, 1.0])
+def test_held_out_rows_move_nothing(recorded: float) -> None:
+    config = SMALL.model_copy(update={"updates": 20, "q_updates": 20, "recorded": recorded})
+    data = steady(1.0, 0.5)
+    source = np.random.default_rng(1)
+    h = torch.from_numpy(source.normal(size=(36, 1)).astype(np.float32))
+    seen, _ = trained(Plain(), data, config, still(36)._replace(h=h))
+    out = data.held_out(HELD_OUT)
+    assert 0 < out.sum() < 36
+    other = data._replace(**{name: getattr(data, name).copy() for name in ("action", "reward", "cost")})
+    for values in (other.reward, other.cost, other.action):
+        values[out] = 7.0
+    moved = h.clone()
+    moved[torch.from_numpy(out)] = 50.0
+    again, _ = trained(Plain(), other, config, still(36)._replace(h=moved))
+    assert all(torch.equal(a, b) for a, b in zip(seen.state_dict().values(), again.state_dict().values(), strict=True))
 
 
 def test_steps_after_a_likely_end_count_little() -> None:
@@ -73,7 +167,7 @@ def test_steps_after_a_likely_end_count_little() -> None:
 
 
 def test_starts_leave_out_ends_and_find_what_comes_before_a_cost() -> None:
-    data = recording((12, 9, 15))
+    data = recording((12, 9, 15, 4))  # the last one is held out
     data.cost[:] = 0
     data.cost[[5, 12, 30]] = 1  # row 12 is the first of an episode: what came before belongs to another
     data.terminal[[20, 5]] = 1
@@ -113,10 +207,25 @@ def test_only_decisions_with_a_recorded_future_count() -> None:
     assert pairs(predicted, signal, episode, np.zeros(130), 1.0).cut_off == 1.0
 
 
-def test_rank_correlation_is_scipys_with_ties() -> None:
+def test_ranks_and_ratios_have_intervals_over_episodes() -> None:
     random = np.random.default_rng(1)
-    a, b = random.integers(0, 4, 60).astype(float), random.normal(size=60)
-    assert spearman(a, a + b) == pytest.approx(spearmanr(a, a + b).statistic)
+    a, b = random.integers(0, 4, 60).astype(float), random.normal(size=60) + 2
+    found = quality(Pairs(a, a + b, np.repeat([0, 1, 2, 3], 15), 0.0))
+    assert found["rank"] == pytest.approx(spearmanr(a, a + b).statistic)
+    assert found["predicted_over_real"] == pytest.approx(a.mean() / (a + b).mean())
+    for name in ("rank", "predicted_over_real"):
+        low, value, high = (found[name + end] for end in ("_low", "", "_high"))
+        assert low is not None
+        assert value is not None
+        assert high is not None
+        assert low < value < high
+    # One episode has all of the cost: a quarter of the resamples has more than twice as much of it as there is, many have none.
+    rare = quality(Pairs(np.ones(60), np.repeat([0.0, 0.0, 0.0, 4.0], 15), np.repeat([0, 1, 2, 3], 15), 0.0))
+    assert rare["predicted_over_real"] == 1.0
+    assert rare["predicted_over_real_high"] == 1.0
+    assert rare["predicted_over_real_low"] == pytest.approx(1 / 3)
+    alone = quality(Pairs(a, a + b, np.zeros(60), 0.0))
+    assert (alone["rank"], alone["rank_low"], alone["predicted_over_real_high"]) == (found["rank"], None, None)
 
 
 def test_a_perfect_critic_is_found_perfect_and_a_silent_one_undefined(tmp_path: Path) -> None:

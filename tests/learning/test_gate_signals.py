@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
+from scipy.stats import spearmanr
 from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
@@ -65,9 +66,10 @@ def steady(action: float, batch: int) -> Operator:
 
 def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
     config = GateSignalsConfig(horizon=4, rollouts=3, first_steps=2)
-    returns = ReturnsConfig(gamma_c=0.8, lam=0.7)
+    returns = ReturnsConfig(gamma_r=0.9, gamma_c=0.8, lam=0.7)
     world = Ending(LOW, HIGH, jitter=0.05, dtype=torch.float64)
-    recorder = SignalRecorder(world, {0.8: LinearCritics(), 0.9: SteepCritics()}, steady(-0.3, 2), config, returns)
+    critics = {0.8: LinearCritics(), 0.9: SteepCritics()}
+    recorder = SignalRecorder(world, critics, critics, steady(-0.3, 2), config, returns)
     recorder.reset(ALL_ROWS, [5, 6])
     starts, a_h = (0.0, 0.3), (0.2, -0.9)
     command = torch.tensor(a_h, dtype=torch.float64).unsqueeze(1)
@@ -78,12 +80,13 @@ def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
     noise.reset(ALL_ROWS, [5, 6])
     draws = gumbel(noise.next(), 4, 3, world.noise_size)  # [B, H, M, Z]
 
-    def rollout(row: int, sample: int, then: float) -> tuple[list[float], list[float]]:
-        x, xs = starts[row], []
+    def rollout(row: int, sample: int, then: float) -> tuple[list[float], list[float], list[float]]:
+        x, xs, rewards = starts[row], [], []
         for k in range(4):
-            x += 0.1 * (a_h[row] if k == 0 else then) + 0.05 * float(draws[row, k, sample, 0])
+            rewards.append(0.1 * (a_h[row] if k == 0 else then))
+            x += rewards[-1] + 0.05 * float(draws[row, k, sample, 0])
             xs.append(x)
-        return xs, [float(LOW < x < HIGH) for x in xs]
+        return xs, [float(LOW < x < HIGH) for x in xs], rewards
 
     def eq8(costs: list[float], values: list[float], gamma: float) -> float:
         future = values[-1]
@@ -92,11 +95,13 @@ def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
         return future
 
     expected: dict[str, list[float]] = {}
+    promised: dict[str, list[float]] = {}
     for row in range(2):
         sums: dict[str, list[float]] = {}
+        promises: dict[str, list[float]] = {}
         for sample in range(3):
-            xs, costs = rollout(row, sample, 0.4)
-            _, others = rollout(row, sample, -0.3)
+            xs, costs, rewards = rollout(row, sample, 0.4)
+            _, others, other_rewards = rollout(row, sample, -0.3)
             sums.setdefault(GATE, []).append(sum((0.8 * KEEP) ** k * c for k, c in enumerate(costs)))
             sums.setdefault(SUM, []).append(sum(KEEP**k * c for k, c in enumerate(costs)))
             sums.setdefault(discounted(0.9), []).append(sum((0.9 * KEEP) ** k * c for k, c in enumerate(costs)))
@@ -106,15 +111,26 @@ def test_signals_are_what_plain_loops_over_the_same_rollouts_count() -> None:
                 values = [slope * abs(x) for x in xs]
                 sums.setdefault(one_step(gamma), []).append(costs[0] + gamma * KEEP * values[0])
                 sums.setdefault(bootstrap(gamma), []).append(eq8(costs, values, gamma))
-        for name, samples in sums.items():
-            expected.setdefault(name, []).append(sum(samples) / 3)
+                slopes = [0.5 * x for x in xs]  # V_r of both
+                promises.setdefault(discounted(gamma), []).append(sum((gamma * KEEP) ** k * r for k, r in enumerate(rewards)))
+                promises.setdefault(one_step(gamma), []).append(rewards[0] + gamma * KEEP * slopes[0])
+                promises.setdefault(bootstrap(gamma), []).append(eq8(rewards, slopes, gamma))
+            promises.setdefault(SUM, []).append(sum(KEEP**k * r for k, r in enumerate(rewards)))
+            promises.setdefault(FIRST, []).append(rewards[0] + KEEP * rewards[1])
+            promises.setdefault(EXPERT, []).append(sum((0.9 * KEEP) ** k * r for k, r in enumerate(other_rewards)))
+        for found, wanted in ((sums, expected), (promises, promised)):
+            for name, samples in found.items():
+                wanted.setdefault(name, []).append(sum(samples) / 3)
+        promised.setdefault(NOW, []).append(0.0)  # a state alone has no reward here
+        for gamma in (0.8, 0.9):
+            promised.setdefault(critic_alone(gamma), []).append(0.5 * starts[row])
         expected.setdefault(NOW, []).append(float(LOW < starts[row] < HIGH))
         for gamma, slope in ((0.8, 0.25), (0.9, 0.5)):
             expected.setdefault(critic_alone(gamma), []).append(slope * abs(starts[row]))
-    (seen,) = recorder.seen
-    assert set(seen) == set(expected)
-    for name, values in expected.items():
-        assert seen[name].tolist() == pytest.approx(values, abs=1e-6), name
+    for (seen,), all_of_them in ((recorder.seen, expected), (recorder.promised, promised)):
+        assert set(seen) == set(all_of_them)
+        for name, values in all_of_them.items():
+            assert seen[name].tolist() == pytest.approx(values, abs=1e-6), name
     assert len({round(value, 6) for values in expected.values() for value in values}) > 15, "the signals differ"
 
 
@@ -125,7 +141,8 @@ def test_the_operator_is_imagined_from_its_real_memory() -> None:
     laggy = LaggyOperator(policy, 1, EpisodeNoise([1, 2]), 2)
     laggy.p = 1.0
     world = Corridor(0.35, 10.0)
-    recorder = SignalRecorder(world, {0.95: LinearCritics()}, Operator(policy, 1, EpisodeNoise([1, 2]), 2), config, ReturnsConfig())
+    expert = Operator(policy, 1, EpisodeNoise([1, 2]), 2)
+    recorder = SignalRecorder(world, {0.95: LinearCritics()}, {0.99: LinearCritics()}, expert, config, ReturnsConfig())
     recorder.reset(ALL_ROWS, [0, 0])
     start = world.at(0.0, 0.0)
     a_h = laggy.command(start.features)
@@ -142,7 +159,7 @@ def test_the_operator_is_imagined_from_its_real_memory() -> None:
 
 
 def loop(costs: list[list[int]], ends: list[bool]) -> Loop:
-    """Episodes of their own lengths; `ends` are over by the task's rule, the others by the time limit."""
+    """Episodes of their own lengths; `ends` are over by the task's rule, the others by the time limit. Rewards are twice the costs."""
     size = (max(map(len, costs)), len(costs))
     cost, alive, terminated = (np.zeros(size, bool) for _ in range(3))
     for row, (values, end) in enumerate(zip(costs, ends, strict=True)):
@@ -150,19 +167,29 @@ def loop(costs: list[list[int]], ends: list[bool]) -> Loop:
         cost[len(values) :, row] = True  # what stands there after an end means nothing
         terminated[len(values) - 1, row] = end
     empty = np.zeros(size)
-    return Loop(empty, cost, empty, empty, empty, alive, terminated, empty, empty, [], empty[:, 0], None, None)
+    return Loop(2.0 * cost, cost, empty, empty, empty, alive, terminated, empty, empty, [], empty[:, 0], None, None)
+
+
+HALVES = ReturnsConfig(gamma_r=0.5, gamma_c=0.5)
 
 
 def test_windows_begin_with_the_decision_and_end_with_the_episode() -> None:
     recorded = loop([[0, 1, 1, 0, 0, 0, 1], [0, 0, 1, 0], [1]], [False, True, False])
     seen = [{"x": torch.tensor([t, 10.0 + t, 20.0 + t])} for t in range(7)]
-    rows = signal_rows(recorded, seen, 3, 0.5, first=4)
+    rows = signal_rows(recorded, seen, [{"y": 2 * row["x"]} for row in seen], 3, HALVES, first=4)
     assert rows.episode.tolist() == [4] * 5 + [5] * 4  # one decision before a time limit says nothing of the next three
     assert rows.signals["x"].tolist() == [0, 1, 2, 3, 4, 10, 11, 12, 13]
     assert rows.ahead.tolist() == [2, 2, 1, 0, 1, 1, 1, 1, 0]
     assert rows.discounted.tolist() == [0.75, 1.5, 1.0, 0.0, 0.25, 0.25, 0.5, 1.0, 0.0]
     assert rows.before.tolist() == [False, False, True, True, False, False, False, False, True]
-    assert len(signal_rows(loop([[0, 1]], [False]), seen[:2], 3, 0.5).ahead) == 0
+    assert rows.promised["y"].tolist() == [0, 2, 4, 6, 8, 20, 22, 24, 26]
+    assert rows.earned.tolist() == [1.5, 3.0, 2.0, 0.0, 0.5, 0.5, 1.0, 2.0, 0.0]
+    # To the end: what lies behind the limit, up to 1 / 2^3.5, is filled up with the mean reward 10/12.
+    sums = [2 * (1 / 2 + 1 / 4 + 1 / 64), 2 * (1 + 1 / 2 + 1 / 32), 2 * (1 + 1 / 16), 2 / 8]
+    assert rows.rest[:4].tolist() == pytest.approx([value + 0.5 ** (7 - t) * 10 / 12 / (1 - 0.5) for t, value in enumerate(sums)])
+    assert np.isnan(rows.rest[4])
+    assert rows.rest[5:].tolist() == [0.5, 1.0, 2.0, 0.0]
+    assert len(signal_rows(loop([[0, 1]], [False]), seen[:2], seen[:2], 3, HALVES).ahead) == 0
 
 
 def rows_of(episodes: int = 6, length: int = 40) -> SignalRows:
@@ -173,13 +200,38 @@ def rows_of(episodes: int = 6, length: int = 40) -> SignalRows:
     worse = ahead + random.normal(0, 6.0, len(ahead))
     before = random.random(len(ahead)) < 0.2
     signals = {GATE: gate, NOW: np.full(len(ahead), 0.5), SUM: ahead, FIRST: worse}
-    return SignalRows(signals, before, ahead, 0.9 * ahead, np.repeat(np.arange(episodes), length))
+    promised = {SUM: ahead, FIRST: worse, NOW: np.zeros(len(ahead))}
+    rest = np.where(np.arange(len(ahead)) % 2 == 0, 3.0 * ahead, np.nan)
+    return SignalRows(signals, promised, before, ahead, 0.9 * ahead, 2.0 * ahead + 1.0, rest, np.repeat(np.arange(episodes), length))
+
+
+def test_signals_of_the_return_are_correlated_with_what_was_earned() -> None:
+    rows = rows_of()
+    found = judged(rows, 0.3, FIRST, FIRST)["returns"]
+    assert (found["window"]["decisions"], found["rest"]["decisions"]) == (240, 120)
+    for span, slope in (("window", 2.0), ("rest", 3.0)):
+        table = found[span]["signals"]
+        known = ~np.isnan(rows.rest) if span == "rest" else np.ones(240, bool)
+        real = slope * rows.ahead + (span == "window")
+        perfect, own, silent = table[SUM], table[FIRST], table[NOW]
+        assert [perfect[key] for key in ("pearson", "pearson_low", "rank", "rank_high")] == pytest.approx([1.0] * 4)
+        score = rows.promised[FIRST][known]
+        assert own["pearson"] == pytest.approx(np.corrcoef(score, real[known])[0, 1])
+        assert own["rank"] == pytest.approx(spearmanr(score, real[known]).statistic)
+        assert own["pearson_low"] < own["pearson"] < own["pearson_high"] < 1.0
+        assert own["rank_low"] < own["rank"] < own["rank_high"]
+        assert (own["behind"], own["behind_low"], own["behind_high"]) == (0.0, 0.0, 0.0)
+        assert perfect["behind_high"] < 0, "surely better"
+        assert perfect["predicted_over_real"] == pytest.approx(rows.ahead[known].mean() / real[known].mean())
+        assert found[span]["real_mean"] == pytest.approx(real[known].mean())
+        assert np.isnan([silent["pearson"], silent["rank"], silent["pearson_low"], silent["behind_low"]]).all()
+        assert silent["predicted_over_real"] == 0.0
 
 
 def test_signals_are_ranked_beside_the_gates_own() -> None:
     rows = rows_of()
     event, calm = rows.ahead > 0, ~rows.before
-    table = judged(rows, 0.3, FIRST)
+    table = judged(rows, 0.3, FIRST, SUM)
     found = table["signals"]
     assert (table["episodes"], table["decisions"], table["base"]) == (6, 240, pytest.approx(event.mean()))
     assert (found[SUM]["auprc"], found[SUM]["recall"]) == (1.0, 1.0)
@@ -209,14 +261,15 @@ def test_signals_are_ranked_beside_the_gates_own() -> None:
 
 
 def test_what_too_few_episodes_or_no_costs_leave_open_is_undefined() -> None:
-    one = judged(rows_of(1), 0.3, SUM)["signals"][SUM]
+    one = judged(rows_of(1), 0.3, SUM, SUM)["signals"][SUM]
     assert one["auprc"] == 1.0
     assert np.isnan([one[key] for key in ("auprc_low", "auprc_high", "behind_low", "behind_high")]).all()
     rows = rows_of(2)
-    calm = judged(rows._replace(ahead=0 * rows.ahead, discounted=0 * rows.ahead), 0.3, SUM)
+    calm = judged(rows._replace(ahead=0 * rows.ahead, discounted=0 * rows.ahead), 0.3, SUM, SUM)
     assert np.isnan([calm["signals"][SUM]["behind_low"], calm["gate"]["predicted_over_real"], calm["gate"]["foreseen"]]).all()
-    empty = judged(SignalRows({GATE: np.zeros(0)}, *(np.zeros(0, bool) for _ in range(4))), 0.3, GATE)
-    assert empty["decisions"] == 0
+    empty = judged(SignalRows({GATE: np.zeros(0)}, {SUM: np.zeros(0)}, *(np.zeros(0, bool) for _ in range(6))), 0.3, GATE, SUM)
+    assert empty["decisions"] == empty["returns"]["rest"]["decisions"] == 0
+    assert np.isnan(empty["returns"]["window"]["signals"][SUM]["rank"])
     assert np.isnan(empty["signals"][GATE]["auprc"])
 
 
@@ -235,19 +288,22 @@ def test_reliability_groups_are_equally_large_and_ordered() -> None:
 def test_critics_at_other_discounts_are_trained_and_the_known_one_is_kept() -> None:
     known = LinearCritics()
     config = GateSignalsConfig(
-        gammas=(0.95, 0.5, 0.8), critics=CriticsConfig(hidden=(8,), updates=150, starts=4, learning_rate=1e-2, horizon=15)
+        gammas=(0.95, 0.5, 0.8), critics=CriticsConfig(hidden=(8,), updates=150, starts=4, learning_rate=1e-2, horizon=15, recorded=0.0)
     )
     told: list[float] = []
-    critics, curves = gate_signals.cost_critics(
+    critics, promises, curves = gate_signals.critics_by_discount(
         Plain(), Skills([1.0], 3, [8], 1), recording(), still(36), known, config, ReturnsConfig(), ("goal1", 0),  # type: ignore[arg-type]
         lambda share, text: told.append(share),
     )  # fmt: skip
     assert list(critics) == [0.5, 0.8, 0.95]
     assert critics[0.95] is known
-    assert list(curves) == ["0.5", "0.8"]
+    assert list(promises) == [0.5, 0.8, 0.95, 0.99]
+    assert promises[0.99] is known
+    assert list(curves) == ["0.95", "0.5", "0.8"]
     start = still(1).at(torch.zeros(1, dtype=torch.long))
     for gamma in (0.5, 0.8):
         assert critics[gamma].value_c(start).item() == pytest.approx(0.5 / (1 - gamma * 0.9), rel=0.05)
+        assert promises[gamma].value_r(start).item() == pytest.approx(1 / (1 - gamma * 0.9), rel=0.05)
     assert told == sorted(told)
     assert told[-1] == 1.0
 
@@ -289,7 +345,7 @@ def test_the_stage_judges_every_operator_that_can_be_built(
     monkeypatch.setattr("wasp_cli.tasks.make.make_task", costly_task)
     config = GateSignalsConfig(
         operators={"noisy": (0.4,), "limited-skill": (0.25, 0.5)}, episodes=2, window=WINDOW, horizon=3, rollouts=2, gammas=(0.95, 0.99),
-        critics=CriticsConfig(hidden=(8,), updates=2, starts=4, horizon=3),
+        critics=CriticsConfig(hidden=(8,), updates=2, starts=4, horizon=3, q_updates=2, q_batch=4),
     )  # fmt: skip
     job = Job("gate_signals", "goal1", 1, config, {"action_repeat": 4, "returns": ReturnsConfig()}, {}, inputs, tmp_path, tmp_path)
     summaries = []
@@ -311,7 +367,13 @@ def test_the_stage_judges_every_operator_that_can_be_built(
         assert table["episodes"] == (6 if name == "all" else 2)
     unimpaired = found["sets"]["unimpaired"]["signals"]
     assert unimpaired[EXPERT] == unimpaired[GATE], "the unimpaired operator is the expert"
-    assert list(found["curves"]) == ["0.99"]
+    for table in found["sets"].values():
+        for span in ("window", "rest"):
+            promised = set(table["returns"][span]["signals"])
+            assert promised == names - {GATE} | {discounted(0.95)}
+    assert list(found["curves"]) == ["0.95", "0.99"]
+    pooled = found["sets"]["all"]["returns"]["rest"]["signals"]
+    assert summaries[0]["return_rest_bootstrap"] == pytest.approx(pooled[bootstrap(0.99)]["pearson"] or float("nan"), abs=5e-4, nan_ok=True)
     assert summaries[0]["auprc"] == pytest.approx(found["sets"]["all"]["signals"][GATE]["auprc"], abs=5e-4)
     assert summaries[0]["auprc_bootstrap"] == pytest.approx(found["sets"]["all"]["signals"][bootstrap(0.95)]["auprc"], abs=5e-4)
     assert "limited-skill 0.5" in signals_markdown(found)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import pearsonr, spearmanr
 
-from wasp_cli.metrics.ranking import average_precision, average_precision_interval, recall_at
+from wasp_cli.metrics.ranking import average_precision, average_precision_interval, correlations, recall_at
 from wasp_cli.metrics.windows import sums_ahead
 
 
@@ -72,6 +73,20 @@ def test_an_interval_needs_two_episodes_and_an_event() -> None:
     assert np.isnan(average_precision_interval(event[:0], score[:0], np.zeros(0))).all()
     low, high = average_precision_interval(np.array([True, False]), np.array([1.0, 0.0]), np.arange(2))
     assert low == high == 1.0, "resamples without an event say nothing"
+
+
+def test_correlations_are_scipys_on_explicitly_resampled_episodes() -> None:
+    random = np.random.default_rng(2)
+    episode = np.repeat([3, 5, 6, 9], [10, 20, 5, 15])
+    score, value = random.integers(0, 6, 50).astype(float), random.normal(size=50) + 0.2 * episode
+    found = correlations(score, value, episode, resamples=7, seed=4)
+    assert (found.pearson, found.rank) == pytest.approx((pearsonr(score, value).statistic, spearmanr(score, value).statistic))
+    drawn = np.random.default_rng(4).multinomial(4, np.full(4, 0.25), 7)
+    for row, counts in zip(found.resampled, drawn, strict=True):
+        rows = np.concatenate([np.flatnonzero(episode == e) for e, n in zip((3, 5, 6, 9), counts, strict=True) for _ in range(n)])
+        assert row.tolist() == pytest.approx([pearsonr(score[rows], value[rows]).statistic, spearmanr(score[rows], value[rows]).statistic])
+    assert correlations(score[:5], value[:5], episode[:5]).resampled.shape == (0, 2)
+    assert np.isnan(correlations(np.ones(50), value, episode, resamples=2).resampled).all()
 
 
 def test_windows_do_not_cross_episodes() -> None:

@@ -47,25 +47,30 @@ BRANCHES = "store store.branches store.parquet store.recorded store.tables metri
 
 MAY_HAVE = {
     "expert": f"{POLICY} {PPO} learning.expert learning.privileged stages.finite",
-    "dataset": f"{POLICY} learning.dataset learning.contents learning.shards",
-    "world_model": f"{WORLD} {LATENTS} learning.encoding learning.checkpoint learning.device learning.windows learning.world_model",
+    "dataset": f"{POLICY} learning.dataset learning.parts learning.contents learning.shards",
+    "world_model": f"{WORLD} {LATENTS} learning.encoding learning.checkpoint learning.device learning.windows learning.world_model "
+    "learning.privileged_state",
     "latents": f"{WORLD} learning.latents learning.shards learning.encoding learning.device",
     "diagnostics": (
-        f"{POLICY} {WORLD} {LATENTS} learning.encoding learning.dataset learning.diagnostics learning.image_samples "
+        f"{POLICY} {WORLD} {LATENTS} learning.encoding learning.dataset learning.diagnostics learning.image_samples learning.readout "
         "metrics metrics.ranking metrics.reliability stages.finite"
     ),
     "policies": (
         f"{DRIVING} {LATENTS} {PPO} methods.human learning.dataset learning.latent_ppo learning.policies "
         "learning.privileged learning.reinforce learning.verdicts stages.finite"
     ),
-    "critics": f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout",
+    "critics": (
+        f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values "
+        "metrics metrics.ranking"
+    ),
     "gate_signals": (
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
-        "methods.configs methods.noise methods.wasp.imagine metrics metrics.ranking metrics.windows stages.finite"
+        "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine "
+        "metrics metrics.ranking metrics.windows stages.finite"
     ),
     "rollouts": (f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} learning.contents learning.dataset learning.rollouts learning.shards"),
     "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
-    "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout",
+    "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
     "denoiser": (
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"

@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Heldout
+from wasp_cli.metrics.ranking import cluster_draws, correlations, percentiles
 from wasp_cli.models.base import Critics
 
 CUT_OFF = 0.05
 """Largest share of a discounted return that may lie beyond the time limit."""
+RESAMPLES = 400
+"""Of whole episodes, per interval."""
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +30,8 @@ class Pairs(NamedTuple):
 
     predicted: Floats
     real: Floats
+    episode: NDArray[Any]
+    """[K]"""
     cut_off: float
     """Largest share of a real return that lay beyond the time limit."""
 
@@ -54,17 +59,26 @@ def returns_ahead(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any],
     return sums, beyond
 
 
-def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> Pairs:
-    """Pair predictions [N] with real returns [N], without decisions whose return the time limit cuts.
+def whole_returns(signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> tuple[Floats, NDArray[np.bool_], float]:
+    """Return what really followed every decision, and where the time limit cuts so little of it that it counts.
 
     At most `CUT_OFF` of a return may be cut. Where episodes are too short for that, what half of the longest one cuts is allowed. What is
-    cut is filled up with the mean of the signal, which favours no state.
+    cut is filled up with the mean of the signal, which favours no state. Arguments as in `returns_ahead`.
+
+    Returns:
+        Returns [K], where they count [K], and the largest share that is cut of one that counts.
     """
     sums, beyond = returns_ahead(signal, episode, terminal, gamma)
-    longest = int(np.unique(episode, return_counts=True)[1].max())
+    longest = int(np.unique(episode, return_counts=True)[1].max(initial=0))
     whole = beyond <= (1 + 1e-9) * max(CUT_OFF, gamma ** (longest / 2))  # a product of many factors is not quite their power
-    real = sums + (beyond * signal.mean() / (1 - gamma) if gamma < 1 else 0.0)
-    return Pairs(predicted[whole], real[whole], float(beyond[whole].max(initial=0.0)))
+    filled = sums + (beyond * signal.mean() / (1 - gamma) if gamma < 1 and len(signal) else 0.0)
+    return filled, whole, float(beyond[whole].max(initial=0.0))
+
+
+def pairs(predicted: Floats, signal: Floats, episode: NDArray[Any], terminal: NDArray[Any], gamma: float) -> Pairs:
+    """Pair predictions [N] with real returns [N], without decisions whose return the time limit cuts (see `whole_returns`)."""
+    real, whole, cut_off = whole_returns(signal, episode, terminal, gamma)
+    return Pairs(predicted[whole], real[whole], episode[whole], cut_off)
 
 
 @torch.inference_mode()
@@ -80,26 +94,27 @@ def heldout_pairs(critics: Critics, heldout: Heldout, returns: ReturnsConfig) ->
 
 
 def quality(found: Pairs) -> dict[str, float | None]:
-    """Return rank correlation and mean predicted / mean real; None where too few decisions or no variation leave them undefined."""
+    """Return rank correlation and mean predicted / mean real, each with a 95 % interval over resampled episodes.
+
+    None where too few decisions, no variation or a single episode leave a number undefined. A few episodes may make most of the cost, so
+    that thousands of decisions may say little of either.
+    """
     enough = len(found.real) >= 10 and np.ptp(found.real) > 0 and np.ptp(found.predicted) > 0
     mean = float(found.real.mean()) if len(found.real) else 0.0
-    return {
-        "rank": spearman(found.predicted, found.real) if enough else None,
+    ranked = correlations(found.predicted, found.real, found.episode, resamples=RESAMPLES)
+    place, drawn = cluster_draws(found.episode, RESAMPLES)
+    predicted, real = (drawn @ np.bincount(place, values) for values in (found.predicted, found.real))
+    numbers = {
+        "rank": ranked.rank if enough else None, **_interval("rank", ranked.resampled[:, 1]),
         "predicted_over_real": float(found.predicted.mean()) / mean if mean else None,
-        "real_mean": mean, "decisions": len(found.real), "cut_off": found.cut_off,
+        **_interval("predicted_over_real", predicted[real != 0] / real[real != 0]),
     }  # fmt: skip
+    return {**numbers, "real_mean": mean, "decisions": len(found.real), "cut_off": found.cut_off}
 
 
-def spearman(a: Floats, b: Floats) -> float:
-    """Return the rank correlation of two arrays [N], ties at their average rank: discounted costs have many exact ties at zero."""
-    return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
-
-
-def _ranks(values: Floats) -> Floats:
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts).astype(np.float64)
-    average: Floats = (last - (counts - 1) / 2)[inverse]
-    return average
+def _interval(name: str, resampled: Floats) -> dict[str, float | None]:
+    low, high = percentiles(resampled[np.isfinite(resampled)])
+    return {f"{name}_low": None if np.isnan(low) else low, f"{name}_high": None if np.isnan(high) else high}
 
 
 def write_pairs(path: Path, found: Mapping[str, Pairs]) -> None:

@@ -1,4 +1,4 @@
-"""Which number should gate? Signals of what the operator is about to do, beside the costs that really followed.
+"""Which number should gate? Signals of what the operator is about to do, beside the costs and the return that really followed.
 
 Every signal is read at every decision of Human-only episodes from the same nominal rollouts, under the operator who drives and from its
 real memory. Dimension letters: B episodes side by side, T decisions of them, M rollouts, H horizon, R = B * M rows of one call to the
@@ -10,9 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.learning.configs import GateSignalsConfig, ReturnsConfig
@@ -33,13 +31,12 @@ from wasp_cli.seeds import derive
 NOW, GATE, SUM, FIRST, EXPERT = "now", "gate", "sum", "first", "expert"
 """Signals without a critic; `signals` says what each is. `GATE` is what the safety gate compares with tau_c."""
 
-Floats = NDArray[np.float64]
-CostCritics = Mapping[float, Critics]
-"""V_c by its gamma_c."""
+CriticsByDiscount = Mapping[float, Critics]
+"""Critics by the discount of V_c, or of V_r."""
 
 
 def critic_alone(gamma: float) -> str:
-    """Name the signal V_c(h_t, z_t)."""
+    """Name the signal V(h_t, z_t)."""
     return f"critic@{gamma:g}"
 
 
@@ -49,12 +46,12 @@ def one_step(gamma: float) -> str:
 
 
 def discounted(gamma: float) -> str:
-    """Name the discounted sum over H steps, as the gate has it, at another discount than the gate's."""
+    """Name the discounted sum over H steps."""
     return f"discounted@{gamma:g}"
 
 
 def bootstrap(gamma: float) -> str:
-    """Name Eq. 8 over H steps with V_c."""
+    """Name Eq. 8 over H steps, with the critic behind them."""
     return f"bootstrap@{gamma:g}"
 
 
@@ -79,17 +76,27 @@ class LatentRecorder:
 class SignalRecorder:
     """An assistant that executes every command as it is, and records what a gate could have looked at."""
 
-    def __init__(self, model: Dynamics, critics: CostCritics, expert: Operator, config: GateSignalsConfig, returns: ReturnsConfig) -> None:
+    def __init__(
+        self,
+        model: Dynamics,
+        cost_critics: CriticsByDiscount,
+        return_critics: CriticsByDiscount,
+        expert: Operator,
+        config: GateSignalsConfig,
+        returns: ReturnsConfig,
+    ) -> None:
         """Record B episodes.
 
         Args:
             model: the frozen world model.
-            critics: V_c by gamma_c; that of `returns.gamma_c` is among them.
+            cost_critics: by the discount of V_c; that of `returns.gamma_c` is among them.
+            return_critics: by the discount of V_r; that of `returns.gamma_r` is among them.
             expert: unimpaired, of B rows; the nominal operator of one of the signals.
             config: horizon and rollouts.
-            returns: lambda, and the gate's own gamma_c.
+            returns: lambda, and the gates' own discounts.
         """
-        self.model, self.critics, self.expert, self.config, self.returns = model, critics, expert, config, returns
+        self.model, self.cost_critics, self.return_critics = model, cost_critics, return_critics
+        self.expert, self.config, self.returns = expert, config, returns
         self.latents = LatentRecorder()
         # Nothing is corrected, so the number of residual steps says nothing.
         gate = WASPConfig(
@@ -99,11 +106,13 @@ class SignalRecorder:
         self.gate = Imagination(model, self.latents, gate, returns.gamma_r, returns.gamma_c, returns.lam)
         self.noise = DecisionNoise()
         self.seen: list[dict[str, Tensor]] = []
-        """Per decision: signals [B] by name."""
+        """Per decision: signals [B] of the cost by name."""
+        self.promised: list[dict[str, Tensor]] = []
+        """Per decision: signals [B] of the return by name."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
-        self.seen = []
+        self.seen, self.promised = [], []
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         generators = self.noise.next()
@@ -112,51 +121,70 @@ class SignalRecorder:
         start = Situation(latent, a_h, operator, torch.arange(len(a_h)))
         # The expert first: of the operator's own rollouts the arrived latents are kept.
         expert = self.gate.nominal(start._replace(operator=self.expert), draws).cost
+        others = self.latents.arrived
         own = self.gate.nominal(start, draws).cost
-        self.seen.append({GATE: own, EXPERT: expert, **self.signals(latent, self.latents.arrived)})
+        arrived = self.latents.arrived
+
+        gamma_r, gamma_c = self.returns.gamma_r, self.returns.gamma_c
+        keep = self.model.continues(arrived)  # [H, R]
+        values_c = {gamma: critic.value_c for gamma, critic in self.cost_critics.items()}
+        costs = self.signals(self.model.cost, values_c, latent, arrived, keep)
+        del costs[discounted(gamma_c)]  # which is the gate's own
+        self.seen.append({GATE: own, EXPERT: expert, **costs})
+        values_r = {gamma: critic.value_r for gamma, critic in self.return_critics.items()}
+        expert_return = self._mean(discounted_sum(self.model.reward(others), gamma_r, self.model.continues(others)))
+        self.promised.append({EXPERT: expert_return, **self.signals(self.model.reward, values_r, latent, arrived, keep)})
         return Decision(a_h)
 
-    def signals(self, now: Latent, arrived: Latent) -> dict[str, Tensor]:
-        """Compute the signals [B] beside the gate's own, which is sum_k gamma_c^k c-hat_{t+k}.
+    def signals(
+        self,
+        read: Callable[[Latent], Tensor],
+        values: Mapping[float, Callable[[Latent], Tensor]],
+        now: Latent,
+        arrived: Latent,
+        keep: Tensor,
+    ) -> dict[str, Tensor]:
+        """Compute signals [B] of the cost, x = c, or of the return, x = r. The gate's own of the cost is sum_k gamma_c^k c-hat_{t+k}.
 
-        In all of them c-hat_{t+k} is read at the arrived state k + 1, and counts with the probability that the episode still goes on.
+        In all of them x-hat_{t+k} is read at the arrived state k + 1, and counts with the probability that the episode still goes on.
 
-        - `now`: c-hat(h_t, z_t), the cost that the last decision is believed to have had.
-        - `sum`: sum_k c-hat_{t+k} over H steps, `first`: over the first few of them.
-        - `discounted@gamma`: sum_k gamma^k c-hat_{t+k}. Beside it V_c is all that `bootstrap@gamma` adds.
-        - `critic@gamma`: V_c(h_t, z_t).
-        - `step@gamma`: c-hat_t + gamma V_c(h_{t+1}, z_{t+1}).
+        - `now`: x-hat(h_t, z_t), what the last decision is believed to have scored.
+        - `sum`: sum_k x-hat_{t+k} over H steps, `first`: over the first few of them.
+        - `discounted@gamma`: sum_k gamma^k x-hat_{t+k}. Beside it V is all that `bootstrap@gamma` adds.
+        - `critic@gamma`: V(h_t, z_t).
+        - `step@gamma`: x-hat_t + gamma V(h_{t+1}, z_{t+1}).
         - `bootstrap@gamma`: Eq. 8 as it is written.
 
         Args:
+            read: the model's head of x.
+            values: V of x by its discount.
             now: filtered latents [B, .].
             arrived: of the nominal rollouts [H, R, .].
+            keep: [H, R] probability that the episode goes on behind them.
         """
-        cost, keep = self.model.cost(arrived), self.model.continues(arrived)  # [H, R]
+        signal = read(arrived)  # [H, R]
         first, lam = self.config.first_steps, self.returns.lam
-
-        def mean(rollouts: Tensor) -> Tensor:
-            return rollouts.view(-1, self.config.rollouts).mean(-1)
-
         found = {
-            NOW: self.model.cost(now),
-            SUM: mean(discounted_sum(cost, 1.0, keep)),
-            FIRST: mean(discounted_sum(cost[:first], 1.0, keep[:first])),
+            NOW: read(now),
+            SUM: self._mean(discounted_sum(signal, 1.0, keep)),
+            FIRST: self._mean(discounted_sum(signal[:first], 1.0, keep[:first])),
         }
-        for gamma, critic in self.critics.items():
-            value = critic.value_c(arrived)
-            found[critic_alone(gamma)] = critic.value_c(now)
-            found[one_step(gamma)] = mean(td_lambda(cost[:1], value[:1], gamma, lam, keep[:1]))
-            found[bootstrap(gamma)] = mean(td_lambda(cost, value, gamma, lam, keep))
-            if gamma != self.returns.gamma_c:
-                found[discounted(gamma)] = mean(discounted_sum(cost, gamma, keep))
+        for gamma, critic in values.items():
+            value = critic(arrived)
+            found[critic_alone(gamma)] = critic(now)
+            found[one_step(gamma)] = self._mean(td_lambda(signal[:1], value[:1], gamma, lam, keep[:1]))
+            found[bootstrap(gamma)] = self._mean(td_lambda(signal, value, gamma, lam, keep))
+            found[discounted(gamma)] = self._mean(discounted_sum(signal, gamma, keep))
         return found
+
+    def _mean(self, rollouts: Tensor) -> Tensor:
+        return rollouts.view(-1, self.config.rollouts).mean(-1)
 
 
 # -- critics ----------------------------------------------------------------------------------------------------
 
 
-def cost_critics(
+def critics_by_discount(
     model: SafetyWorldModel,
     skills: Skills,
     recording: Recording,
@@ -166,29 +194,35 @@ def cost_critics(
     returns: ReturnsConfig,
     stream: tuple[str, int],
     report: Callable[[float, str], None],
-) -> tuple[dict[float, Critics], dict[str, Any]]:
-    """Train V_c at every further discount of the configuration; return all of them, and the curves of those trained here.
+) -> tuple[dict[float, Critics], dict[float, Critics], dict[str, Any]]:
+    """Train critics at every discount of the configuration that neither known critic has.
 
     Args:
         model: the frozen world model.
         skills: the latent expert among them.
-        recording: terminal, cost and episode of the recorded rows.
+        recording: action, reward, cost, terminal, first and episode of the recorded rows.
         latents: of the same rows.
-        known: the trained critics, whose V_c has `returns.gamma_c`.
+        known: the trained critics, whose V_r has `returns.gamma_r` and whose V_c `returns.gamma_c`.
         config: the discounts, and the budget of a critic.
-        returns: lambda and the other discounts.
+        returns: lambda and the known discounts.
         stream: task and seed of the training chain, which name the random streams.
         report: told of the updates.
+
+    Returns:
+        Critics by the discount of V_c, by that of V_r, and the curves of those trained here. Both have the known ones among them.
     """
-    found: dict[float, Critics] = {returns.gamma_c: known}
+    costs: dict[float, Critics] = {returns.gamma_c: known}
+    promises: dict[float, Critics] = {returns.gamma_r: known}
     curves: dict[str, Any] = {}
-    missing = [gamma for gamma in config.gammas if gamma != returns.gamma_c]
+    missing = [gamma for gamma in config.gammas if not gamma == returns.gamma_c == returns.gamma_r]
     for part, gamma in enumerate(missing):
 
         def during(share: float, text: str, part: int = part, gamma: float = gamma) -> None:
-            report((part + share) / len(missing), f"V_c at {gamma:g}, {text}")
+            report((part + share) / len(missing), f"critics at {gamma:g}, {text}")
 
         torch.manual_seed(derive("gate-signals-critic-weights", *stream, gamma))
-        seed, other = derive("gate-signals-critic", *stream, gamma), returns.model_copy(update={"gamma_c": gamma})
-        found[gamma], curves[f"{gamma:g}"] = train_critics(model, skills, recording, latents, config.critics, other, seed, during)
-    return dict(sorted(found.items())), curves
+        seed, other = derive("gate-signals-critic", *stream, gamma), returns.model_copy(update={"gamma_c": gamma, "gamma_r": gamma})
+        critics, curves[f"{gamma:g}"] = train_critics(model, skills, recording, latents, config.critics, other, seed, during)
+        costs.setdefault(gamma, critics)
+        promises.setdefault(gamma, critics)
+    return dict(sorted(costs.items())), dict(sorted(promises.items())), curves

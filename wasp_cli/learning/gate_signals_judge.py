@@ -1,4 +1,4 @@
-"""How well each signal of a gate ranks decisions by whether a cost follows, and what the gate's own value is worth as a number."""
+"""How well each signal of a gate foresees whether a cost follows, or what is earned, and what the gate's own value is worth."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.learning.closed_loop import Loop
+from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.critic_quality import whole_returns
 from wasp_cli.learning.gate_signals import GATE
-from wasp_cli.metrics.ranking import average_precision, average_precision_resampled, percentiles, recall_at
+from wasp_cli.metrics.ranking import average_precision, average_precision_resampled, correlations, percentiles, recall_at
 from wasp_cli.metrics.windows import sums_ahead
 
 POOLED = "all"
@@ -35,56 +37,91 @@ class SignalRows(NamedTuple):
     """K decisions whose next W are known, with what was signalled at them."""
 
     signals: dict[str, Floats]
-    """[K] by name"""
+    """[K] of the cost, by name"""
+    promised: dict[str, Floats]
+    """[K] of the return, by name"""
     before: NDArray[np.bool_]
     """[K] the decision before cost: there is nothing to foresee any more"""
     ahead: Floats
     """[K] costly decisions among the W that begin with this one"""
     discounted: Floats
     """[K] sum_k gamma_c^k c_{t+k} over them"""
+    earned: Floats
+    """[K] sum_k gamma_r^k r_{t+k} over them"""
+    rest: Floats
+    """[K] the same to the end of the episode; NaN where the time limit cuts too much of it"""
     episode: NDArray[np.int64]
     """[K]"""
 
 
-def signal_rows(loop: Loop, seen: Sequence[Mapping[str, Tensor]], window: int, gamma: float, first: int = 0) -> SignalRows:
-    """Pair the decisions of B episodes with the costs that followed.
+def signal_rows(
+    loop: Loop,
+    seen: Sequence[Mapping[str, Tensor]],
+    promised: Sequence[Mapping[str, Tensor]],
+    window: int,
+    returns: ReturnsConfig,
+    first: int = 0,
+) -> SignalRows:
+    """Pair the decisions of B episodes with the costs and rewards that followed.
 
     Those after which a time limit cuts the window off are left out. Where an episode ended by the task's own rule nothing follows, and its
     last decisions count.
 
     Args:
         loop: the recorded episodes.
-        seen: [T] signals [B] by name.
+        seen: [T] signals [B] of the cost by name.
+        promised: [T] signals [B] of the return by name.
         window: W.
-        gamma: of the discounted sum.
+        returns: discounts.
         first: number of the first episode.
     """
-    columns = {name: torch.stack([row[name] for row in seen]).double().numpy() for name in seen[0]}  # [T, B]
-    parts = [_episode(loop, columns, row, window, gamma, first + row) for row in range(loop.alive.shape[1])]
-    return joined(parts)
+    columns, others = ({name: torch.stack([row[name] for row in rows]).double().numpy() for name in rows[0]} for rows in (seen, promised))
+    alive = loop.alive.T.astype(bool)  # [B, T]
+    episode = np.broadcast_to(np.arange(len(alive))[:, None], alive.shape)[alive]
+    reward, terminal = loop.reward.T[alive].astype(np.float64), loop.terminated.T[alive]
+    real, whole, _ = whole_returns(reward, episode, terminal, returns.gamma_r)
+    rest = np.where(whole, real, np.nan)
+    parts = [_episode(loop, columns, others, rest[episode == row], row, window, returns) for row in range(len(alive))]
+    return joined([part._replace(episode=part.episode + first) for part in parts])
 
 
 def joined(parts: Sequence[SignalRows]) -> SignalRows:
     """Join the decisions of all parts, one part after the other."""
-    signals = {name: np.concatenate([part.signals[name] for part in parts]) for name in parts[0].signals}
-    return SignalRows(signals, *(np.concatenate(fields) for fields in zip(*(part[1:] for part in parts), strict=True)))
+
+    def of(columns: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
+        return {name: np.concatenate([column[name] for column in columns]) for name in columns[0]}
+
+    signals, promised = of([part.signals for part in parts]), of([part.promised for part in parts])
+    return SignalRows(signals, promised, *(np.concatenate(fields) for fields in zip(*(part[2:] for part in parts), strict=True)))
 
 
-def _episode(loop: Loop, columns: Mapping[str, Floats], row: int, window: int, gamma: float, number: int) -> SignalRows:
+def _episode(
+    loop: Loop,
+    columns: Mapping[str, Floats],
+    others: Mapping[str, Floats],
+    rest: Floats,
+    row: int,
+    window: int,
+    returns: ReturnsConfig,
+) -> SignalRows:
     length = int(loop.alive[:, row].sum())
-    cost = loop.cost[:length, row].astype(np.float64)
+    cost, reward = loop.cost[:length, row].astype(np.float64), loop.reward[:length, row].astype(np.float64)
     after = np.zeros(window - 1 if loop.terminated[:length, row].any() else 0)
     padded = np.concatenate([cost, after])
     ahead = sums_ahead(padded, np.zeros(len(padded)), window)[:length]
     known = np.flatnonzero(~np.isnan(ahead))
-    # `convolve` runs its kernel backwards; entry t is the sum over the window that begins at t.
-    discounted = np.convolve(padded, gamma ** np.arange(window)[::-1], "valid") if len(known) else np.zeros(0)
+
+    def discounted(values: Floats, gamma: float) -> Floats:
+        # `convolve` runs its kernel backwards; entry t is the sum over the window that begins at t.
+        return np.convolve(values, gamma ** np.arange(window)[::-1], "valid") if len(known) else np.zeros(0)
+
     before = np.concatenate([[False], cost[:-1] > 0])[known]
-    signals = {name: column[known, row] for name, column in columns.items()}
-    return SignalRows(signals, before, ahead[known], discounted[known], np.full(len(known), number))
+    signals, promised = ({name: column[known, row] for name, column in named.items()} for named in (columns, others))
+    costs, earned = discounted(padded, returns.gamma_c), discounted(np.concatenate([reward, after]), returns.gamma_r)
+    return SignalRows(signals, promised, before, ahead[known], costs[known], earned[known], rest[known], np.full(len(known), row))
 
 
-def judged(rows: SignalRows, threshold: float, rival: str) -> Row:
+def judged(rows: SignalRows, threshold: float, rival: str, task_gate: str) -> Row:
     """Judge every signal, the gate at its threshold and at others, and its reliability.
 
     `base` is the share of the decisions with a cost among the next W, `auprc` that of a signal for it with a 95 % interval over resampled
@@ -95,6 +132,7 @@ def judged(rows: SignalRows, threshold: float, rival: str) -> Row:
         rows: the decisions.
         threshold: tau_c.
         rival: a signal that is looked at beside the gate's own: at the threshold at which it fires as often, and at all the others.
+        task_gate: the signal of the return beside which the others are judged.
     """
     event, calm = rows.ahead > 0, ~rows.before
     own = rows.signals[GATE]
@@ -106,6 +144,10 @@ def judged(rows: SignalRows, threshold: float, rival: str) -> Row:
     alike = float(np.quantile(rows.signals[rival], 1.0 - table["gate"]["fires"])) if len(event) else float("nan")
     table["rival"] = alarms(rows, rival, alike)
     table["sweep"] = {name: [alarms(rows, name, value) for value in SWEEP] for name in (GATE, rival)}
+    table["returns"] = {
+        "window": _foreseen(rows.promised, rows.earned, rows.episode, task_gate),
+        "rest": _foreseen(rows.promised, rows.rest, rows.episode, task_gate),
+    }
     return table | {"reliability": reliability_groups(own, rows.discounted, event)}
 
 
@@ -127,6 +169,30 @@ def reliability_groups(predicted: Floats, real: Floats, event: Bools) -> list[Ro
     """Form ten groups of equal size by prediction [N]: mean prediction, mean of what followed, share of decisions with any cost."""
     groups = [group for group in np.array_split(np.argsort(predicted, kind="stable"), GROUPS) if len(group)]
     return [{"predicted": _mean(predicted[g]), "real": _mean(real[g]), "any": _mean(event[g]), "size": len(g)} for g in groups]
+
+
+def _foreseen(promised: Mapping[str, Floats], real: Floats, episode: NDArray[np.int64], own: str) -> Row:
+    """Correlate every signal of the return with what was really earned [K], NaN where that is not known.
+
+    `pearson` and `rank` come with 95 % intervals over resampled episodes; `behind` is by how much the Pearson correlation is below that of
+    the signal `own`, on the same resampled episodes.
+    """
+    known = ~np.isnan(real)
+    real, episode = real[known], episode[known]
+    found = {name: correlations(score[known], real, episode, resamples=RESAMPLES) for name, score in promised.items()}
+    mean = _mean(real)
+    rows: Row = {}
+    for name, each in found.items():
+        # A resample in which nothing varies says nothing.
+        draws = (each.resampled[:, 0], each.resampled[:, 1], found[own].resampled[:, 0] - each.resampled[:, 0])
+        (low, high), (rank_low, rank_high), (behind_low, behind_high) = (percentiles(column[~np.isnan(column)]) for column in draws)
+        rows[name] = {
+            "pearson": each.pearson, "pearson_low": low, "pearson_high": high,
+            "rank": each.rank, "rank_low": rank_low, "rank_high": rank_high,
+            "behind": found[own].pearson - each.pearson, "behind_low": behind_low, "behind_high": behind_high,
+            "predicted_over_real": _mean(promised[name][known]) / mean if mean else float("nan"),
+        }  # fmt: skip
+    return {"decisions": len(real), "real_mean": mean, "signals": rows}
 
 
 def _ranked(rows: SignalRows, score: Floats, own: Floats) -> Row:

@@ -62,9 +62,10 @@ AS_PRINTED: WASPVariant = "as-printed"
 
 PAPER_RECIPE: Mapping[str, Any] = {
     "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,
-    "operator_model": "rule", "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "task_search": True, "rescore": False,
-    "takeover_shares": (), "braking": False, "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0, "recheck": False,
-    "best_of": "all", "effort": "sampled", "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
+    "operator_model": "rule", "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "task_search": True,
+    "safety_search": True, "rescore": False, "takeover_shares": (), "braking": False, "forced": False, "warm_start": False,
+    "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled", "elites_kept": 0.0, "shrink": 1.0,
+    "momentum": 0.0,
 }  # fmt: skip
 """Section 4 to the letter. What it leaves open stays as it is: sizes, alpha, quantiles; M is one number."""
 
@@ -108,8 +109,11 @@ class WASPConfig(Config):
         True, "random sequences of a probe that fired are the first iteration of the search; the paper has the probe for gating only"
     )
     rescore: bool = deviates(True, "the probe's winner must gain tau_r on fresh rollouts too; the paper takes the gain as it was scored")
-    task_search: bool = deviates(
-        True, "where the task gate fired a residual plan is searched, as in the paper; without it the probe's winner is carried out"
+    task_search: bool = from_paper(
+        True, "section 4.3: where the task gate fired a residual plan is searched; without it the probe's winner is carried out"
+    )
+    safety_search: bool = from_paper(
+        True, "section 4.3: where the safety gate fired a plan is searched; without it only where no takeover is safe"
     )
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
@@ -139,8 +143,8 @@ class WASPConfig(Config):
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] | Coverage = assumed(
         0.5,
         "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less; "
-        "`calibrated`: a quantile of its own signal under the expert; "
-        "`{coverage: 0.1}`: so that of the costly episodes of the operators alone at most this share has an onset without an alert",
+        "`calibrated`: a quantile of its own signal under the expert; `{coverage: 0.1}`: so that of the costly episodes of the operators "
+        "alone at most this share has an onset without an alert",
     )
     tau_c_quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0

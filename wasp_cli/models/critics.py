@@ -1,4 +1,4 @@
-"""Value critics V_r and V_c on latent features (Eq. 7), as distributions over fixed bins.
+"""Value critics V_r and V_c on latent features (Eq. 7), and Q_r and Q_c of actions, as distributions over fixed bins.
 
 Rare large values neither dominate the loss nor are averaged away: a target is encoded by its two neighbouring bins (two-hot), trained
 with a cross-entropy, and read as the expectation over the bins in linear space. The bins are spaced evenly in
@@ -82,3 +82,26 @@ class LatentCritics(nn.Module):
     def losses(self, features: Tensor, target_r: Tensor, target_c: Tensor) -> tuple[Tensor, Tensor]:
         """Return the cross-entropies [...] of both critics at features [..., F] against their targets [...]."""
         return self.scale.loss(self.reward_net(features), target_r), self.scale.loss(self.cost_net(features), target_c)
+
+
+class ActionCritics(nn.Module):
+    """Q_r and Q_c: an action executed at a latent, and the expert afterwards. Both start at zero."""
+
+    def __init__(self, features: int, action: int, hidden: Sequence[int], bins: int = 63, reach: float = 1000.0) -> None:
+        super().__init__()
+        self.reward_net = mlp(features + action, hidden, bins, zero=True)
+        self.cost_net = mlp(features + action, hidden, bins, zero=True)
+        self.scale = TwoHot(bins, reach)
+
+    def forward(self, features: Tensor, action: Tensor) -> Tensor:
+        """Return Q_r and Q_c [2, ...] at features [..., F] and actions [..., A]; Q_c is never negative."""
+        values = self.scale.decode(self._logits(features, action))
+        return torch.stack([values[0], values[1].clamp(min=0)])
+
+    def losses(self, features: Tensor, action: Tensor, target: Tensor) -> Tensor:
+        """Return the cross-entropies [2, ...] of both critics against their targets [2, ...]."""
+        return self.scale.loss(self._logits(features, action), target)
+
+    def _logits(self, features: Tensor, action: Tensor) -> Tensor:
+        inputs = torch.cat([features, action], -1)
+        return torch.stack([self.reward_net(inputs), self.cost_net(inputs)])

@@ -1,4 +1,4 @@
-"""Critics: V_r and V_c on imagined rollouts of the nominal expert (Eq. 7-8).
+"""Critics: V_r and V_c of the nominal expert, from imagined rollouts (Eq. 7-8) and from recorded transitions.
 
 Artifact: `critics.safetensors` (+ .json), `curve.json` (losses and mean targets), `pairs.parquet` (both critics beside the discounted
 sums that followed on held-out episodes) and `quality.json` (what they are worth).
@@ -39,7 +39,7 @@ class CriticsStage:
         config = cast(CriticsConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
         latents = load_latents(job.inputs["latents"])
-        recording = read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"])
+        recording = read_shards(job.inputs["dataset"], ["action", "reward", "cost", "terminal", "first", "episode"])
         skills = load_skills(job.inputs["policies"])
         returns = job.settings["returns"]
         torch.manual_seed(derive("critics-weights", job.task, job.seed))

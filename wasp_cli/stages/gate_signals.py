@@ -1,7 +1,7 @@
-"""Gate signals: which number foresees costs best, measured on fresh Human-only episodes under several operators.
+"""Gate signals: which number foresees costs and the return best, measured on fresh Human-only episodes under several operators.
 
-Artifact: `signals.json` (every signal by operator and for all of them, the gate at its threshold, its reliability: its value beside the
-costs that really followed, curves of the further critics).
+Artifact: `signals.json` (every signal of the cost and of the return by operator and for all of them, the gate at its threshold, its
+reliability: its value beside the costs that really followed, curves of the further critics).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class GateSignalsStage:
     needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "critics")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train V_c at the other discounts, let every operator drive, and judge what was signalled."""
+        """Train critics at the other discounts, let every operator drive, and judge what was signalled."""
         from wasp_cli.learning.closed_loop import run_episodes
-        from wasp_cli.learning.gate_signals import GATE, SignalRecorder, bootstrap, cost_critics
+        from wasp_cli.learning.gate_signals import GATE, SignalRecorder, bootstrap, critics_by_discount, discounted
         from wasp_cli.learning.gate_signals_judge import POOLED, SignalRows, joined, judged, signal_rows
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.shards import read_shards
@@ -46,9 +46,10 @@ class GateSignalsStage:
         returns = job.settings["returns"]
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
         trained = load_module(LatentCritics, job.inputs["critics"] / "critics.safetensors")
-        critics, curves = cost_critics(
-            model, skills, read_shards(job.inputs["dataset"], ["cost", "terminal", "episode"]), load_latents(job.inputs["latents"]),
-            trained, config, returns, (job.task, job.seed), lambda share, text: job.progress(TRAINING * share, text),
+        recording = read_shards(job.inputs["dataset"], ["action", "reward", "cost", "terminal", "first", "episode"])
+        costs, promises, curves = critics_by_discount(
+            model, skills, recording, load_latents(job.inputs["latents"]), trained, config, returns, (job.task, job.seed),
+            lambda share, text: job.progress(TRAINING * share, text),
         )  # fmt: skip
 
         asked: list[tuple[str, float | None]] = [(UNIMPAIRED, None)]
@@ -69,15 +70,17 @@ class GateSignalsStage:
                 for role in ("episode", "operator", "draws")
             )
             operator = build_operator(variant, value, context, EpisodeNoise(mistakes), batch)
-            recorder = SignalRecorder(model, critics, Operator.build(1.0, context, EpisodeNoise(mistakes), batch), config, returns)
+            expert = Operator.build(1.0, context, EpisodeNoise(mistakes), batch)
+            recorder = SignalRecorder(model, costs, promises, expert, config, returns)
             loop = run_episodes(task, model, operator, recorder, layouts, draws, progress=during)
-            parts[name] = signal_rows(loop, recorder.seen, config.window, returns.gamma_c, number * batch)
-        rival = bootstrap(returns.gamma_c)
+            parts[name] = signal_rows(loop, recorder.seen, recorder.promised, config.window, returns, number * batch)
+        rival, task_gate = bootstrap(returns.gamma_c), bootstrap(returns.gamma_r)
         everyone = {POOLED: joined(list(parts.values())), **parts}
-        sets = {name: judged(rows, config.threshold, rival) for name, rows in everyone.items()}
+        sets = {name: judged(rows, config.threshold, rival, task_gate) for name, rows in everyone.items()}
 
         left_out = [_name(*one) for one in asked if one not in there]
-        facts = {"gamma_c": returns.gamma_c, "gate": GATE, **json.loads(config.model_dump_json()), "left_out": left_out}
+        gates = {"gamma_c": returns.gamma_c, "gamma_r": returns.gamma_r, "gate": GATE, "task_gate": task_gate}
+        facts = {**gates, **json.loads(config.model_dump_json()), "left_out": left_out}
         (job.out_dir / "signals.json").write_text(finite_json({**facts, "sets": sets, "curves": curves}))
         pooled = sets[POOLED]
         eq8 = pooled["signals"][rival]
@@ -86,6 +89,11 @@ class GateSignalsStage:
             "onset_auprc": pooled["signals"][GATE]["onset_auprc"], "onset_auprc_bootstrap": eq8["onset_auprc"],
             "onset_base": pooled["onset_base"],
             **{name: pooled["gate"][name] for name in ("fires", "foreseen", "false_alarms", "predicted_over_real")},
+            **{
+                f"return_{span}_{label}": pooled["returns"][span]["signals"][name]["pearson"]
+                for span in ("window", "rest")
+                for label, name in (("sum", discounted(returns.gamma_r)), ("bootstrap", task_gate))
+            },
         }  # fmt: skip
         return {name: round(value, 3) for name, value in numbers.items()}
 

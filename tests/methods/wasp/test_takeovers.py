@@ -129,6 +129,25 @@ def test_without_a_search_the_probes_winner_is_carried_out() -> None:
     assert (decision.planned.residuals[0, :, 0] > 0.5).any()
 
 
+def test_where_a_takeover_is_safe_the_safety_gate_needs_no_search() -> None:
+    """Ahead is a hazard that the operator drives into and the expert does not; where the expert would too, a plan is searched."""
+    for place, safe in ((1.0, [-1, 2 * L]), (0.2, None)):
+        config = WASPConfig.model_validate(SIZES | {"safety_search": False})
+        world = Corridor(place, 6.0)
+        operator = Operator(lambda features: features[:, :1] * 0 + 1.0, 1, EpisodeNoise([0]), 1)
+        assistant = WASP(config, Imagination(world, LinearCritics(), config, 0.9, 0.8, 0.7, lambda features: 0.7 - features[:, :1]), {})
+        assistant.reset(torch.ones(1, dtype=torch.bool), [0])
+        decision = assistant.decide(world.at(place - 0.45), torch.tensor([[1.0]]), operator)
+        assert decision.record is not None
+        assert decision.planned is not None
+        assert int(decision.record.gate) == 1
+        if safe is None:
+            assert (decision.planned.safe[0] >= 0).all()
+        else:
+            assert decision.planned.safe[0].tolist()[0] == -1
+            assert decision.action.item() < 1.0
+
+
 def test_a_calibrated_tau_r_is_the_floor_since_the_expert_gains_nothing() -> None:
     config = WASPConfig.model_validate(SIZES)
     model = Imagination(Corridor(5.0, 6.0, 0.05), LinearCritics(), config, 0.9, 0.8, 0.7, expert)

@@ -45,7 +45,9 @@ def diagnosed(sources: tuple[str, ...] = SOURCES) -> dict[str, Any]:
     window: dict[str, Any] = {f"{prefix}{key}": 0.125 for prefix in ("", "onset_") for key in keys}
     window |= {"persistence": 0.2, "cost_correlation": None, "gamma": 0.95, "threshold": 0.5}
     filtered = {"auprc": 0.9, "base": 0.05, "predicted_over_base": 1.1, "image_error": 0.01, "image_variance": 0.04}
-    one = {"episodes": {"expert": 3, "noisy": 1}, "starts": 40, "steps": steps, "window": window, "filter": filtered}
+    told = {"all": 0.5, "motion": 0.75, "things": None}
+    readout = {"filtered": told, "embedding": {**told, "motion": -0.25}, "step": 5, "imagined": told}
+    one = {"episodes": {"expert": 3, "noisy": 1}, "starts": 40, "steps": steps, "window": window, "filter": filtered, "readout": readout}
     return {"held_out": one, "unseen": one}
 
 
@@ -53,15 +55,30 @@ def signals() -> dict[str, Any]:
     """Two operators and both together; the worst signal is undefined."""
     ranked = dict.fromkeys(("auprc_low", "auprc_high", "recall", "behind", "behind_low", "behind_high", "onset_auprc", "onset_recall"), 0.5)
     alarms = dict.fromkeys(("fires", "precision", "foreseen", "false_alarms", "onset_foreseen", "onset_false_alarms"), 0.25)
+    keys = ("pearson", "pearson_low", "pearson_high", "behind", "behind_low", "behind_high", "rank", "rank_low", "rank_high")
+    promise = dict.fromkeys((*keys, "predicted_over_real"), 0.25)
+    promises = {
+        "discounted@0.99": {**promise, "pearson": 0.5},
+        "now": {**promise, "pearson": None},
+        "bootstrap@0.99": {**promise, "pearson": 0.75},
+    }
     table = {
         "episodes": 2, "decisions": 20, "base": 0.3, "onset_base": 0.2,
         "signals": {"now": {**ranked, "auprc": 0.4}, "bootstrap@0.95": {**ranked, "auprc": None}, "gate": {**ranked, "auprc": 0.8}},
         "gate": {**alarms, "threshold": 0.3, "predicted_over_real": 1.1}, "rival": {**alarms, "threshold": 0.7},
         "sweep": {name: [{**alarms, "threshold": 0.1}] for name in ("gate", "bootstrap@0.95")},
+        "returns": {span: {"decisions": 20, "real_mean": 1.5, "signals": promises} for span in ("window", "rest")},
         "reliability": [{"predicted": 0.1 * i, "real": 0.2 * i, "any": 0.1 * i, "size": 2} for i in range(10)],
     }  # fmt: skip
-    facts = {"episodes": 2, "rollouts": 4, "window": 15, "horizon": 4, "first_steps": 9, "threshold": 0.3, "gamma_c": 0.95, "gate": "gate"}
-    return {**facts, "left_out": ["limited-skill 0.3"], "sets": {"all": table, "unimpaired": table, "laggy 0.7": table}, "curves": {}}
+    facts = {"episodes": 2, "rollouts": 4, "window": 15, "horizon": 4, "first_steps": 9, "threshold": 0.3}
+    gates = {"gamma_c": 0.95, "gamma_r": 0.99, "gate": "gate", "task_gate": "bootstrap@0.99"}
+    return {
+        **facts,
+        **gates,
+        "left_out": ["limited-skill 0.3"],
+        "sets": {"all": table, "unimpaired": table, "laggy 0.7": table},
+        "curves": {},
+    }
 
 
 def write_dataset(folder: Path) -> None:
@@ -84,7 +101,7 @@ def write_images(folder: Path) -> None:
 
 def write_all_pairs(folder: Path, *names: str) -> None:
     random = np.random.default_rng(0)
-    write_pairs(folder / "pairs.parquet", {name: Pairs(random.random(105), random.random(105), 0.0) for name in names})
+    write_pairs(folder / "pairs.parquet", {name: Pairs(random.random(105), random.random(105), np.zeros(105), 0.0) for name in names})
 
 
 def artifact(layout: Layout, kind: str, number: int = 1, seed: int = 0) -> Trained:

@@ -18,6 +18,7 @@ from wasp_cli.report.trained.pages import (
     contents_markdown,
     dataset_warnings,
     open_loop_markdown,
+    promise_title,
     quality_markdown,
     signal_title,
     signals_markdown,
@@ -72,10 +73,14 @@ def test_the_diagnostics_have_a_section_for_each_set_and_a_dash_for_what_is_unde
     assert "| 2 | 0.10 | 0.10 |" in page
     assert "| 6 | - | - |" in page
     assert "Share of the costs of each source that were foreseen" in page
+    rows = ("filtered latent | 0.50 | 0.75 | -", "embedding of the image | 0.50 | -0.25 | -", "imagined, step 5 | 0.50 | 0.75 | -")
+    assert "\n".join(["| read from | all | motion | things |", "| --- | ---: | ---: | ---: |", *(f"| {row} |" for row in rows)]) in page
     assert "Episodes that end there by the task's own rule" in page
     assert "discounted by\n0.95 a step, were above 0.5" in page
     assert "None" not in page
     assert "Share of the costs of each source" not in open_loop_markdown(diagnosed(("hazards",)))
+    earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
+    assert "read from" not in open_loop_markdown(earlier), "a results folder may hold what was judged before there was a readout"
     assert STEPS == SHOWN, "reports show the steps that the stage tells"
 
 
@@ -89,11 +94,22 @@ def test_the_page_of_signals_has_the_best_one_first_and_undefined_ones_last() ->
     assert "None" not in page
 
 
+def test_the_page_of_signals_ranks_those_of_the_return_for_each_operator_and_span() -> None:
+    page = signals_markdown(signals())
+    for who in ("All operators", "Unimpaired", "Laggy 0.7"):
+        for span in ("the next 15 decisions", "the rest of the episode"):
+            part = page.split(f"## {who}: the return of {span}\n")[1].split("##")[0]
+            assert "20 decisions, mean 1.500." in part
+            names = [line.split("|")[1].strip() for line in part.splitlines() if line.startswith("| ")]
+            assert names[2:] == ["**Eq. 8 with V_r, 0.99**", "discounted sum over 4, 0.99", "r-hat now"]
+
+
 def test_every_signal_has_a_title() -> None:
     names = [NOW, GATE, SUM, FIRST, EXPERT, *(kind(0.9) for kind in (critic_alone, one_step, discounted, bootstrap))]
-    titles = [signal_title(name, signals()) for name in names]
-    assert len(set(titles)) == len(names)
-    assert not set(titles) & set(names)
+    for title, named in ((signal_title, names), (promise_title, [name for name in names if name != GATE])):
+        titles = [title(name, signals()) for name in named]
+        assert len(set(titles)) == len(named)
+        assert not set(titles) & set(named)
 
 
 def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:

@@ -124,6 +124,15 @@ class WASP:
         # whether the command needs it.
         fired = safety_gate(look.nominal, self.config, self.tau_c)
         rows = fired.nonzero().flatten()
+        if len(rows) and look.taken is not None and not self.config.safety_search:
+            # Without a search where the expert's takeover is safe.
+            safe = (look.taken.returns.cost[rows] <= self.tau_c).any(-1)
+            known, rows = rows[safe], rows[~safe]
+            if len(known):
+                part = look.rows(known)
+                assert part.taken is not None
+                best = probe(part.taken, part.baseline, self.config, self.tau_c).best
+                carry_out(known, self._winner(part.taken, best, part), GATE_SAFETY)
         if len(rows):
             made = self._plan(start.select(rows), look.rows(rows), generators, None)
             carry_out(rows, self._rechecked(made), GATE_SAFETY)
@@ -151,6 +160,11 @@ class WASP:
         """Return what the operator alone leads to (Eq. 9-10), [B] each, at the cost of a decision in which nothing else is imagined."""
         return self._look(self._situation(latent, a_h, operator), self.noise.next()).nominal
 
+    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
+        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
+        start, generators = self._situation(latent, a_h, operator), self.noise.next()
+        return self.imagination.nominal(start, self._draws(generators, start.operator, self.config.gate_rollouts)).cost
+
     def _situation(self, latent: Latent, a_h: Tensor, operator: Operator) -> Situation:
         imagined = imagined_operator(self.config.operator_model, operator, a_h, self.imagination.expert)
         return Situation(latent, a_h, imagined, torch.arange(len(a_h)))
@@ -176,11 +190,6 @@ class WASP:
         taken = Batch(realised[:, several:], share, Returns(*(values[:, several:] for values in returns)))
         nominal = Returns(*(values[:, :several].mean(1) for values in returns))
         return Look(nominal, taken, returns.reward[:, 0], draws)
-
-    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
-        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
-        start = self._situation(latent, a_h, operator)
-        return self.imagination.nominal(start, self._draws(self.noise.next(), start.operator, self.config.gate_rollouts)).cost
 
     def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
         """Keep the plans for the next decision, and those of Case II for some more."""

@@ -30,7 +30,7 @@ class Gain(NamedTuple):
 
 def resolved_tau_c(config: WASPConfig, thresholds: Mapping[str, float]) -> float:
     """Return tau_c in force: the configuration's, or a calibrated one where the configuration or the signal's unit asks for it."""
-    fixed = config.tau_c if isinstance(config.tau_c, float) else None
+    fixed = config.tau_c if isinstance(config.tau_c, float | int) else None
     # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
     if fixed is None or config.variant == "no-rollout":
         return thresholds.get("tau_c", TAU_C_FALLBACK if fixed is None else fixed)
@@ -91,17 +91,17 @@ class Signals(NamedTuple):
     cost_ahead: Tensor
     """[K] costly decisions that really followed within the window; NaN where the episode has fewer left"""
 
-    def tau_c(self, config: WASPConfig, given: float) -> float:
-        """Return the threshold of the safety gate; `given` where it is one with a guarantee, which other episodes decide.
+    def tau_c(self, config: WASPConfig, known: float) -> float:
+        """Return the threshold of the safety gate: `known` where episodes of the operators have given it.
 
         `calibrated` is a quantile of the signal over the decisions after which nothing cost. In the unit of `no-rollout` it is the one that
         lets through as many of the expert's decisions as that of the whole method.
         """
-        if isinstance(config.tau_c, Coverage):
-            return given
         single = config.variant == "no-rollout"
         whole = self.whole_cost if single else self.cost
         tau_c = config.tau_c
+        if isinstance(tau_c, Coverage):
+            return known
         if tau_c == "calibrated":
             free = whole[self.cost_ahead == 0]
             tau_c = quantile(free, config.tau_c_quantile) if len(free) else TAU_C_FALLBACK

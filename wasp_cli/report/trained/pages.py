@@ -40,6 +40,10 @@ ALARMS = (
     ("fires", "fires"), ("precision", "precision"), ("foreseen", "foreseen"), ("false alarms", "false_alarms"),
     ("onset foreseen", "onset_foreseen"), ("onset false alarms", "onset_false_alarms"),
 )  # fmt: skip
+PROMISES = (
+    ("Pearson", "pearson"), ("from", "pearson_low"), ("to", "pearson_high"), ("behind Eq. 8", "behind"), ("from", "behind_low"),
+    ("to", "behind_high"), ("rank", "rank"), ("from", "rank_low"), ("to", "rank_high"), ("predicted / real", "predicted_over_real"),
+)  # fmt: skip
 GATES = (*ALARMS, ("predicted / real", "predicted_over_real"))
 
 Document = Mapping[str, Any]
@@ -115,6 +119,7 @@ def open_loop_markdown(sets: Document) -> str:
         lines += [f"{_short(filtered['auprc'])} at a base rate of {_short(filtered['base'])}, predicted / base"]
         lines += [f"{_short(filtered['predicted_over_base'])}, image error {_short(filtered['image_error'])} against"]
         lines += [f"{_short(filtered['image_variance'])} of the mean image.", ""]
+        lines += _readout(table.get("readout"))
         sources = list(steps[0]["foreseen_by_source"]) if steps else []
         if len(sources) > 1:
             rows = [[str(row["k"]), *(_short(row["foreseen_by_source"][kind]) for kind in sources)] for row in steps]
@@ -133,6 +138,17 @@ def open_loop_markdown(sets: Document) -> str:
         "[0, 1].",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _readout(told: Document | None) -> list[str]:
+    """What the privileged vector has in the model: a row per place that it is read from. Older diagnostics have none."""
+    if not told:
+        return []
+    places = (("filtered latent", "filtered"), ("embedding of the image", "embedding"), (f"imagined, step {told['step']}", "imagined"))
+    groups = list(told["filtered"])
+    rows = [[title, *(_short(told[place][group]) for group in groups)] for title, place in places]
+    head = "What a ridge regression tells of the privileged vector, as R2 (fitted on the episodes that were learned from):"
+    return [head, "", *_table(["read from", *groups], rows), ""]
 
 
 # -- signals of the gate ----------------------------------------------------------------------------------------
@@ -156,6 +172,24 @@ def signal_title(name: str, document: Document) -> str:
     return words.get(kind, name)
 
 
+def promise_title(name: str, document: Document) -> str:
+    """Say in words what a signal of the return is."""
+    kind, _, gamma = name.partition("@")
+    horizon = document["horizon"]
+    words = {
+        "now": "r-hat now",
+        "sum": f"sum over {horizon}",
+        "first": f"sum over the first {min(document['first_steps'], horizon)}",
+        "expert": f"discounted sum over {horizon}, {document['gamma_r']:g}, the expert imagined instead",
+        "discounted": f"discounted sum over {horizon}, {gamma}",
+        "critic": f"V_r alone, {gamma}",
+        "step": f"one step and V_r, {gamma}",
+        "bootstrap": f"Eq. 8 with V_r, {gamma}",
+    }
+    title = words.get(kind, name)
+    return f"**{title}**" if name == document["task_gate"] else title
+
+
 def signals_markdown(document: Document) -> str:
     """Lay out a table per operator and one for all of them, the best signal first, and the gate at its threshold.
 
@@ -170,7 +204,7 @@ def signals_markdown(document: Document) -> str:
     if left_out:
         lines += [f"Left out, since their skill was not trained: {', '.join(left_out)}.", ""]
     for name, table in sets.items():
-        lines += [f"## {'All operators' if name == POOLED else name.capitalize()}", ""]
+        lines += [f"## {_who(name)}", ""]
         lines += [f"{table['decisions']} decisions of {table['episodes']} episodes, base rate {_three(table['base'])},"]
         lines += [f"{_three(table['onset_base'])} where the decision before did not cost.", ""]
         rows = [[signal_title(signal, document), *(_three(row[key]) for _, key in SIGNALS)] for signal, row in _ranked(table["signals"])]
@@ -184,15 +218,36 @@ def signals_markdown(document: Document) -> str:
     rival = pooled["rival"]
     lines += [f"At {_three(rival['threshold'])} the latter fires as often as the gate at tau_c. It then foresees"]
     lines += [f"{_three(rival['foreseen'])}, with {_three(rival['false_alarms'])} false alarms.", ""]
+    for name, table in sets.items():
+        lines += _promises(_who(name), table["returns"], document)
     lines += [
         "AUPRC: area under precision and recall; a guess has the base rate. From and to are a 95 % interval over resampled episodes.",
         "Recall is at 10 % false alarms. *Behind the gate*: by how much the AUPRC is below that of the gate's own signal, on the same",
         "resampled episodes; an interval above 0 says that the gate's own is better. *Onset*: only decisions before which there was no",
         "cost. *Fires*: share of the decisions at which the signal is above tau_c; *precision*: of these, how many a cost really",
         "followed; *foreseen*: share of the decisions before a cost at which it fires; *false alarms*: share of the others.",
-        f"*Predicted / real*: mean signal over the mean of the costs that followed within {document['window']}, discounted alike.",
+        f"*Predicted / real*: mean signal over the mean of the costs that followed within {document['window']}, discounted alike; of the",
+        "return, over the mean of what was earned, discounted by gamma_r. *Behind Eq. 8*: by how much the Pearson correlation is below",
+        "that of Eq. 8 with V_r, on the same resampled episodes.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _who(name: str) -> str:
+    return "All operators" if name == POOLED else name.capitalize()
+
+
+def _promises(who: str, returns: Document, document: Document) -> list[str]:
+    """Lay out how well every signal of the return foresees what was earned: a table for the window and one for the rest of the episode."""
+    lines = []
+    spans = {"window": f"the next {document['window']} decisions", "rest": "the rest of the episode"}
+    for span, title in spans.items():
+        table = returns[span]
+        lines += [f"## {who}: the return of {title}", "", f"{table['decisions']} decisions, mean {_three(table['real_mean'])}.", ""]
+        best = sorted(table["signals"].items(), key=lambda item: math.inf if item[1]["pearson"] is None else -item[1]["pearson"])
+        rows = [[promise_title(name, document), *(_three(row[key]) for _, key in PROMISES)] for name, row in best]
+        lines += [*_table(["signal", *(head for head, _ in PROMISES)], rows), ""]
+    return lines
 
 
 def _ranked(signals: Document) -> list[tuple[str, Document]]:

@@ -24,7 +24,9 @@ COLUMNS = (
     ("policies", Column("cost", "Latent cost", digits=1)),
     ("policies", Column("privileged_cost", "privileged", digits=1, spread=False, optional=True)),
     ("critics", Column("rank_r", "rank V_r")),
+    ("critics", Column("predicted_over_real_r", "V_r / real", optional=True)),
     ("critics", Column("rank_c", "rank V_c")),
+    ("critics", Column("predicted_over_real_c", "V_c / real", optional=True)),
     ("gate_signals", Column("auprc", "Gate AUPRC", optional=True)),
     ("gate_signals", Column("auprc_bootstrap", "with V_c", optional=True)),
 )
@@ -130,7 +132,8 @@ def _stages(training: Training, notes: tuple[str, ...]) -> Table:
         rows.append(Row((task_title(task), str(number) + _share(training, own)), tuple(values[i] for values in shown)))
     meanings: tuple[str, ...] = (
         "The latent expert drives by the world model's filter; beside it the privileged one that it was distilled from. rank: correlation "
-        "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off.",
+        "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off; / real: the "
+        "mean of the critic over that of these sums.",
     )
     if any(column.key.startswith("gate_signals.") for column in columns):
         meanings += ("Gate AUPRC: of the safety gate's signal for a cost ahead, under several operators; with V_c: of Eq. 8 as written.",)
