@@ -96,7 +96,7 @@ class WASPConfig(Config):
     gate_rollouts: int = deviates(
         8, "rollouts of the commands alone and of every second scoring; the paper has one M (recipe `paper`: `rollouts`)", ge=1
     )
-    takeover_rollouts: int = assumed(4, "rollouts of each takeover: the first of `gate_rollouts`, or all where it is no divisor", ge=1)
+    takeover_rollouts: int = assumed(2, "rollouts of each takeover: the first of `gate_rollouts`, or all where it is no divisor", ge=1)
     probe_with: Literal["takeovers", "random", "both"] = deviates(
         "takeovers", "what the task gate asks about: the expert's takeovers instead of N_probe random sequences, which the paper samples"
     )

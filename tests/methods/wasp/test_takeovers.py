@@ -164,7 +164,7 @@ def test_a_calibrated_tau_r_is_the_floor_since_the_expert_gains_nothing() -> Non
 
 
 def test_one_batch_serves_both_gates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A quiet decision is one series of rollouts: 8 of the operator alone and 4 of each takeover."""
+    """A quiet decision is one series of rollouts: 8 of the operator alone and 2 of each takeover."""
     rows: list[int] = []
     original = Corridor.imagine
 
@@ -174,7 +174,7 @@ def test_one_batch_serves_both_gates(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Corridor, "imagine", counted)
     assisted(Operator(expert, 1, EpisodeNoise([0]), 1), 0.2, float(expert(torch.tensor([[0.2]]))))
-    assert rows == [8 + 4 * 2 * L] * H
+    assert rows == [8 + 2 * 2 * L] * H
 
 
 def test_the_operator_alone_meets_all_draws_of_the_gate() -> None:
@@ -187,7 +187,7 @@ def test_the_operator_alone_meets_all_draws_of_the_gate() -> None:
     nominal = model.nominal(start, draws)
     torch.testing.assert_close(look.nominal.reward, nominal.reward)
     torch.testing.assert_close(look.nominal.cost, nominal.cost)
-    torch.testing.assert_close(look.baseline, model.nominal(start, draws.first(4)).reward)
+    torch.testing.assert_close(look.baseline, model.nominal(start, draws.first(2)).reward)
 
 
 @pytest.mark.parametrize(("kind", "wanted"), [("rule", [-0.6, -0.6]), ("expert", [0.7, 0.6]), ("hold", [-0.6, -0.6])])
