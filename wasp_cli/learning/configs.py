@@ -5,7 +5,8 @@ Defaults are the `cpu` preset; the other presets override them (`spec.presets`).
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -76,6 +77,12 @@ class MixtureConfig(Config):
     biased: float = assumed(0.06, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
     scaled: float = assumed(0.02, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
     random: float = assumed(0.03, "uniform random commands", ge=0.0, le=1.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _unnamed_shares_are_none(cls, data: Any) -> Any:
+        # Where some are named, they are the whole: a mixture that was recorded before a behaviour existed has none of it.
+        return {**dict.fromkeys(cls.model_fields, 0.0), **data} if isinstance(data, Mapping) and data else data
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> MixtureConfig:

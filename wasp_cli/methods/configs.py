@@ -63,7 +63,8 @@ AS_PRINTED: WASPVariant = "as-printed"
 PAPER_RECIPE: Mapping[str, Any] = {
     "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,
     "operator_model": "rule", "tau_c": "calibrated", "witness": "sum", "probe_with": "random", "probe_first": False, "task_search": True,
-    "rescore": False, "takeover_shares": (), "braking": False, "forced": False, "warm_start": False, "case2_memory": 0, "finalists": 0,
+    "safety_search": True, "rescore": False, "takeover_shares": (), "braking": False, "forced": False, "warm_start": False,
+    "case2_memory": 0, "finalists": 0,
     "recheck": False, "best_of": "all", "effort": "sampled", "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
 }  # fmt: skip
 """Section 4 to the letter. What it leaves open stays as it is: sizes, alpha, quantiles; M is one number."""
@@ -95,7 +96,7 @@ class WASPConfig(Config):
     gate_rollouts: int = deviates(
         8, "rollouts of the commands alone and of every second scoring; the paper has one M (recipe `paper`: `rollouts`)", ge=1
     )
-    takeover_rollouts: int = assumed(4, "rollouts of each takeover: the first of `gate_rollouts`, or all where it is no divisor", ge=1)
+    takeover_rollouts: int = assumed(2, "rollouts of each takeover: the first of `gate_rollouts`, or all where it is no divisor", ge=1)
     probe_with: Literal["takeovers", "random", "both"] = deviates(
         "takeovers", "what the task gate asks about: the expert's takeovers instead of N_probe random sequences, which the paper samples"
     )
@@ -108,8 +109,11 @@ class WASPConfig(Config):
         True, "random sequences of a probe that fired are the first iteration of the search; the paper has the probe for gating only"
     )
     rescore: bool = deviates(True, "the probe's winner must gain tau_r on fresh rollouts too; the paper takes the gain as it was scored")
-    task_search: bool = deviates(
-        True, "where the task gate fired a residual plan is searched, as in the paper; without it the probe's winner is carried out"
+    task_search: bool = from_paper(
+        True, "section 4.3: where the task gate fired a residual plan is searched; without it the probe's winner is carried out"
+    )
+    safety_search: bool = from_paper(
+        True, "section 4.3: where the safety gate fired a plan is searched; without it only where no takeover is safe"
     )
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0

@@ -157,6 +157,15 @@ class WASP:
         fired = safety_gate(look.nominal, self.config, self.tau_c, look.foreseen, self.exceeded)
         self.exceeded = look.nominal.cost > self.tau_c
         rows = fired.nonzero().flatten()
+        if len(rows) and look.taken is not None and not self.config.safety_search:
+            # Without a search where the expert's takeover is safe.
+            safe = (look.taken.returns.cost[rows] <= self.tau_c).any(-1)
+            known, rows = rows[safe], rows[~safe]
+            if len(known):
+                part = look.rows(known)
+                assert part.taken is not None
+                best = probe(part.taken, part.baseline, self.config, self.tau_c).best
+                carry_out(known, self._winner(part.taken, best, part), GATE_SAFETY)
         if len(rows):
             made = self._plan(start.select(rows), look.rows(rows), generators, None)
             carry_out(rows, self._rechecked(made), GATE_SAFETY)
