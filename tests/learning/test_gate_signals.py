@@ -19,18 +19,32 @@ from tests.learning.recordings import recording
 from tests.learning.test_critics import Plain, still
 from tests.learning.test_rollouts import short_task
 from tests.worlds import Corridor, LinearCritics
+from wasp_cli.errors import WaspError
 from wasp_cli.learning import gate_signals
 from wasp_cli.learning.closed_loop import Loop
 from wasp_cli.learning.configs import CriticsConfig, GateSignalsConfig, ReturnsConfig
 from wasp_cli.learning.dataset import record
 from wasp_cli.learning.encoding import encode
-from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, SignalRecorder, bootstrap, critic_alone, discounted, one_step
+from wasp_cli.learning.gate_signals import (
+    EXPERT,
+    FIRST,
+    GATE,
+    NOW,
+    SUM,
+    SignalRecorder,
+    bootstrap,
+    critic_alone,
+    discounted,
+    look_ahead,
+    one_step,
+)
 from wasp_cli.learning.gate_signals_judge import SWEEP, SignalRows, judged, reliability_groups, signal_rows
 from wasp_cli.learning.latents import save_latents
 from wasp_cli.learning.shards import read_shards, write_shard
 from wasp_cli.methods.noise import DecisionNoise, gumbel
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
+from wasp_cli.models.lookahead import LookAhead
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator
@@ -313,6 +327,36 @@ def test_critics_at_other_discounts_are_trained_and_the_known_one_is_kept() -> N
 DECISIONS, WINDOW = 12, 3
 
 
+class Sums(LookAhead):
+    """Within k decisions a cost is as probable as k times the sum of the commands that it reads, with h."""
+
+    def __init__(self, commands: int) -> None:
+        super().__init__(1, 1, 1, commands, [1], 5)
+
+    def forward(self, features: Tensor, commands: Tensor) -> Tensor:
+        total: Tensor = features.sum(-1) + commands[:, : self.commands].sum((1, 2))
+        return total.unsqueeze(-1) * torch.arange(1, 6)
+
+
+def test_the_direct_look_ahead_hears_the_operator_s_own_commands_and_changes_no_other_signal() -> None:
+    config, returns = GateSignalsConfig(horizon=4, rollouts=3, first_steps=2), ReturnsConfig()
+    world = Ending(LOW, HIGH, jitter=0.05, dtype=torch.float64)
+    command, seen = torch.tensor([[0.2], [-0.9]], dtype=torch.float64), []
+    for head in (None, Sums(3)):
+        critics = {0.95: LinearCritics()}, {0.99: LinearCritics()}
+        recorder = SignalRecorder(world, *critics, steady(-0.3, 2), config, returns, head)
+        recorder.reset(ALL_ROWS, [5, 6])
+        latent = world.at(0.0, 0.3)
+        recorder.decide(latent, command, steady(0.4, 2))
+        seen.append(recorder.seen[0])
+    found = seen[1].pop(look_ahead(5))
+    assert found == pytest.approx(5 * (latent.features.sum(-1) + command[:, 0] + 0.4 + 0.4))
+    assert all(torch.equal(value, seen[1][name]) for name, value in seen[0].items())
+    assert set(seen[0]) == set(seen[1])  # a look ahead of five decisions is asked about no longer window
+    with pytest.raises(WaspError, match="reads 5 commands"):
+        SignalRecorder(world, *critics, steady(-0.3, 2), config, returns, Sums(5))
+
+
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folders = tiny_artifacts(tmp_path_factory.mktemp("artifacts"))
@@ -361,8 +405,9 @@ def test_the_stage_judges_every_operator_that_can_be_built(
     assert found["left_out"] == ["limited-skill 0.5"]
     names = {NOW, GATE, SUM, FIRST, EXPERT} | {kind(gamma) for kind in (critic_alone, one_step, bootstrap) for gamma in (0.95, 0.99)}
     names.add(discounted(0.99))
+    ahead = set(map(look_ahead, (5, 10, 15)))  # of the cost alone
     for name, table in found["sets"].items():
-        assert set(table["signals"]) == names
+        assert set(table["signals"]) == names | ahead
         assert table["decisions"] == 2 * (DECISIONS - WINDOW + 1) * (3 if name == "all" else 1)
         assert table["episodes"] == (6 if name == "all" else 2)
     unimpaired = found["sets"]["unimpaired"]["signals"]

@@ -63,12 +63,19 @@ MAY_HAVE = {
         f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values "
         "metrics metrics.ranking"
     ),
+    "lookahead": (
+        f"{WORLD} {LATENTS} models.ensemble models.lookahead learning.lookahead metrics metrics.ranking metrics.reliability stages.finite"
+    ),
     "gate_signals": (
         f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
-        "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine "
+        "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine methods.wasp.witness "
+        "models.ensemble models.lookahead "
         "metrics metrics.ranking metrics.windows stages.finite"
     ),
-    "rollouts": (f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} learning.contents learning.dataset learning.rollouts learning.shards"),
+    "rollouts": (
+        f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} models.clone models.ensemble models.lookahead "
+        "learning.contents learning.dataset learning.rollouts learning.shards"
+    ),
     "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
     "denoiser": (
@@ -77,6 +84,10 @@ MAY_HAVE = {
     ),
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
+    ),
+    "clone": (
+        f"{DRIVING} {OPERATORS_BY_NAME} models.clone learning.clone learning.sampling "
+        "methods.human methods.wasp methods.wasp.operator_model"
     ),
     "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
     "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
@@ -94,7 +105,7 @@ def closures() -> dict[str, frozenset[str]]:
     """By node kind, every module in the closure of one, over all tasks, methods, their variants, and operators."""
     document = {
         "name": "all", "preset": "smoke", "rounds": 2, "tasks": list(TASKS), "methods": list(METHODS), "seeds": [0],
-        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS},
+        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS}, "wasp": {"operator_model": "cloned"},
     }  # fmt: skip
     found: dict[str, frozenset[str]] = {}
     for node in lay_out(validate(document)).nodes:

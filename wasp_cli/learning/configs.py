@@ -63,19 +63,19 @@ class ExpertConfig(Config):
 class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
-    expert: float = assumed(0.16, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.08, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    expert: float = assumed(0.14, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    noisy: float = assumed(0.06, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
     laggy: float = assumed(0.10, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
-    delayed: float = assumed(0.08, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    delayed: float = assumed(0.10, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
     tardy: float = assumed(0.06, "the same with 2 to 6 decision steps and Gaussian noise 0.15 to 0.5", ge=0.0, le=1.0)
-    early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
-    between: float = assumed(0.05, "the mean of one of them and the expert", ge=0.0, le=1.0)
-    bursts: float = assumed(0.06, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(0.12, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
-    wandering: float = assumed(0.10, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
+    early: float = assumed(0.04, "the first two checkpoints", ge=0.0, le=1.0)
+    between: float = assumed(0.04, "the mean of one of them and the expert", ge=0.0, le=1.0)
+    bursts: float = assumed(0.05, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    careless: float = assumed(0.18, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    wandering: float = assumed(0.12, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
     biased: float = assumed(0.06, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
-    scaled: float = assumed(0.04, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
-    random: float = assumed(0.04, "uniform random commands", ge=0.0, le=1.0)
+    scaled: float = assumed(0.02, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
+    random: float = assumed(0.03, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> MixtureConfig:
@@ -265,6 +265,41 @@ class CriticsConfig(Config):
     q_slow: float = assumed(
         0.1, "share of the online Q that enters the target per update; a reward travels back one decision in 1 / q_slow", gt=0.0, le=1.0
     )
+
+
+class LookaheadConfig(Config):
+    """A direct look ahead: the probability of any cost within the next decisions, from the latent and the next commands."""
+
+    horizon: int = from_paper(15, "decisions ahead; H and W", ge=1)
+    commands: int = assumed(
+        5, "next commands that it reads; L. One, ten and fifteen ranked alike under imagined commands (Goal1, quick)", ge=1
+    )
+    members: int = assumed(3, "heads, one batched product; their mean is what counts", ge=1)
+    hidden: Layers = assumed((128, 128), "layers of a head")
+    dropout: float = assumed(0.3, "hidden units left out while learning: episodes are few, and learned by heart", ge=0.0, lt=1.0)
+    updates: int = assumed(1500, "gradient steps; more of them learn the episodes by heart", ge=1)
+    batch: int = assumed(256, "recorded rows per update", ge=1)
+    learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    samples: int = assumed(4, "imagined futures of the rolled-out sum that it is compared with", ge=1)
+
+    @model_validator(mode="after")
+    def _commands_fit(self) -> LookaheadConfig:
+        if self.commands > self.horizon:
+            raise ValueError(f"commands ({self.commands}) are more than the decisions of the horizon ({self.horizon})")
+        return self
+
+
+class CloneConfig(Config):
+    """A policy fitted to recorded commands of one operator, for planners that are not to know its rule."""
+
+    episodes: int = assumed(20, "Human-only episodes of the operator to learn from, on seeds of their own", ge=1)
+    heldout_episodes: int = assumed(8, "others that judge the clone", ge=1)
+    hidden: Layers = assumed((64,), "layers of the correction of the expert's command")
+    updates: int = assumed(1000, "gradient steps", ge=1)
+    batch: int = assumed(256, "commands per update", ge=1)
+    learning_rate: float = assumed(2e-3, "Adam; decays linearly", gt=0.0)
+    weight_decay: float = assumed(0.1, "AdamW: episodes are few", ge=0.0)
+    draws: int = assumed(256, "of the next command, by which every model of the operator is judged", ge=1)
 
 
 class GateSignalsConfig(Config):

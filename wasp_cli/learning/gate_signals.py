@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from wasp_cli.errors import WaspError
 from wasp_cli.learning.configs import GateSignalsConfig, ReturnsConfig
 from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
@@ -22,7 +23,9 @@ from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, uniform
 from wasp_cli.methods.wasp.imagine import Draws, Dynamics, Imagination, Situation
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
+from wasp_cli.methods.wasp.witness import foreseen
 from wasp_cli.models.base import Critics, Latent
+from wasp_cli.models.lookahead import LookAhead
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
@@ -30,6 +33,9 @@ from wasp_cli.seeds import derive
 
 NOW, GATE, SUM, FIRST, EXPERT = "now", "gate", "sum", "first", "expert"
 """Signals without a critic; `signals` says what each is. `GATE` is what the safety gate compares with tau_c."""
+
+WINDOWS = (5, 10, 15)
+"""Decisions within which the direct look ahead is asked, as far as it looks."""
 
 CriticsByDiscount = Mapping[float, Critics]
 """Critics by the discount of V_c, or of V_r."""
@@ -48,6 +54,11 @@ def one_step(gamma: float) -> str:
 def discounted(gamma: float) -> str:
     """Name the discounted sum over H steps."""
     return f"discounted@{gamma:g}"
+
+
+def look_ahead(window: int) -> str:
+    """Name the probability of any cost within a window by the direct look ahead."""
+    return f"head@{window}"
 
 
 def bootstrap(gamma: float) -> str:
@@ -84,6 +95,7 @@ class SignalRecorder:
         expert: Operator,
         config: GateSignalsConfig,
         returns: ReturnsConfig,
+        head: LookAhead | None = None,
     ) -> None:
         """Record B episodes.
 
@@ -94,7 +106,17 @@ class SignalRecorder:
             expert: unimpaired, of B rows; the nominal operator of one of the signals.
             config: horizon and rollouts.
             returns: lambda, and the gates' own discounts.
+            head: the direct look ahead, one more signal of the cost; None leaves it out.
+
+        Raises:
+            WaspError: it reads more commands than are imagined.
         """
+        if head is not None and head.commands > config.horizon:
+            raise WaspError(
+                f"the look ahead reads {head.commands} commands, of which gate_signals.horizon imagines {config.horizon}",
+                "lower lookahead.commands",
+            )
+        self.head = head
         self.model, self.cost_critics, self.return_critics = model, cost_critics, return_critics
         self.expert, self.config, self.returns = expert, config, returns
         self.latents = LatentRecorder()
@@ -122,7 +144,9 @@ class SignalRecorder:
         # The expert first: of the operator's own rollouts the arrived latents are kept.
         expert = self.gate.nominal(start._replace(operator=self.expert), draws).cost
         others = self.latents.arrived
-        own = self.gate.nominal(start, draws).cost
+        nothing = a_h.new_zeros(len(a_h), 1, 1, a_h.shape[-1])
+        rolled = self.gate.rolled(start, nothing, draws, alone=1, heard=0 if self.head is None else self.head.commands)
+        own = rolled.returns.cost.squeeze(1)
         arrived = self.latents.arrived
 
         gamma_r, gamma_c = self.returns.gamma_r, self.returns.gamma_c
@@ -130,6 +154,9 @@ class SignalRecorder:
         values_c = {gamma: critic.value_c for gamma, critic in self.cost_critics.items()}
         costs = self.signals(self.model.cost, values_c, latent, arrived, keep)
         del costs[discounted(gamma_c)]  # which is the gate's own
+        if self.head is not None and rolled.issued is not None:
+            ahead = foreseen(self.head, latent, rolled.issued.squeeze(1))
+            costs |= {look_ahead(window): ahead[:, window - 1] for window in WINDOWS if window <= self.head.horizon}
         self.seen.append({GATE: own, EXPERT: expert, **costs})
         values_r = {gamma: critic.value_r for gamma, critic in self.return_critics.items()}
         expert_return = self._mean(discounted_sum(self.model.reward(others), gamma_r, self.model.continues(others)))

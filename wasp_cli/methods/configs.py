@@ -62,7 +62,7 @@ AS_PRINTED: WASPVariant = "as-printed"
 
 PAPER_RECIPE: Mapping[str, Any] = {
     "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,
-    "operator_model": "rule", "tau_c": "calibrated", "probe_with": "random", "probe_first": False, "task_search": True,
+    "operator_model": "rule", "tau_c": "calibrated", "witness": "sum", "probe_with": "random", "probe_first": False, "task_search": True,
     "safety_search": True, "rescore": False, "takeover_shares": (), "braking": False, "forced": False, "warm_start": False,
     "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled", "elites_kept": 0.0, "shrink": 1.0,
     "momentum": 0.0,
@@ -149,6 +149,13 @@ class WASPConfig(Config):
     tau_c_quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
     )
+    witness: Literal["sum", "head", "both"] = deviates(
+        "sum",
+        "what must speak for a cost before the safety gate fires. `sum`: Eq. 9; `head`: the direct look ahead (stage `lookahead`); `both`: "
+        "the sum, and either the look ahead too or the sum of the decision before. The paper has the first alone",
+    )
+    tau_head: float = assumed(0.1, "witness head, both: probability of any cost above which the look ahead speaks for one", ge=0.0, lt=1.0)
+    head_window: int = assumed(5, "decisions within which; of 5, 10 and 15 the first needs the fewest alarms for the same recall", ge=1)
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the gain under the unimpaired expert; of takeovers it is 0")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
     tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
@@ -160,10 +167,10 @@ class WASPConfig(Config):
     continuation: bool = deviates(
         True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"
     )
-    operator_model: Literal["rule", "expert", "hold"] = from_paper(
+    operator_model: Literal["rule", "expert", "hold", "cloned"] = from_paper(
         "rule",
         "section 4.2: the very operator with its memory is imagined; `expert`: the unimpaired one in its place; "
-        "`hold`: the last command, held",
+        "`hold`: the last command, held; `cloned`: a policy fitted to recorded commands of that operator (stage `clone`)",
     )
     initial_std: float = assumed(0.5, "standard deviation of the first residual distribution", gt=0.0)
     std_floor: float = assumed(0.05, "keeps the distribution from collapsing", gt=0.0)

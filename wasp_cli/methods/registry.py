@@ -132,7 +132,12 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.wasp.assistant:wasp",
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
-            needs_with=(("tau_c", "coverage", "coverage"),),
+            needs_with=(
+                ("tau_c", "coverage", "coverage"),
+                ("witness", "head", "lookahead"),
+                ("witness", "both", "lookahead"),
+                ("operator_model", "cloned", "clone"),
+            ),
             calibrated=True,
             variants={
                 "full": "full",

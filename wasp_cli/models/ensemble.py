@@ -1,4 +1,4 @@
-"""An ensemble of Q functions evaluated as one batched product."""
+"""Ensembles of small networks, evaluated as one batched product."""
 
 from __future__ import annotations
 
@@ -11,25 +11,35 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 
-class QEnsemble(nn.Module):
-    """K members Q_k(h, z, a): features [B, F] and action [B, A] to [K, B]."""
+class Ensemble(nn.Module):
+    """K networks of the same shape, which see the same inputs and begin with weights of their own. Subclasses say what they read."""
 
-    def __init__(self, members: int, features: int, action: int, hidden: Sequence[int]) -> None:
+    def __init__(self, members: int, inputs: int, hidden: Sequence[int], size: int, dropout: float = 0.0) -> None:
         super().__init__()
-        sizes = [features + action, *hidden, 1]
         self.weights = nn.ParameterList()
         self.biases = nn.ParameterList()
-        for a, b in pairwise(sizes):
+        for a, b in pairwise([inputs, *hidden, size]):
             bound = 1 / math.sqrt(a)
             self.weights.append(nn.Parameter(torch.empty(members, a, b).uniform_(-bound, bound)))
             self.biases.append(nn.Parameter(torch.empty(members, 1, b).uniform_(-bound, bound)))
-        self.members = members
+        self.members, self.dropout = members, dropout
 
-    def forward(self, features: Tensor, action: Tensor) -> Tensor:
-        x = torch.cat([features, action], -1).expand(self.members, -1, -1)
+    def outputs(self, inputs: Tensor) -> Tensor:
+        """Map inputs [B, I] to the outputs [K, B, O] of all members; in training, hidden units drop out at random."""
+        x = inputs.expand(self.members, -1, -1)
         last = len(self.weights) - 1
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = torch.baddbmm(bias, x, weight)
             if i < last:
-                x = F.relu(x)
-        return x.squeeze(-1)
+                x = F.dropout(F.relu(x), self.dropout, self.training)
+        return x
+
+
+class QEnsemble(Ensemble):
+    """K members Q_k(h, z, a): features [B, F] and action [B, A] to [K, B]."""
+
+    def __init__(self, members: int, features: int, action: int, hidden: Sequence[int]) -> None:
+        super().__init__(members, features + action, hidden, 1)
+
+    def forward(self, features: Tensor, action: Tensor) -> Tensor:
+        return self.outputs(torch.cat([features, action], -1)).squeeze(-1)

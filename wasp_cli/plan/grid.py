@@ -153,6 +153,8 @@ class _Assisted:
     """of `config`"""
     sort: str
     """of the nodes"""
+    of_operator: tuple[str, ...]
+    """stages that each evaluation reads for its own operator"""
 
 
 class _Builder:
@@ -174,6 +176,7 @@ class _Builder:
         self.training = cache(self._training)
         self.rollouts = cache(self._rollouts)
         self.calibration = cache(self._calibration)
+        self.operator_stage = cache(self._operator_stage)
         self.assisted = cache(self._assisted)
         self.modules = cache(_modules)
 
@@ -189,8 +192,12 @@ class _Builder:
         axes |= _plugins({cell.method: METHODS[cell.method].target} | _operator_targets([cell.operator]))
         text = joined({**axes, "method_config": shared.text})
         roots = (*shared.roots, *_roots(_operator_targets([cell.operator])))
-        made = (text, shared.upstream, shared.sort)
-        return self._node("evaluate", cell.task, cell.seed, axes, shared.needs, roots, _cell_label(cell), made)
+        needs, upstream = shared.needs, shared.upstream
+        if shared.of_operator:
+            chain = self.spec.chain_seed(cell.seed)
+            needs = {**needs, **self._of_operator(shared.of_operator, cell.task, chain, self.spec.rounds, cell.operator, cell.value)}
+            upstream = self._upstream(needs)
+        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), (text, upstream, shared.sort))
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
         """Return the node that branches the interventions of an evaluated cell."""
@@ -203,20 +210,24 @@ class _Builder:
     def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
         info = METHODS[method]
         config = self.method_config(method, assistant)
-        needs = self._inputs("evaluate", task, chain, self.spec.rounds, _known(info.needs_of(config), f"the method '{method}'"))
+        further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
+        needs = self._inputs("evaluate", task, chain, self.spec.rounds, further)
         if info.calibrated:
             variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(task, chain, method, variant)
         axes = _round_axis(self.spec.rounds) | {"method": method, "method_config": config}
         sort = sort_of("evaluate", task, self.config("evaluate"), axes)
-        return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort)
+        return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort, of_operator)
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
         number = self.spec.rounds
         config = self.method_config(method, variant)
         axes = _round_axis(number) | {"method": method, "method_config": config} | _plugins({method: info.target})
-        needs = self._inputs("calibration", task, seed, number, _known(info.needs_of(config), f"the method '{method}'"))
+        further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
+        needs = self._inputs("calibration", task, seed, number, further)
+        # The held-out episodes are the unimpaired operator's.
+        needs |= self._of_operator(of_operator, task, seed, number, UNIMPAIRED, None)
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
         return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), _in_round(f"calibration {name}", number))
 
@@ -232,11 +243,24 @@ class _Builder:
 
     def _rollouts(self, task: str, seed: int, number: int) -> Node:
         operators = self._operators(ROLLOUTS)
-        axes = _round_axis(number) | {"method": ASSISTANT, "method_config": self.method_config(ASSISTANT, CALIBRATED_VARIANT)}
+        config = self.method_config(ASSISTANT, CALIBRATED_VARIANT)
+        axes = _round_axis(number) | {"method": ASSISTANT, "method_config": config}
         axes |= _plugins(operators)
-        needs = self._inputs(ROLLOUTS, task, seed, number - 1)
+        further, of_operator = _split(METHODS[ASSISTANT].needs_of(config))
+        needs = self._inputs(ROLLOUTS, task, seed, number - 1, further)
+        # Each episode has another operator: where the rule is not to be known, all of them are taken for the unimpaired one.
+        needs |= self._of_operator(of_operator, task, seed, number - 1, UNIMPAIRED, None)
         roots = (module_of(METHODS[ASSISTANT].target), *_roots(operators))
         return self._node(ROLLOUTS, task, seed, axes, needs, roots, _in_round(ROLLOUTS, number))
+
+    def _of_operator(self, kinds: Iterable[str], task: str, seed: int, number: int, operator: str, value: float | None) -> dict[str, Node]:
+        return {kind: self.operator_stage(kind, task, seed, number, operator, value) for kind in kinds}
+
+    def _operator_stage(self, kind: str, task: str, seed: int, number: int, operator: str, value: float | None) -> Node:
+        targets = _operator_targets([operator])
+        axes = _round_axis(number) | {"variant": operator, "value": value} | _plugins(targets)
+        label = f"{kind} {_driver(operator, value)}"
+        return self._node(kind, task, seed, axes, self._inputs(kind, task, seed, number), _roots(targets), _in_round(label, number))
 
     def _inputs(self, kind: str, task: str, seed: int, number: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
         needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))
@@ -317,8 +341,11 @@ def _roots(targets: Mapping[str, str]) -> tuple[str, ...]:
 def _cell_label(cell: Cell) -> str:
     """Who assists whom: `wasp/no-case2 laggy=0.7`."""
     assistant = "" if cell.assistant == CALIBRATED_VARIANT else f"/{cell.assistant}"
-    operator = "unimpaired" if cell.value is None else f"{cell.operator}={cell.value:g}"
-    return f"{cell.method}{assistant} {operator}"
+    return f"{cell.method}{assistant} {_driver(cell.operator, cell.value)}"
+
+
+def _driver(operator: str, value: float | None) -> str:
+    return "unimpaired" if value is None else f"{operator}={value:g}"
 
 
 def round_of(node: Node) -> int:
@@ -340,6 +367,11 @@ def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:
         if name not in STAGES:
             raise UnknownName("stage", name, STAGES, f"{whose} needs an unknown stage '{name}'")
     return needs
+
+
+def _split(needs: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The stages of the training chain, and those that there are for each operator."""
+    return tuple(n for n in needs if STAGES[n].unit != "operator"), tuple(n for n in needs if STAGES[n].unit == "operator")
 
 
 @cache

@@ -24,7 +24,7 @@ class GateSignalsStage:
     kind = "gate_signals"
     config = GateSignalsConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "critics")
+    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "critics", "lookahead")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train critics at the other discounts, let every operator drive, and judge what was signalled."""
@@ -34,6 +34,7 @@ class GateSignalsStage:
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.critics import LatentCritics
+        from wasp_cli.models.lookahead import LookAhead
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import load_module
         from wasp_cli.models.world_model import load_world_model
@@ -46,6 +47,7 @@ class GateSignalsStage:
         returns = job.settings["returns"]
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
         trained = load_module(LatentCritics, job.inputs["critics"] / "critics.safetensors")
+        head = load_module(LookAhead, job.inputs["lookahead"] / "lookahead.safetensors")
         recording = read_shards(job.inputs["dataset"], ["action", "reward", "cost", "terminal", "first", "episode"])
         costs, promises, curves = critics_by_discount(
             model, skills, recording, load_latents(job.inputs["latents"]), trained, config, returns, (job.task, job.seed),
@@ -71,7 +73,7 @@ class GateSignalsStage:
             )
             operator = build_operator(variant, value, context, EpisodeNoise(mistakes), batch)
             expert = Operator.build(1.0, context, EpisodeNoise(mistakes), batch)
-            recorder = SignalRecorder(model, costs, promises, expert, config, returns)
+            recorder = SignalRecorder(model, costs, promises, expert, config, returns, head)
             loop = run_episodes(task, model, operator, recorder, layouts, draws, progress=during)
             parts[name] = signal_rows(loop, recorder.seen, recorder.promised, config.window, returns, number * batch)
         rival, task_gate = bootstrap(returns.gamma_c), bootstrap(returns.gamma_r)

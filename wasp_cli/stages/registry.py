@@ -12,8 +12,9 @@ from typing import Any, Literal
 
 from wasp_cli.registry import Registry
 
-Unit = Literal["chain", "round", "method", "cell"]
-"""What one node of a stage belongs to: a training chain (task and seed), a further round of data, a method, or a cell of the grid."""
+Unit = Literal["chain", "round", "method", "operator", "cell"]
+"""What one node of a stage belongs to: a training chain (task and seed), a further round of data, a method, an operator at one severity, or
+a cell of the grid."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class StageInfo:
     """Import string of its class (light to import: heavy imports are inside `run`)."""
     unit: Unit = "chain"
     """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others are those of this package:
-    `round` begins each further round, `method` runs because a method is listed, `cell` for every cell whose method may intervene."""
+    `round` begins each further round, `method` runs because a method is listed, `operator` for every operator whose method needs it, `cell`
+    for every cell whose method may intervene."""
     every_round: bool = True
     """Whether each round of data trains it again."""
     by_default: bool = False
@@ -59,6 +61,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
+        StageInfo("lookahead", "wasp_cli.stages.lookahead:LookaheadStage", weight=6),
         StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage", skips_missing_skills=True, weight=0),
         StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage", "round", weight=12),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
@@ -66,6 +69,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
+        StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "operator", weight=4),
         StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3),
         StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage", "method", weight=1),
         StageInfo("counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2),

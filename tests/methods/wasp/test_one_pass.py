@@ -38,7 +38,7 @@ def test_values_decide_nothing_about_the_course_of_a_search() -> None:
 
 
 def _taken(imagination: Imagination, start: Situation, share: torch.Tensor, draws: Draws) -> Any:
-    returns, realised = imagination.rolled(start, torch.zeros(*share.shape[:3], A), draws, share)
+    returns, realised, _ = imagination.rolled(start, torch.zeros(*share.shape[:3], A), draws, share)
     return realised, share, returns
 
 

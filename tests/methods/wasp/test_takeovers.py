@@ -66,7 +66,7 @@ def test_a_takeover_answers_in_every_rollout_what_the_operator_does_there(share:
     start = Situation(model.model.at(0.2), torch.tensor([[-0.6]], dtype=torch.float64), operator, torch.arange(1))  # type: ignore[attr-defined]
     part = torch.zeros(1, 1, L, 2, dtype=torch.float64)
     part[0, 0, :length] = torch.tensor(share)
-    returns, residuals = model.rolled(start, torch.full((1, 1, L, 1), 9.0, dtype=torch.float64) * (part[..., :1] * 0), draws, part)
+    returns, residuals, _ = model.rolled(start, torch.full((1, 1, L, 1), 9.0, dtype=torch.float64) * (part[..., :1] * 0), draws, part)
     effort, first, rewards = 0.0, [], 0.0
     for m in range(M):
         x, last, path, values = 0.2, -0.6, [], []

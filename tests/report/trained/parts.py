@@ -14,6 +14,7 @@ from wasp_cli.learning.critic_quality import Pairs, write_pairs
 from wasp_cli.learning.image_samples import Sample, write_samples
 from wasp_cli.learning.shards import write_shard
 from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.pages import LOOKAHEAD as COLUMNS
 from wasp_cli.store.layout import Layout
 
 HORIZON = 6
@@ -25,6 +26,10 @@ BINS = [
 CURVE = [{"interactions": 100.0 * i, "return": None if i == 1 else i, "cost_per_1000": 40 - i, "multiplier": 0.1 * i} for i in range(5)]
 QUALITY = {
     kind: {"0": {"conformity": 0.5, "fidelity": 0.0}, "0.4": {"conformity": 0.25, "fidelity": 0.3}} for kind in ("expert", "recorded")
+}
+LOOKAHEAD = {
+    window: {**dict.fromkeys((key for _, key in COLUMNS), 0.5), "auprc": 0.625, "sum_auprc": None, "reliability": BINS}
+    for window in ("5", "10")
 }
 
 
@@ -111,7 +116,7 @@ def artifact(layout: Layout, kind: str, number: int = 1, seed: int = 0) -> Train
     folder.mkdir(parents=True)
     documents: dict[str, dict[str, Any]] = {
         "expert": {"curve.json": CURVE}, "residual": {"curve.json": CURVE}, "diagnostics": {"diagnostics.json": diagnosed()},
-        "denoiser": {"quality.json": QUALITY}, "gate_signals": {"signals.json": signals()},
+        "denoiser": {"quality.json": QUALITY}, "lookahead": {"quality.json": LOOKAHEAD}, "gate_signals": {"signals.json": signals()},
     }  # fmt: skip
     for name, document in documents.get(kind, {}).items():
         (folder / name).write_text(json.dumps(document), encoding="utf-8")

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from tests.learning.recordings import SOURCES, recording
-from tests.report.trained.parts import QUALITY, artifact, diagnosed, signals
+from tests.report.trained.parts import LOOKAHEAD, QUALITY, artifact, diagnosed, signals
 from wasp_cli.learning.contents import contents
-from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, bootstrap, critic_alone, discounted, one_step
+from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, bootstrap, critic_alone, discounted, look_ahead, one_step
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.figures import STEPS
 from wasp_cli.report.trained.pages import (
     contents_markdown,
     dataset_warnings,
+    lookahead_markdown,
     open_loop_markdown,
     promise_title,
     quality_markdown,
@@ -105,11 +106,19 @@ def test_the_page_of_signals_ranks_those_of_the_return_for_each_operator_and_spa
 
 
 def test_every_signal_has_a_title() -> None:
-    names = [NOW, GATE, SUM, FIRST, EXPERT, *(kind(0.9) for kind in (critic_alone, one_step, discounted, bootstrap))]
-    for title, named in ((signal_title, names), (promise_title, [name for name in names if name != GATE])):
+    names = [NOW, GATE, SUM, FIRST, EXPERT, *(kind(0.9) for kind in (critic_alone, one_step, discounted, bootstrap)), look_ahead(5)]
+    for title, named in ((signal_title, names), (promise_title, [name for name in names if name not in (GATE, look_ahead(5))])):
         titles = [title(name, signals()) for name in named]
         assert len(set(titles)) == len(named)
         assert not set(titles) & set(named)
+
+
+def test_a_look_ahead_has_a_row_for_each_window_and_bins_that_are_not_empty() -> None:
+    page = lookahead_markdown(LOOKAHEAD)
+    rows = [line for line in page.splitlines() if line.startswith(("| 5 |", "| 10 |"))]
+    assert [row.split("|")[3].strip() for row in rows] == ["0.625", "0.625"]
+    assert [row.split("|")[6].strip() for row in rows] == ["-", "-"]
+    assert page.endswith("| 0.050 | 0.000 | 90 |\n| 0.900 | 1.000 | 3 |\n")
 
 
 def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:

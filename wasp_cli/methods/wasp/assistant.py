@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
+from wasp_cli.errors import WaspError
 from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, normal, uniform
@@ -18,13 +19,15 @@ from wasp_cli.methods.record import Planned, blank_record
 from wasp_cli.methods.wasp.candidates import Batch, none_taken, propose, takeovers
 from wasp_cli.methods.wasp.gates import Gain, Signals, probe, resolved_tau_c, resolved_tau_r, safety_gate, scored_again
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.operator_model import imagined_operator
+from wasp_cli.methods.wasp.operator_model import imagined_operator, load_clone
 from wasp_cli.methods.wasp.planner import Plan, plan_residuals
+from wasp_cli.methods.wasp.witness import Witness, load_witness
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
+from wasp_cli.operators.cloned import ClonedOperator
 
 CHUNK = 64
 """Held-out decisions that are looked at together."""
@@ -33,7 +36,9 @@ CHUNK = 64
 def effective(config: WASPConfig) -> WASPConfig:
     """Return the configuration that a variant stands for: `no-rollout` is a single imagined step with both critics."""
     if config.variant == "no-rollout":
-        return config.model_copy(update={"horizon": 1, "residual_steps": 1, "bootstrap_cost": True, "bootstrap_reward": True})
+        return config.model_copy(
+            update={"horizon": 1, "residual_steps": 1, "bootstrap_cost": True, "bootstrap_reward": True, "witness": "sum"}
+        )
     return config
 
 
@@ -41,8 +46,15 @@ def wasp(config: Config, parts: Parts) -> WASP:
     """Build WASP over the trained world model and critics."""
     critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors")
     whole = cast(WASPConfig, config)
-    constants = effective(whole), parts.gamma_r, parts.gamma_c, parts.lam
-    return WASP(whole, Imagination(parts.world_model, critics, *constants, expert=parts.skills.expert), parts.thresholds)
+    config = effective(whole)
+    imagination = Imagination(
+        parts.world_model, critics, config, parts.gamma_r, parts.gamma_c, parts.lam, expert=parts.skills.expert
+    )  # fmt: skip
+    witness = None if config.witness == "sum" else load_witness(config, parts.inputs["lookahead"])
+    clone = None
+    if config.operator_model == "cloned":
+        clone = load_clone(parts.inputs["clone"], parts.skills.expert, parts.world_model.action_size)
+    return WASP(whole, imagination, parts.thresholds, witness, clone)
 
 
 class Look(NamedTuple):
@@ -56,18 +68,35 @@ class Look(NamedTuple):
     """[B] return of the operator alone on the rollouts of the takeovers"""
     draws: Draws
     """of these rollouts"""
+    foreseen: Tensor | None
+    """[B] probability of a cost by the second witness; None where it is not asked"""
 
     def rows(self, index: Tensor) -> Look:
         """Select some of the decisions (indices [R])."""
         taken = None if self.taken is None else self.taken.rows(index)
-        return Look(Returns(*(values[index] for values in self.nominal)), taken, self.baseline[index], self.draws.rows(index))
+        return Look(Returns(*(values[index] for values in self.nominal)), taken, self.baseline[index], self.draws.rows(index), None)
 
 
 class WASP:
     """The assistant. Decisions of a batch are independent; each draws from its own episode's stream."""
 
-    def __init__(self, config: WASPConfig, imagination: Imagination, thresholds: Mapping[str, float]) -> None:
-        """WASP over any world model; `imagination` has the effective configuration of the variant."""
+    def __init__(
+        self,
+        config: WASPConfig,
+        imagination: Imagination,
+        thresholds: Mapping[str, float],
+        witness: Witness | None = None,
+        clone: ClonedOperator | None = None,
+    ) -> None:
+        """WASP over any world model; `imagination` has the effective configuration of the variant.
+
+        Raises:
+            WaspError: the safety gate asks for a second witness, and there is none.
+        """
+        if imagination.config.witness != "sum" and witness is None:
+            raise WaspError(f"wasp.witness is '{imagination.config.witness}', but there is no look ahead here", "set wasp.witness=sum")
+        self.clone = clone
+        self.witness = witness if imagination.config.witness != "sum" else None
         self.whole, self.config, self.imagination = config, imagination.config, imagination
         self.tau_c, self.tau_r = resolved_tau_c(self.config, thresholds), resolved_tau_r(self.config, thresholds)
         self.noise = DecisionNoise()
@@ -75,6 +104,7 @@ class WASP:
         self.warm = torch.zeros(0, dtype=torch.bool)  # [B] it intervened
         self.kept = torch.zeros(0)  # [B, L, A] what Case II chose last, shifted to now
         self.kept_for = torch.zeros(0, dtype=torch.long)  # [B] decisions for which it stays a candidate
+        self.exceeded = torch.zeros(0, dtype=torch.bool)  # [B] the nominal cost return exceeded tau_c at the last decision
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
@@ -82,10 +112,12 @@ class WASP:
         if self.plan.shape != size:
             self.plan, self.warm = torch.zeros(size), torch.zeros(len(rows), dtype=torch.bool)
             self.kept, self.kept_for = torch.zeros(size), torch.zeros(len(rows), dtype=torch.long)
+            self.exceeded = torch.zeros(len(rows), dtype=torch.bool)
         # A plan never crosses the boundary of an episode.
         self.plan = torch.where(rows.view(-1, 1, 1), 0.0, self.plan)
         self.kept = torch.where(rows.view(-1, 1, 1), 0.0, self.kept)
         self.warm, self.kept_for = self.warm & ~rows, torch.where(rows, 0, self.kept_for)
+        self.exceeded = self.exceeded & ~rows
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         """Ask both gates, and plan a correction for the decisions where one fired.
@@ -122,7 +154,8 @@ class WASP:
 
         # Safety gate: fires where the nominal cost return exceeds tau_c (Eq. 9). Search a residual plan (Eq. 13-17), and look again
         # whether the command needs it.
-        fired = safety_gate(look.nominal, self.config, self.tau_c)
+        fired = safety_gate(look.nominal, self.config, self.tau_c, look.foreseen, self.exceeded)
+        self.exceeded = look.nominal.cost > self.tau_c
         rows = fired.nonzero().flatten()
         if len(rows) and look.taken is not None and not self.config.safety_search:
             # Without a search where the expert's takeover is safe.
@@ -166,7 +199,7 @@ class WASP:
         return self.imagination.nominal(start, self._draws(generators, start.operator, self.config.gate_rollouts)).cost
 
     def _situation(self, latent: Latent, a_h: Tensor, operator: Operator) -> Situation:
-        imagined = imagined_operator(self.config.operator_model, operator, a_h, self.imagination.expert)
+        imagined = imagined_operator(self.config.operator_model, operator, a_h, self.imagination.expert, self.clone)
         return Situation(latent, a_h, imagined, torch.arange(len(a_h)))
 
     def _look(self, start: Situation, generators: Sequence[np.random.Generator]) -> Look:
@@ -175,9 +208,12 @@ class WASP:
     def _seen(self, start: Situation, draws: Draws) -> Look:
         batch, actions = start.a_h.shape
         share = takeovers(self.config, batch)
+        heard = 0 if self.witness is None else self.witness.commands
         if not share.shape[1]:
-            nominal = self.imagination.nominal(start, draws)
-            return Look(nominal, None, nominal.reward, draws)
+            nothing = start.a_h.new_zeros(batch, 1, self.config.residual_steps, actions)
+            rolled = self.imagination.rolled(start, nothing, draws, alone=1, heard=heard)
+            nominal = Returns(*(values.squeeze(1) for values in rolled.returns))
+            return Look(nominal, None, nominal.reward, draws, self._foreseen(start, rolled.issued, 1))
         # One batch: the operator alone several times, so that together it meets all draws, then the takeovers, which meet the first.
         each, every = self.config.takeover_rollouts, self.config.gate_rollouts
         each = every if every % each else each
@@ -186,10 +222,17 @@ class WASP:
         residuals = alone[:, :1].expand(-1, several + share.shape[1], -1, -1)
         index = torch.cat([torch.arange(several * each).view(several, each), torch.arange(each).expand(share.shape[1], -1)])
         shares = torch.cat([none_taken(alone), share], 1)
-        returns, realised = self.imagination.rolled(start, residuals, draws, shares, alone=several, index=index)
+        rolled = self.imagination.rolled(start, residuals, draws, shares, alone=several, index=index, heard=heard)
+        returns, realised, issued = rolled
         taken = Batch(realised[:, several:], share, Returns(*(values[:, several:] for values in returns)))
         nominal = Returns(*(values[:, :several].mean(1) for values in returns))
-        return Look(nominal, taken, returns.reward[:, 0], draws)
+        return Look(nominal, taken, returns.reward[:, 0], draws, self._foreseen(start, issued, several))
+
+    def _foreseen(self, start: Situation, issued: Tensor | None, alone: int) -> Tensor | None:
+        """Ask the second witness about the commands [B, N, M, K, A] of the first candidates, the operator alone."""
+        if self.witness is None or issued is None:
+            return None
+        return self.witness.foreseen(start.latent, issued[:, :alone].flatten(1, 2))
 
     def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
         """Keep the plans for the next decision, and those of Case II for some more."""

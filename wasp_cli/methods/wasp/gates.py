@@ -42,9 +42,22 @@ def resolved_tau_r(config: WASPConfig, thresholds: Mapping[str, float]) -> float
     return thresholds.get("tau_r", TAU_R_FALLBACK) if config.tau_r == "calibrated" else float(config.tau_r)
 
 
-def safety_gate(nominal: Returns, config: WASPConfig, tau_c: float) -> Tensor:
-    """Return where to intervene [B]: the nominal cost return exceeds tau_c (Eq. 9); nowhere in the variant without this gate."""
+def safety_gate(nominal: Returns, config: WASPConfig, tau_c: float, foreseen: Tensor | None = None, before: Tensor | None = None) -> Tensor:
+    """Return where to intervene [B]: the nominal cost return exceeds tau_c (Eq. 9); nowhere in the variant without this gate.
+
+    Args:
+        nominal: of the operator alone [B].
+        config: of the variant; it says who else is asked.
+        tau_c: bound of the cost return.
+        foreseen: [B] probability of a cost by the direct look ahead, where the configuration asks for it.
+        before: [B] the nominal cost return exceeded tau_c at the decision before too: then it needs no second witness.
+    """
     fired = nominal.cost > tau_c
+    if config.witness != "sum":
+        assert foreseen is not None
+        assert before is not None
+        seen = foreseen > config.tau_head
+        fired = seen if config.witness == "head" else fired & (seen | before)
     return torch.zeros_like(fired) if config.variant == "task-only" else fired
 
 

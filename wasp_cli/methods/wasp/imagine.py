@@ -106,6 +106,16 @@ class Returns(NamedTuple):
     """sum_k ||delta_k||^2, after clipping unless `effort` says otherwise [B, N] (Eq. 11, 16, 17)"""
 
 
+class Rolled(NamedTuple):
+    """What became of N candidates in M rollouts of B decisions."""
+
+    returns: Returns
+    residuals: Tensor
+    """[B, N, L, A] as they came about, a mean over the rollouts"""
+    issued: Tensor | None
+    """[B, N, M, K, A] the operator's first K commands; None where nobody asked for them"""
+
+
 @dataclass(frozen=True)
 class Imagination:
     """The frozen models and constants of every imagined return."""
@@ -131,16 +141,25 @@ class Imagination:
             alone: so many of the first candidates are the operator alone, whatever their residuals. For the others zero residuals are a
                 held command where `composition` is `hold`.
         """
-        return self.rolled(start, residuals, draws, share, alone=alone)[0]
+        return self.rolled(start, residuals, draws, share, alone=alone).returns
 
     def rolled(
-        self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0, index: Tensor | None = None
-    ) -> tuple[Returns, Tensor]:
-        """Return what `returns` does, and the residuals [B, N, L, A] of every candidate as they came about, a mean over the M rollouts.
+        self,
+        start: Situation,
+        residuals: Tensor,
+        draws: Draws,
+        share: Tensor | None = None,
+        *,
+        alone: int = 0,
+        index: Tensor | None = None,
+        heard: int = 0,
+    ) -> Rolled:
+        """Return what `returns` does, with what became of residuals and commands on the way.
 
         Args:
             start, residuals, draws, share, alone: as in `returns`.
             index: which of the draws' rollouts each candidate meets, [N, M]; None: every candidate meets all of them.
+            heard: so many commands of the operator are kept.
         """
         batch, candidates, steps, actions = residuals.shape
         horizon = draws.latent.shape[1]
@@ -157,9 +176,12 @@ class Imagination:
         now = start.a_h.repeat_interleave(copies, 0)  # [R, A]
         effort = delta.new_zeros(len(delta))
         found: list[Tensor] = []
+        issued: list[Tensor] = []
         seen: list[Arrived] = []
         for k in range(horizon):
             command = now if k == 0 else operator.command(latent.features)
+            if k < heard:
+                issued.append(command.clamp(-1, 1))
             action = command
             if k < steps:
                 base = self._base(now, command, shape, alone)
@@ -177,11 +199,12 @@ class Imagination:
         reward = self._summary(self.model.reward(arrived), self.critics.value_r, self.config.bootstrap_reward, gamma_r, arrived, keep)
         cost = self._summary(self.model.cost(arrived), self.critics.value_c, self.config.bootstrap_cost, gamma_c, arrived, keep)
         returns = Returns(*(field.view(shape).mean(-1) for field in (reward, cost, effort)))
+        commands = torch.stack(issued, 1).view(*shape, heard, actions) if heard else None
         if part is None:
-            return returns, residuals
+            return Rolled(returns, residuals, commands)
         realised = torch.stack(found, 1).view(*shape, steps, actions).mean(2)
         realised = torch.where(realised.abs() < ROUNDING, 0.0, realised)
-        return returns, torch.where(closed_loop(share), realised, residuals)
+        return Rolled(returns, torch.where(closed_loop(share), realised, residuals), commands)
 
     def nominal(self, start: Situation, draws: Draws) -> Returns:
         """Roll out the operator alone (Eq. 9-10). Fields are [B]."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained
 from wasp_cli.report.trained.contact_sheet import draw_contact_sheet
 from wasp_cli.report.trained.images import draw_open_loop, draw_open_loop_film, draw_reconstructions
-from wasp_cli.report.trained.pages import write_contents, write_open_loop, write_quality, write_signals
+from wasp_cli.report.trained.pages import write_contents, write_lookahead, write_open_loop, write_quality, write_signals
 from wasp_cli.report.trained.part_figures import (
     draw_cost_reliability,
     draw_gate_reliability,
@@ -37,6 +37,7 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
     ),
     "critics": (("critics.png", draw_value_reliability),),
     "ida_q": (("q.png", draw_value_reliability),),
+    "lookahead": (("lookahead.md", write_lookahead),),
     "denoiser": (("quality.md", write_quality),),
     "residual": (("curve.png", draw_learning_curve),),
     "gate_signals": (("signals.md", write_signals), ("reliability.png", draw_gate_reliability)),

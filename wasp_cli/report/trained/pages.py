@@ -1,4 +1,4 @@
-"""Pages of trained parts in Markdown: what a dataset holds, what a world model foresees, which signal should gate, what a denoiser does."""
+"""Pages of trained parts in Markdown: what a dataset holds, what is foreseen of it, which signal should gate, what a denoiser does."""
 
 from __future__ import annotations
 
@@ -45,6 +45,12 @@ PROMISES = (
     ("to", "behind_high"), ("rank", "rank"), ("from", "rank_low"), ("to", "rank_high"), ("predicted / real", "predicted_over_real"),
 )  # fmt: skip
 GATES = (*ALARMS, ("predicted / real", "predicted_over_real"))
+
+LOOKAHEAD = (
+    ("base rate", "base"), ("AUPRC", "auprc"), ("from", "auprc_low"), ("to", "auprc_high"), ("of the sum", "sum_auprc"),
+    ("onset base", "onset_base"), ("onset AUPRC", "onset_auprc"), ("of the sum", "sum_onset_auprc"),
+    ("predicted / base", "predicted_over_base"), ("ECE", "calibration_error"),
+)  # fmt: skip
 
 Document = Mapping[str, Any]
 
@@ -165,6 +171,7 @@ def signal_title(name: str, document: Document) -> str:
         "first": f"sum over the first {min(document['first_steps'], horizon)}",
         "expert": f"discounted sum over {horizon}, {own}, the expert imagined instead",
         "discounted": f"discounted sum over {horizon}, {gamma}",
+        "head": f"direct look ahead, any cost within {gamma}",
         "critic": f"V_c alone, {gamma}",
         "step": f"one step and V_c, {gamma}",
         "bootstrap": f"Eq. 8 with V_c, {gamma}",
@@ -255,6 +262,23 @@ def _ranked(signals: Document) -> list[tuple[str, Document]]:
     return sorted(signals.items(), key=lambda item: math.inf if item[1]["auprc"] is None else -item[1]["auprc"])
 
 
+# -- look ahead -------------------------------------------------------------------------------------------------
+
+
+def lookahead_markdown(quality: Document) -> str:
+    """Lay out what a direct look ahead foresees on held-out episodes: a row per window, then its reliability at the longest one."""
+    rows = [[window, *(_three(row[key]) for _, key in LOOKAHEAD)] for window, row in quality.items()]
+    lines = [
+        "Any cost within the window, under the commands that were executed. The sum is the world model's, rolled out under all of them.",
+        "",
+    ]
+    lines += _table(["decisions", *(title for title, _ in LOOKAHEAD)], rows, numbers=True)
+    window, last = [*quality.items()][-1]
+    bins = [[_three(each["predicted"]), _three(each["seen"]), each["size"]] for each in last["reliability"] if each["size"]]
+    lines += ["", f"Within {window} decisions:", "", *_table(["predicted", "seen", "rows"], bins, numbers=True)]
+    return "\n".join(lines) + "\n"
+
+
 # -- denoisers --------------------------------------------------------------------------------------------------
 
 
@@ -284,6 +308,11 @@ def write_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
 def write_signals(layout: Layout, artifact: Trained, path: Path) -> None:
     """Write which signal should gate."""
     path.write_text(signals_markdown(read_json(layout, artifact, "signals.json")), encoding="utf-8")
+
+
+def write_lookahead(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Write what a direct look ahead foresees."""
+    path.write_text(lookahead_markdown(read_json(layout, artifact, "quality.json")), encoding="utf-8")
 
 
 def write_quality(layout: Layout, artifact: Trained, path: Path) -> None:

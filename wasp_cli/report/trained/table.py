@@ -27,6 +27,7 @@ COLUMNS = (
     ("critics", Column("predicted_over_real_r", "V_r / real", optional=True)),
     ("critics", Column("rank_c", "rank V_c")),
     ("critics", Column("predicted_over_real_c", "V_c / real", optional=True)),
+    ("lookahead", Column("auprc@15", "Look ahead AUPRC", optional=True)),
     ("gate_signals", Column("auprc", "Gate AUPRC", optional=True)),
     ("gate_signals", Column("auprc_bootstrap", "with V_c", optional=True)),
 )

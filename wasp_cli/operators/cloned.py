@@ -1,0 +1,36 @@
+"""Cloned operator: commands drawn from a policy that was fitted to those of the real one, where nobody knows its rule."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from wasp_cli.models.clone import Clone
+from wasp_cli.operators.base import Memory, NoiseSource, Operator, Policy
+
+
+class ClonedOperator(Operator):
+    """See the module. All that it remembers is the last command, so that it can go on from any command of the real operator."""
+
+    noise_size = 1
+    draws_action = True
+
+    def __init__(self, clone: Clone, nominal: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
+        """Begin B = `batch` episodes; `nominal` is the policy that the clone corrects."""
+        self.clone = clone
+        super().__init__(nominal, action_size, noise, batch)
+
+    def initial(self, batch: int) -> Memory:
+        return {"last": torch.full((batch, self.action_size), torch.nan)}
+
+    def command(self, features: Tensor) -> Tensor:
+        """Draw a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision."""
+        issued = self.clone.sample(features, self.memory["last"], self.policy(features), self.noise.next(self.draws))
+        self.memory = {"last": issued}
+        return issued
+
+    def after(self, a_h: Tensor, noise: NoiseSource) -> ClonedOperator:
+        """Return the same operator where it has just issued the commands a_h [B, A]."""
+        again = ClonedOperator(self.clone, self.policy, self.action_size, noise, len(a_h))
+        again.memory = {"last": a_h}
+        return again
