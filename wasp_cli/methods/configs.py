@@ -95,8 +95,10 @@ class WASPConfig(Config):
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the re-scored gain under the unimpaired expert")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
     tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
-    bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the plain sum over H ranks better")
-    bootstrap_reward: bool = from_paper(True, "Eq. 7-8: V_r after H for the reward; without it the discounted sum over H")
+    bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the discounted sum over H ranks as well")
+    bootstrap_reward: bool = deviates(
+        False, "V_r after H for the reward, as in Eq. 7-8; the discounted sum over H foresees the operator's next 15 decisions better"
+    )
     continuation: bool = deviates(
         True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"
     )
