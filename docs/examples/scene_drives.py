@@ -36,7 +36,8 @@ TAU_C, TAU_R = 0.3, 0.5
 
 def settings(variant: str = "full", **changes: object) -> WASPConfig:
     """WASP's configuration in these scenes: its defaults but for the thresholds, which belong to a world."""
-    return WASPConfig.model_validate({"variant": variant, "tau_c": TAU_C, "tau_r": TAU_R, **changes})
+    here = {"tau_c": TAU_C, "tau_r": TAU_R, "takeover_shares": (), "probe_with": "random"}  # no expert drives here
+    return WASPConfig.model_validate({"variant": variant, **here, **changes})
 
 
 def imagination(world: PointWorld, config: WASPConfig) -> Imagination:

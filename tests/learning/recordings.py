@@ -9,7 +9,7 @@ from wasp_cli.learning.shards import Recording
 
 TINY = WorldModelConfig(
     deter=16, hidden=16, variables=3, classes=4, depth=2, head=16, batch=3, length=6, updates=8, warmup=2, refit_updates=3, refit_horizon=4,
-    checkpoint_every=4, ahead_starts=5, ahead_images=3, ahead_horizon=3,
+    checkpoint_every=4, ahead_starts=5, ahead_images=3, ahead_horizon=3, taught=0, privileged=0,
 )  # fmt: skip
 SOURCES = ("hazards", "static geoms, contact")
 

@@ -17,7 +17,8 @@ def test_behaviours_follow_their_shares() -> None:
     chosen = behaviours(MixtureConfig().model_dump(), 50, 4, np.random.default_rng(0))
     assert len(chosen) == 50
     counts = {name: sum(b.name == name for b in chosen) for name in MixtureConfig.model_fields}
-    assert counts == {"expert": 12, "noisy": 5, "laggy": 6, "delayed": 7, "early": 2, "bursts": 4, "careless": 10, "random": 4}
+    assert all(abs(counts[name] - 50 * share) < 1 for name, share in MixtureConfig().model_dump().items())
+    assert min(counts.values()) >= 2
     assert {b.skill for b in behaviours(MixtureConfig().model_dump(), 50, 1, np.random.default_rng(0))} == {-1, 0}
 
 
@@ -55,6 +56,19 @@ def test_commands_do_what_their_behaviour_says() -> None:
     assert (issued[:2, 4] == 0).all()
     np.testing.assert_allclose(issued[2:, 4], expert[:-2, 4], rtol=1e-5)
     assert np.abs(issued).max() <= 1
+
+
+def test_gains_pushes_and_means_of_checkpoints_do_what_they_say() -> None:
+    rows = (
+        Behaviour("plain"), Behaviour("early", skill=0), Behaviour("between", skill=0, other=-1), Behaviour("scaled", gain=0.5),
+        Behaviour("biased", push=0.2),
+    )  # fmt: skip
+    issued = commander(*rows).command(np.random.default_rng(1).normal(size=(1, 5)).repeat(5, 0).astype(np.float32))
+    np.testing.assert_allclose(issued[2], (issued[0] + issued[1]) / 2, atol=1e-6)
+    np.testing.assert_allclose(issued[3], 0.5 * issued[0], atol=1e-6)
+    np.testing.assert_allclose(issued[4], issued[0] + [0.2, 0.0], atol=1e-6)
+    assert np.abs(issued[0] - issued[1]).max() > 0.01
+    assert np.abs(issued).max() < 1, "nothing was clipped"
 
 
 def test_bursts_are_held() -> None:

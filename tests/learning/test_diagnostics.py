@@ -19,8 +19,10 @@ from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig, WorldModelConfig
 from wasp_cli.learning.dataset import behaviours
-from wasp_cli.learning.diagnostics import Forecast, unseen_behaviours
+from wasp_cli.learning.diagnostics import HALF_TRAINED, Forecast, unseen_behaviours
+from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.image_samples import CALM, COSTLY, decoded_sample, imagined_samples, sampled_windows, write_samples
+from wasp_cli.learning.latents import save_latents
 from wasp_cli.learning.shards import Recording, read_shards
 from wasp_cli.learning.world_model import build
 from wasp_cli.metrics.ranking import average_precision
@@ -31,6 +33,7 @@ from wasp_cli.stages.diagnostics import SHOWN, DiagnosticsStage
 
 HORIZON = 5
 LOW, HIGH = 0.15, 0.5
+GROUPS = ["all", "motion", "goal", "way", "walls", "things"]
 
 
 class Rows:
@@ -253,6 +256,10 @@ def test_the_unseen_operators_are_not_in_the_mixture() -> None:
     known = {dataclasses.replace(b, name="") for b in behaviours(MixtureConfig().model_dump(), 400, 4, np.random.default_rng(0))}
     unseen = unseen_behaviours(4)
     assert not {dataclasses.replace(b, name="") for b in unseen} & known
+    half: set[float] = {HALF_TRAINED}
+    held: dict[str, set[float]] = {"delay": {4}, "drift": {0.5, -0.5}, "sticky": {1.0}, "skill": half, "other": half}
+    for name, kept_out in held.items():
+        assert not kept_out & {getattr(b, name) for b in known}, f"{name} is not judged with a value that the dataset has"
     assert {b.name for b in unseen[:4]} == {"sticky noise", "delay with noise", "drift", "half trained"}
     assert "half trained" not in {b.name for b in unseen_behaviours(3)}, "the third of three checkpoints is the expert"
 
@@ -265,8 +272,11 @@ def inputs(root: Path) -> dict[str, Path]:  # noqa: F811
     torch.manual_seed(1)
     sizes = WorldModelConfig(deter=16, hidden=16, variables=3, classes=4, depth=2, head=16)
     (root / "model").mkdir()
-    save_world_model(build(sizes, 2), root / "model")
-    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model"}
+    model = build(sizes, 2)
+    save_world_model(model, root / "model")
+    (root / "latents").mkdir()
+    save_latents(encode(model, read_shards(root / "whole"), lambda share, text: None), root / "latents")
+    return {"expert": root / "expert", "dataset": root / "whole", "world_model": root / "model", "latents": root / "latents"}
 
 
 def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, inputs: dict[str, Path]) -> None:  # noqa: F811
@@ -286,12 +296,15 @@ def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, 
     assert set(found["unseen"]["episodes"]) == {"sticky noise", "delay with noise", "drift"}
     for table in found.values():
         assert [row["k"] for row in table["steps"]] == list(range(1, 16))
+        assert all(list(table["readout"][place]) == GROUPS for place in ("filtered", "embedding", "imagined"))
     wanted = {f"{key}@{k}" for key in ("auprc", "persistence", "predicted_over_base", "recall", "reward_r2", "base") for k in SHOWN}
+    wanted |= {f"readout_{place}{group}" for place in ("", "embedding_") for group in GROUPS}
     wanted |= {f"unseen_auprc@{k}" for k in SHOWN} | {"auprc_any", "unseen_auprc_any", "image_over_copy@15"}
     assert set(summaries[0]) == wanted
     page = open_loop_markdown(found)
     assert page.count("\n## ") == 2
     assert "hazards" in page
+    assert page.count("| read from | all | motion | goal | way | walls | things |") == page.count("| imagined, step 5 |") == 2
     assert "nan" not in page
     images = pq.read_table(root / "first" / "images.parquet")
     assert images["window"].to_pylist().count(-1) == 10

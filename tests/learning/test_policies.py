@@ -227,3 +227,19 @@ def test_policies_agree_where_imagined_latents_are_the_filtered_ones() -> None:
     mine, theirs = (skills.at(1.0)(latents.at(torch.arange(300)).features) for latents in states(300, 1, 2.0)[:2])
     assert shares["1"] == pytest.approx((1 - (mine - theirs).square().mean() / mine.var(correction=0)).item(), rel=1e-4)
     assert shares["1"] < 1
+
+
+def test_the_share_of_the_return_comes_with_its_standard_error() -> None:
+    """Against the spread of the share over many sets of episodes; a layout that is hard for both moves neither share nor error much."""
+    random = np.random.default_rng(0)
+    hard = random.normal(20, 6, (2000, 16))
+    theirs, mine = hard + random.normal(0, 1, hard.shape), 0.8 * hard + random.normal(0, 2, hard.shape)
+    none = np.zeros(16)
+    drives = [[Drive.of(rows, none, none, 1, none) for rows in pair] for pair in zip(mine, theirs, strict=True)]
+    found = [compare(*pair, PoliciesConfig(), 1000) for pair in drives]
+    errors = np.array([verdict.return_share_se for verdict in found], float)
+    assert np.mean(errors) == pytest.approx(np.std([verdict.return_share for verdict in found]), rel=0.1)
+    assert np.mean(errors) < 0.5 * 6 * 2**0.5 / 4 / 20, "the episodes are paired"
+    one = Drive.of(none[:1] + 3.0, none[:1], none[:1], 1, none[:1])
+    assert compare(one, one, PoliciesConfig(), 1000).return_share_se is None
+    assert "returns" not in one.shown()

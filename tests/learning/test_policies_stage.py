@@ -124,3 +124,16 @@ def test_without_interactions_nothing_is_reinforced(start: Start) -> None:
     assert run.began is None
     assert len(run.evaluation["rounds"]) == 2
     assert set(run.evaluation["agreement"]) == {"0.5", "1"}
+
+
+def test_labels_may_aim_higher_than_what_is_left_to_the_reinforcement(start: Start) -> None:
+    privileged = start([GOOD]).evaluation["judged_against"]["return"]
+    near = privileged - 0.2 * abs(privileged)
+    lenient = {"reinforce": CONFIG.reinforce.model_copy(update={"return_share": 0.75})}
+    run = start([near, near], **lenient)
+    assert run.evaluation["rounds"][0]["return_share"] == pytest.approx(0.8)
+    assert len(run.evaluation["rounds"]) == 2, "the labels went on"
+    assert run.began is None
+    assert start([near, near, GOOD]).began is not None, "by default it begins where the labels fell short"
+    worse = privileged - 0.3 * abs(privileged)
+    assert start([worse, worse, GOOD], **lenient).began is not None

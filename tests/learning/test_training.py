@@ -16,9 +16,11 @@ from wasp_cli.learning.configs import DenoiserConfig
 from wasp_cli.learning.denoiser import demonstrations
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.lagrangian import MultiplierRule
+from wasp_cli.learning.privileged_state import Readout, new_readout
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
-from wasp_cli.learning.world_model import build, train
+from wasp_cli.learning.world_model import Report, build, train
+from wasp_cli.models.world_model import SafetyWorldModel
 
 
 def test_shards_come_back_as_they_were(tmp_path: Path) -> None:
@@ -60,17 +62,27 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
         read_shards(tmp_path)
 
 
-@pytest.mark.parametrize("mirror", [None, MIRROR], ids=["straight", "mirror"])
-def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None) -> None:
-    def fresh() -> torch.nn.Module:
-        torch.manual_seed(0)
-        return build(TINY, 2)
+@pytest.mark.parametrize(
+    ("mirror", "weight"), [(None, 0.0), (MIRROR, 0.0), (MIRROR, 100.0)], ids=["straight", "mirror", "with the privileged vector"]
+)
+def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None, weight: float) -> None:
+    data, config = recording(), TINY.model_copy(update={"privileged": weight})
 
-    data, silent = recording(), lambda share, text: None
+    def fresh() -> SafetyWorldModel:
+        torch.manual_seed(0)
+        return build(config, 2)
+
+    def go_on(model: SafetyWorldModel, name: str, report: Report) -> Readout | None:
+        torch.manual_seed(1)
+        readout = new_readout(model, data, ROWS, config) if weight else None
+        train(model, data, ROWS, config, config.updates, 5, tmp_path / name, report, readout=readout, mirror=mirror)
+        return readout
+
+    silent: Report = lambda share, text: None  # noqa: E731
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
     whole = fresh()
-    train(whole, data, ROWS, TINY, TINY.updates, 5, tmp_path / "a", silent, mirror=mirror)  # type: ignore[arg-type]
+    head = go_on(whole, "a", silent)
 
     class Interrupted(Exception):
         pass
@@ -79,13 +91,15 @@ def test_training_resumes_bit_for_bit(tmp_path: Path, mirror: np.ndarray | None)
         if (tmp_path / "b" / "training.safetensors").exists():
             raise Interrupted
 
-    partial = fresh()
     with pytest.raises(Interrupted):
-        train(partial, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", interrupt, mirror=mirror)  # type: ignore[arg-type]
+        go_on(fresh(), "b", interrupt)
     again = fresh()
-    train(again, data, ROWS, TINY, TINY.updates, 5, tmp_path / "b", silent, mirror=mirror)  # type: ignore[arg-type]
+    head_again = go_on(again, "b", silent)
     for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
+    if head is not None and head_again is not None:
+        assert all(torch.equal(a, b) for a, b in zip(head.parameters(), head_again.parameters(), strict=True))
+    assert (head is None) == (weight == 0)
 
 
 def test_a_checkpoint_restores_moments_and_generator(tmp_path: Path) -> None:

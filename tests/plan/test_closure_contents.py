@@ -47,11 +47,12 @@ BRANCHES = "store store.branches store.parquet store.recorded store.tables metri
 
 MAY_HAVE = {
     "expert": f"{POLICY} {PPO} learning.expert learning.privileged stages.finite",
-    "dataset": f"{POLICY} learning.dataset learning.contents learning.shards",
-    "world_model": f"{WORLD} {LATENTS} learning.encoding learning.checkpoint learning.device learning.windows learning.world_model",
+    "dataset": f"{POLICY} learning.dataset learning.parts learning.contents learning.shards",
+    "world_model": f"{WORLD} {LATENTS} learning.encoding learning.checkpoint learning.device learning.windows learning.world_model "
+    "learning.privileged_state",
     "latents": f"{WORLD} learning.latents learning.shards learning.encoding learning.device",
     "diagnostics": (
-        f"{POLICY} {WORLD} {LATENTS} learning.encoding learning.dataset learning.diagnostics learning.image_samples "
+        f"{POLICY} {WORLD} {LATENTS} learning.encoding learning.dataset learning.diagnostics learning.image_samples learning.readout "
         "metrics metrics.ranking metrics.reliability stages.finite"
     ),
     "policies": (

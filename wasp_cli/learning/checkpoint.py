@@ -14,6 +14,8 @@ from torch import nn
 from wasp_cli.errors import ArtifactError
 from wasp_cli.models.weights import read_tensors
 
+CHECKPOINT = "training.safetensors"
+
 
 class HasTensors(Protocol):
     """Further state of a training."""
@@ -40,7 +42,12 @@ def save_training(
         tensors |= {f"further/{name}": tensor for name, tensor in further.tensors().items()}
     partial = folder / "training.partial"
     save_file(tensors, partial, metadata={"counters": json.dumps(counters)})
-    os.replace(partial, folder / "training.safetensors")
+    os.replace(partial, folder / CHECKPOINT)
+
+
+def has_training(folder: Path) -> bool:
+    """Return whether there is a checkpoint in `folder`."""
+    return (folder / CHECKPOINT).exists()
 
 
 def restore_training(
@@ -51,7 +58,7 @@ def restore_training(
     Raises:
         ArtifactError: it was written on another kind of device.
     """
-    path = folder / "training.safetensors"
+    path = folder / CHECKPOINT
     if not path.exists():
         return None
     from safetensors import safe_open

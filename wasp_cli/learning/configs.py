@@ -63,14 +63,19 @@ class ExpertConfig(Config):
 class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
-    expert: float = assumed(0.23, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
-    laggy: float = assumed(0.12, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
-    delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    expert: float = assumed(0.16, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    noisy: float = assumed(0.08, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.10, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    delayed: float = assumed(0.08, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    tardy: float = assumed(0.06, "the same with 2 to 6 decision steps and Gaussian noise 0.15 to 0.5", ge=0.0, le=1.0)
     early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
-    bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(0.20, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
-    random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
+    between: float = assumed(0.05, "the mean of one of them and the expert", ge=0.0, le=1.0)
+    bursts: float = assumed(0.06, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    careless: float = assumed(0.12, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    wandering: float = assumed(0.10, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
+    biased: float = assumed(0.06, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
+    scaled: float = assumed(0.04, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
+    random: float = assumed(0.04, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> MixtureConfig:
@@ -85,6 +90,12 @@ class DatasetConfig(Config):
 
     steps: int = assumed(100_000, "decision steps", ge=1)
     envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    decisions: int | None = assumed(
+        50,
+        "recorded of an episode: one of its parts of so many decisions, so that the same images show more layouts; null: whole episodes",
+        ge=2,
+    )
+    whole_share: float = assumed(0.1, "share of the episodes that are recorded whole all the same", ge=0.0, le=1.0)
     mixture: MixtureConfig = MixtureConfig()
 
 
@@ -93,7 +104,7 @@ class WorldModelConfig(Config):
 
     deter: int = assumed(256, "size of h", ge=1)
     hidden: int = assumed(128, "width of the layers around the GRU", ge=1)
-    variables: int = assumed(16, "categorical variables in z", ge=1)
+    variables: int = assumed(24, "categorical variables in z", ge=1)
     classes: int = assumed(16, "classes of each", ge=2)
     depth: int = assumed(16, "channels of the first convolution", ge=1)
     head: int = assumed(128, "width of the two layers of each head", ge=1)
@@ -119,7 +130,9 @@ class WorldModelConfig(Config):
     cost_weight: float = deviates(5.0, "weight of costly steps, 1 in Eq. 6; its logarithm is removed from the logit at inference", ge=1.0)
     cost_windows: float = assumed(1 / 3, "share of sequences that contain a costly step", ge=0.0, le=1.0)
     mirror: bool = deviates(
-        True, "half of the sequences are seen in a mirror, not as replayed, where the task has one: Goal, not the tracks"
+        True,
+        "half of the sequences are seen in a mirror, not as replayed, where the task has one: Goal, not the tracks; and of the images of "
+        "`taught`",
     )
     context: bool = deviates(
         True, "sequences within an episode go on from the latent that training last inferred before them; Eq. 6 begins at t = 1"
@@ -136,6 +149,21 @@ class WorldModelConfig(Config):
     refit_starts: int = deviates(64, "imagined rollouts per update of the refit, which section 4.1 lacks", ge=1)
     refit_horizon: int = deviates(15, "imagined steps of the refit, which section 4.1 lacks", ge=1)
     later_updates: int = assumed(1000, "gradient steps of a later round of data, from the weights of the round before", ge=1)
+    taught: int = deviates(
+        2000,
+        "updates on single images, before Eq. 6, in which the encoder learns to tell the privileged vector: reconstruction alone does not "
+        "teach it where to look; 0 as in the paper",
+        ge=0,
+    )
+    taught_batch: int = assumed(128, "images per such update", ge=1)
+    taught_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    taught_head: int = assumed(256, "width of the two layers that read the embedding meanwhile", ge=1)
+    privileged: float = deviates(
+        100.0,
+        "weight of the squared error, summed over the standardised privileged vector, of a head on filtered latents; not in Eq. 6; "
+        "0 as in the paper",
+        ge=0.0,
+    )
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
 
@@ -152,6 +180,9 @@ class DiagnosticsConfig(Config):
     starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)
     image_starts: int = assumed(128, "moments from which images are imagined", ge=1)
+    readout_rows: int = assumed(8000, "recorded moments from which a ridge regression learns to tell the privileged vector", ge=2)
+    readout_penalty: float = assumed(0.01, "its penalty, per row, relative to the features' mean variance", gt=0.0)
+    readout_step: int = assumed(5, "imagined step at which it is read too", ge=1)
     threshold: float = assumed(
         0.5,
         "expected costly steps within the horizon, discounted as in the safety gate, from which a cost counts as foreseen: tau_c",
@@ -163,6 +194,9 @@ class ReinforceConfig(Config):
     """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where labels alone did not reach the bounds."""
 
     interactions: int = assumed(200_000, "decision steps; 0 leaves the latent expert as it was distilled", ge=0)
+    return_share: float = assumed(
+        0.85, "latent return / privileged return from which, within the cost, nothing is reinforced; labels may aim higher", gt=0.0
+    )
     envs: int = assumed(32, "episodes side by side", ge=1)
     rollout: int = assumed(128, "decision steps per environment and update", ge=1)
     epochs: int = assumed(4, "passes over a rollout", ge=1)
@@ -189,16 +223,18 @@ class PoliciesConfig(Config):
         0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
     )
     imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
-    labelling_rounds: int = assumed(2, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
-    labelling_episodes: int = assumed(24, "episodes per round", ge=1)
-    labelling_updates: int = assumed(800, "gradient steps per round", ge=1)
+    labelling_rounds: int = assumed(3, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_episodes: int = assumed(48, "episodes per round; what the labels teach grows with the layouts met", ge=1)
+    labelling_updates: int = assumed(1500, "gradient steps per round", ge=1)
     labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
     driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
     reinforce: ReinforceConfig = ReinforceConfig()
     return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
     cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
     cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
-    evaluation_episodes: int = assumed(32, "episodes that judge a round, and others that evaluate each skill", ge=1)
+    evaluation_episodes: int = assumed(
+        48, "episodes that judge a round, and others that evaluate each skill; the share of the return is then known to .05", ge=1
+    )
 
 
 class CriticsConfig(Config):

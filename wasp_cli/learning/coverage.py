@@ -67,7 +67,7 @@ class Foreseeing(Protocol):
     """An assistant whose gate looks ahead at the operator alone, such as WASP."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Begin new episodes."""
+        """Begin new episodes in `rows` [B] (bool)."""
         ...
 
     def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:

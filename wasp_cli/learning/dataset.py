@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -34,12 +34,20 @@ class Behaviour:
     """Probability that a random command begins and is held for 2-11 steps."""
     drift: float = 0.0
     """Constant that is added to the last component: the turning of the point, one wheel of the car."""
+    push: float = 0.0
+    """Constant that is added to the first component."""
     sticky: float = 0.0
-    """Standard deviation of noise that persists from step to step (see STICKY)."""
+    """Standard deviation of noise that persists from step to step."""
+    correlation: float = 0.9
+    """Correlation of that noise between one decision step and the next."""
+    gain: float = 1.0
+    """Factor of the intended command."""
+    other: int | None = None
+    """Index of a second checkpoint: the intended command is the mean of both."""
 
 
-STICKY = 0.9
-"""Correlation of persistent noise between one decision step and the next."""
+EXPERT = Behaviour("expert", gaussian=0.25)
+"""The expert, who makes small mistakes so as not to see its own way alone."""
 
 
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
@@ -49,13 +57,18 @@ def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np
     behaviour may be missing among them, or one that always costs may outweigh the others.
     """
     variants: dict[str, list[Behaviour]] = {
-        "expert": [Behaviour("expert", gaussian=0.25)],
+        "expert": [EXPERT],
         "noisy": [Behaviour("noisy", replace=e) for e in (0.2, 0.4, 0.6)],
         "laggy": [Behaviour("laggy", repeat=p) for p in (0.5, 0.7, 0.85)],
         "delayed": [Behaviour("delayed", delay=d) for d in (2, 3, 5)],
         "early": [Behaviour("early", skill=k, gaussian=0.1) for k in range(min(2, skills))],
         "bursts": [Behaviour("bursts", burst=0.08)],
         "careless": [Behaviour("careless", repeat=p) for p in (0.9, 0.95)],
+        "wandering": [Behaviour("wandering", sticky=s, correlation=c) for s, c in ((0.7, 0.8), (0.6, 0.95), (1.3, 0.85), (0.9, 0.97))],
+        "biased": [Behaviour("biased", drift=d) for d in (0.3, -0.3, 0.8, -0.8)] + [Behaviour("biased", push=p) for p in (0.4, -0.4)],
+        "tardy": [Behaviour("tardy", delay=d, gaussian=g) for d, g in ((2, 0.5), (3, 0.4), (5, 0.15), (6, 0.5))],
+        "scaled": [Behaviour("scaled", gain=g, gaussian=0.15) for g in (0.5, 2.0)],
+        "between": [Behaviour("between", skill=k, other=-1, gaussian=0.1) for k in range(min(2, skills))],
         "random": [Behaviour("random", replace=1.0)],
     }
     # Largest remainders: the counts follow the shares as closely as whole episodes can.
@@ -90,15 +103,19 @@ class Commander:
         with torch.inference_mode():
             seen = torch.from_numpy(privileged)
             intended = np.stack([skill(seen).numpy() for skill in self._skills])  # [K, B, A]
-        self._seen.append(intended[[b.skill for b in rows], np.arange(len(rows))])
+        own, others = ([b.skill for b in rows], [b.skill if b.other is None else b.other for b in rows])
+        mean = 0.5 * (intended[own, np.arange(len(rows))] + intended[others, np.arange(len(rows))])
+        self._seen.append(mean * np.array([b.gain for b in rows], np.float32)[:, None])
         now = len(self._seen) - 1
         neutral = np.zeros_like(self._last[0])
         action = np.stack([self._seen[now - b.delay][i] if now >= b.delay else neutral for i, b in enumerate(rows)])
         action = action + np.array([b.gaussian for b in rows], np.float32)[:, None] * random.standard_normal(action.shape, np.float32)
         fresh = random.standard_normal(action.shape, np.float32)
         # A stationary first-order process: its standard deviation is 1 from the first step on.
-        self._noise = fresh if now == 0 else STICKY * self._noise + (1 - STICKY**2) ** 0.5 * fresh
+        kept = np.array([b.correlation for b in rows], np.float32)[:, None]
+        self._noise = fresh if now == 0 else kept * self._noise + (1 - kept**2) ** 0.5 * fresh
         action = action + np.array([b.sticky for b in rows], np.float32)[:, None] * self._noise
+        action[:, 0] += [b.push for b in rows]
         action[:, -1] += [b.drift for b in rows]
         uniform = random.uniform(-1, 1, action.shape).astype(np.float32)
         replaced = random.random(len(rows)) < [b.replace for b in rows]
@@ -113,10 +130,24 @@ class Commander:
         return self._last
 
 
+class Parts(NamedTuple):
+    """What is recorded of B episodes."""
+
+    begin: Mapping[str, NDArray[Any]]
+    """Snapshot of the task in which every row is where its part begins."""
+    decisions: NDArray[np.int64]
+    """[B] most decisions from there on"""
+
+
 def record(
-    task: VectorTask, seeds: Sequence[int], command: Callable[[NDArray[np.float32]], NDArray[Any]], names: Sequence[str], number: int
+    task: VectorTask,
+    seeds: Sequence[int],
+    command: Callable[[NDArray[np.float32]], NDArray[Any]],
+    names: Sequence[str],
+    number: int,
+    parts: Parts | None = None,
 ) -> Recording:
-    """Record one episode per row, as a shard.
+    """Record one episode per row, or a part of it, as a shard.
 
     Args:
         task: B episodes with pixels and privileged observations.
@@ -124,8 +155,11 @@ def record(
         command: from privileged observations [B, P] to actions [B, A].
         names: behaviour of each row.
         number: index of the first episode in the dataset.
+        parts: where the recording of each row begins and ends; None: whole episodes.
     """
     seen = task.reset(seeds)
+    if parts is not None:
+        seen = task.restore(dict(parts.begin))
     batch, kinds = task.batch, task.cost_sources
     assert seen.pixels is not None
     assert seen.privileged is not None
@@ -139,7 +173,7 @@ def record(
     ]  # fmt: skip
     alive = [np.ones(batch, bool)]
     ended = np.zeros(batch, bool)
-    for _ in range(task.max_decisions):
+    for count in range(1, task.max_decisions + 1):
         assert seen.privileged is not None
         action = command(seen.privileged)
         step = task.step(action)
@@ -156,7 +190,11 @@ def record(
             }
         )  # fmt: skip
         alive.append(~ended)
-        ended = step.ended.copy()
+        ended = ended | step.ended
+        if parts is not None and (cut := (count >= parts.decisions) & ~ended).any():
+            ended = ended | cut
+            # For the task they end here, so that it neither moves nor shows them any longer.
+            task.restore({**task.snapshot(), "ended": ended})
         if ended.all():
             break
     kept = np.stack(alive, 1)  # [B, T + 1]

@@ -99,7 +99,10 @@ class SignalRecorder:
         self.expert, self.config, self.returns = expert, config, returns
         self.latents = LatentRecorder()
         # Nothing is corrected, so the number of residual steps says nothing.
-        gate = WASPConfig(horizon=config.horizon, residual_steps=1, gate_rollouts=config.rollouts, bootstrap_reward=True)
+        gate = WASPConfig(
+            horizon=config.horizon, residual_steps=1, gate_rollouts=config.rollouts, bootstrap_reward=True,
+            takeover_shares=(), probe_with="random",
+        )  # fmt: skip
         self.gate = Imagination(model, self.latents, gate, returns.gamma_r, returns.gamma_c, returns.lam)
         self.noise = DecisionNoise()
         self.seen: list[dict[str, Tensor]] = []

@@ -28,16 +28,18 @@ class Drive(NamedTuple):
     episodes: int = 0
     env_steps: float = 0.0
     """Length of an episode."""
+    returns: tuple[float, ...] = ()
+    """Return of every episode."""
 
     def shown(self) -> dict[str, float]:
         """Return the means by the names that people read."""
-        return {name.rstrip("_"): value for name, value in self._asdict().items()}
+        return {name.rstrip("_"): value for name, value in self._asdict().items() if name != "returns"}
 
     @classmethod
     def of(cls, returns: Sums, costs: Sums, goals: Sums, enough: int, env_steps: Sums) -> Drive:
         """Take means over the sums [B] of whole episodes; `enough` goals are a success."""
         means = float(returns.mean()), float(costs.mean()), float(goals.mean()), float((goals >= enough).mean())
-        return cls(*means, float(returns.std()), float(costs.std()), len(returns), float(env_steps.mean()))
+        return cls(*means, float(returns.std()), float(costs.std()), len(returns), float(env_steps.mean()), tuple(returns.tolist()))
 
 
 class Verdict(NamedTuple):
@@ -53,6 +55,8 @@ class Verdict(NamedTuple):
     """The lacking share of the wanted return plus the excess cost in units of the allowed one; 0 where both are reached."""
     reached: bool
     """Enough return and no excess cost."""
+    return_share_se: float | None = None
+    """Standard error of the share over the episodes, which both policies drove; None for a single one."""
 
 
 def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps: int) -> Verdict:
@@ -68,7 +72,17 @@ def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps:
     ratio = latent.cost / privileged.cost if privileged.cost > 0 else None
     lacking = 0.0 if share >= config.return_share else 1.0 - share / config.return_share
     shortfall = lacking + excess / max(allowed, 1.0)
-    return Verdict(share, ratio, excess, shortfall, shortfall == 0.0)
+    return Verdict(share, ratio, excess, shortfall, shortfall == 0.0, _share_error(latent, privileged, share))
+
+
+def _share_error(latent: Drive, privileged: Drive, share: float) -> float | None:
+    """Standard error of the share of two means over the same episodes, to first order (the delta method)."""
+    count, mean = len(latent.returns), privileged.return_
+    if count < 2 or count != len(privileged.returns) or mean == 0:
+        return None
+    slope = 1.0 + np.sign(mean) * (share - 1.0)  # the share itself where the privileged return is positive
+    rest = np.array(latent.returns) - slope * np.array(privileged.returns)
+    return float(rest.std(ddof=1) / count**0.5 / abs(mean))
 
 
 def cost_limit(taught: Sequence[Drive], env_steps: float, config: PoliciesConfig, limit: int) -> float:

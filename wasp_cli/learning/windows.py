@@ -80,7 +80,7 @@ class Windows:
         mirrored = torch.zeros(batch, dtype=torch.bool, device=device)
         if self._mirror is not None:
             mirrored = torch.rand(batch, generator=source, device=device) < 0.5
-            found = found._replace(pixels=_in_mirror(found.pixels, mirrored), action=self._turned(found.action, mirrored))
+            found = found._replace(pixels=in_mirror(found.pixels, mirrored), action=self._turned(found.action, mirrored))
         return Window(found, rows, places, mirrored, rows + len(self._first) * mirrored.unsqueeze(1))
 
     def ahead(self, window: Window, starts: int, horizon: int, images: int, noise: int, source: torch.Generator) -> Ahead:
@@ -107,7 +107,7 @@ class Windows:
         action = self._action[rows]
         if self._mirror is not None:
             mirrored = window.mirrored[row]
-            pixels, action = _in_mirror(pixels, mirrored[:images]), self._turned(action, mirrored)
+            pixels, action = in_mirror(pixels, mirrored[:images]), self._turned(action, mirrored)
         draws = gumbel((horizon, starts, noise), source)
         return Ahead(row, step, action, self._reward[rows], self._cost[rows], within, shown, pixels, draws)
 
@@ -117,8 +117,8 @@ class Windows:
         return torch.where(mirrored[:, None, None], action @ self._mirror.T, action)
 
 
-def _in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
-    """Images [B, ..., width], of which some [B] are turned over."""
+def in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
+    """Turn over some [B] of the images [B, ..., width]."""
     return torch.where(mirrored.view(-1, *[1] * (pixels.dim() - 1)), pixels.flip(-1), pixels)
 
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.configs import WorldModelConfig
 from wasp_cli.learning.device import mixed_precision
 from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.privileged_state import Mirror, Readout
 from wasp_cli.learning.sampling import generator, gumbel, roll_prior
 from wasp_cli.learning.shards import Recording
 from wasp_cli.learning.windows import Context, Window, Windows
@@ -38,12 +39,12 @@ def build(config: WorldModelConfig, action: int) -> SafetyWorldModel:
 
 
 def loss_weights(config: WorldModelConfig) -> dict[str, float]:
-    """Return the factor of each term of `SafetyWorldModel.losses`: Eq. 6, and the terms on imagined steps."""
+    """Return the factor of each term of the loss: Eq. 6, the terms on imagined steps, and that on the privileged vector."""
     weights: dict[str, float] = {name: getattr(config, name) for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")}
     if config.ahead_starts:
         weights |= {f"ahead_{term}": config.ahead * weights[f"beta_{term}"] for term in ("r", "c")}
         weights |= {"ahead_o": config.ahead_image * config.beta_o} if config.ahead_images else {}
-    return weights
+    return weights | ({"privileged": config.privileged} if config.privileged else {})
 
 
 def mean_image(recording: Recording) -> Tensor:
@@ -62,7 +63,9 @@ def train(
     work: Path,
     report: Report,
     *,
+    readout: Readout | None = None,
     mirror: NDArray[np.float32] | None = None,
+    privileged_mirror: Mirror | None = None,
     before: Latents | None = None,
 ) -> tuple[dict[str, list[float]], int]:
     """Minimise Eq. 6 on those rows of a recording, on the model's device; goes on from its own checkpoint in `work`.
@@ -76,7 +79,9 @@ def train(
         seed: of batches and noise.
         work: folder of the checkpoint.
         report: called every 20 updates.
+        readout: head of the loss on the privileged vector, trained along, where `config.privileged` gives that loss a weight.
         mirror: [A, A], what an action becomes in a mirror, where sequences may be seen in one.
+        privileged_mirror: what a privileged vector becomes there, where that is known.
         before: what the model inferred at every row of the recording, where it has been trained before.
 
     Returns:
@@ -87,13 +92,15 @@ def train(
     """
     device = model.mean_image.device
     weights = loss_weights(config)
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
+    whole = nn.ModuleDict({"model": model} | ({"readout": readout} if readout is not None else {}))
+    optimizer = torch.optim.Adam(whole.parameters(), lr=config.learning_rate, fused=True)
+    privileged = torch.from_numpy(recording.privileged)
     source = generator(seed, device)
     context = Context(len(recording.first) * (1 if mirror is None else 2), config.deter, config.variables, device)
     fresh: dict[str, Any] = {"update": 0, "skipped": 0, "curves": {name: [] for name in [*weights, "gradient_norm"]}}
     if before is not None:
         context.fill(before)
-    counters = restore_training(work, model, optimizer, source, context) or fresh
+    counters = restore_training(work, whole, optimizer, source, context) or fresh
     windows = Windows(recording, rows, config.length, config.cost_windows, device, mirror)
     compute = torch.compile(model.losses) if config.compile else model.losses
     model.train()
@@ -107,12 +114,15 @@ def train(
         ahead = windows.ahead(window, *further, source) if config.ahead_starts else None
         with mixed_precision(device):
             losses, latent = compute(batch, noise, decoded, config.free_nats, start=start, ahead=ahead)
+            if readout is not None:
+                told = privileged[window.rows.cpu()].to(device)  # [B, T, P]
+                losses["privileged"] = readout.loss(latent.features, told, window.mirrored, privileged_mirror)
         if losses.keys() != weights.keys():
             raise TrainingError(f"losses {sorted(losses)} and weights {sorted(weights)} differ")
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         optimizer.zero_grad(set_to_none=True)
         total.backward()
-        norm = torch.nn.utils.clip_grad_norm_(model.parameters(), config.clip)
+        norm = torch.nn.utils.clip_grad_norm_(whole.parameters(), config.clip)
         if not math.isfinite(float(total.detach()) + float(norm)):
             _skip(counters, update, losses)
             continue
@@ -126,7 +136,7 @@ def train(
             shown = f"image {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost {values['beta_c']:.2f}"
             report((update + 1) / updates, f"update {update + 1}/{updates}, {shown}")
         if (update + 1) % config.checkpoint_every == 0:
-            save_training(work, model, optimizer, source, counters | {"update": update + 1}, context)
+            save_training(work, whole, optimizer, source, counters | {"update": update + 1}, context)
     model.eval()
     curves: dict[str, list[float]] = counters["curves"]
     return curves, counters["skipped"]

@@ -52,6 +52,8 @@ class MethodInfo:
     """False where the operator's command is always executed, so that there is no intervention to ask about."""
     variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
     """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
+    rows: Mapping[str, str] = field(default_factory=dict)
+    """Variants that are no ablations: each with its title, under which it has a row of its own in every table."""
     own_thresholds: tuple[str, ...] = ()
     """Variants whose thresholds have another unit, so that they are calibrated by themselves."""
     rule: str = ""
@@ -138,8 +140,10 @@ METHODS: Registry[MethodInfo] = Registry(
                 "task-only": "task gate only",
                 "no-case2": "no Case II recovery",
                 "no-rollout": "no rollouts (H = 1)",
+                "as-printed": "as printed",
             },
-            own_thresholds=("no-rollout",),
+            rows={"as-printed": "WASP (as printed)"},
+            own_thresholds=("no-rollout", "as-printed"),
             rule="WASP corrects the command where its imagined cost exceeds τ_c, or else where a safe correction is expected to gain more "
             "return than τ_r.",
         ),

@@ -163,6 +163,10 @@ def findings(
     for entry in error.errors(include_url=False):
         loc = _without_tags(entry["loc"], document)
         found.setdefault(loc, []).append({**entry, "loc": loc})
+    # To a number out of its range nobody says that it could have been a mapping.
+    ranged = {loc for loc, entries in found.items() if any(entry["type"] in _RANGE for entry in entries)}
+    for loc in ranged:
+        found[loc] = [entry for entry in found[loc] if entry["type"] != "model_type"]
     # pydantic counts the valid entries of a list only; that the others are wrong is said where they stand.
     # Nor has to be said that a mapping is no number, where its mistake is found.
     hollow = {
@@ -171,6 +175,10 @@ def findings(
         if (entries[0]["type"] == "too_short" or _is_union(loc)) and any(_within(other, loc) for other in found)
     }
     return [_worded(loc, entries, key_hint, description) for loc, entries in found.items() if loc not in hollow]
+
+
+_RANGE = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
+"""pydantic's names of a number that is none of the allowed ones."""
 
 
 def _within(loc: Loc, section: Loc) -> bool:

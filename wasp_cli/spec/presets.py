@@ -23,7 +23,7 @@ _SMOKE: Document = {
     "world_model": {
         "deter": 32, "hidden": 32, "variables": 4, "classes": 4, "depth": 4, "head": 32,
         "batch": 4, "length": 16, "updates": 20, "later_updates": 10, "warmup": 5, "ahead_starts": 8, "ahead_images": 4, "refit_updates": 5,
-        "refit_starts": 16, "checkpoint_every": 10,
+        "refit_starts": 16, "checkpoint_every": 10, "taught": 20, "taught_batch": 16, "taught_head": 32,
     },
     "diagnostics": {"episodes": 4, "starts": 60, "samples": 2, "image_starts": 4},
     "policies": {
@@ -45,7 +45,10 @@ _SMOKE: Document = {
     "counterfactual": {"window": 4, "most": 3},
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
-    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2},
+    "wasp": {
+        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "takeover_rollouts": 1,
+        "finalists": 2,
+    },
 }  # fmt: skip
 
 # Minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
@@ -56,14 +59,14 @@ _QUICK: Document = {
     "expert": {"interactions": 320_000, "gamma": 0.97, "multiplier_init": 0.2, "multiplier_lr": 0.02, "evaluation_episodes": 10},
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {
-        "deter": 192, "hidden": 128, "variables": 12, "classes": 12, "depth": 8, "head": 96,
-        "batch": 8, "length": 16, "updates": 2400, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25,
+        "deter": 192, "hidden": 128, "variables": 24, "classes": 16, "depth": 8, "head": 96,
+        "batch": 8, "length": 16, "updates": 1800, "warmup": 100, "learning_rate": 1e-3, "decode_share": 0.25,
         "ahead_starts": 32, "ahead_images": 16, "refit_updates": 300,
     },
     "diagnostics": {"episodes": 8, "starts": 2000, "image_starts": 48},
     "policies": {
-        "updates": 1500, "batch": 256, "evaluation_episodes": 10, "labelling_rounds": 1, "labelling_episodes": 12, "labelling_updates": 500,
-        "reinforce": {"interactions": 60_000, "envs": 16},
+        "updates": 1500, "batch": 256, "evaluation_episodes": 20, "labelling_rounds": 2, "labelling_episodes": 24, "labelling_updates": 800,
+        "reinforce": {"interactions": 60_000, "envs": 16, "return_share": 0.75},
     },
     "critics": {"updates": 500, "starts": 64, "slow": 0.3},
     "gate_signals": {"critics": {"updates": 250, "starts": 64, "slow": 0.3}},
@@ -105,7 +108,7 @@ _PAPER: Document = {
     "ida_q": {"updates": 10_000},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000},
-    "wasp": {"rollouts": 5, "gate_rollouts": 5, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
+    "wasp": {"rollouts": 5, "gate_rollouts": 8, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
 }
 
 PRESETS: Mapping[str, Document] = {"smoke": _SMOKE, "quick": _QUICK, "cpu": _CPU, "gpu": _GPU, "paper": _PAPER}

@@ -23,21 +23,25 @@ class DiagnosticsStage:
     kind = "diagnostics"
     config = DiagnosticsConfig
     settings = ("action_repeat", "returns")
-    needs: tuple[str, ...] = ("expert", "dataset", "world_model")
+    needs: tuple[str, ...] = ("expert", "dataset", "world_model", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Judge both sets of episodes, and sample images of the held-out ones."""
         import numpy as np
+        import torch
 
         from wasp_cli.learning import diagnostics as judge
         from wasp_cli.learning.diagnostics import unseen_episodes
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.image_samples import decoded_sample, imagined_samples, sampled_windows, write_samples
+        from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.readout import StateReadout
         from wasp_cli.learning.shards import HELD_OUT, Recording, cost_sources, read_shards
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
+        from wasp_cli.tasks.privileged_layout import privileged_groups
 
         config = cast(DiagnosticsConfig, job.config)
         alarm = judge.Alarm(config.threshold, job.settings["returns"].gamma_c)
@@ -52,6 +56,15 @@ class DiagnosticsStage:
             "unseen": unseen_episodes(task, [load_privileged(job.inputs["expert"], f) for f in fractions], job.task, job.seed),
             "held_out": read_shards(folder, mask=held),
         }
+        job.progress(0.15, "fitting the readout")
+        learned = np.flatnonzero(~held)
+        chosen = np.zeros(len(held), bool)
+        chosen[learned[np.linspace(0, len(learned) - 1, min(config.readout_rows, len(learned))).round().astype(int)]] = True
+        known = load_latents(job.inputs["latents"]).rows(torch.from_numpy(chosen))
+        told = read_shards(folder, ["pixels", "privileged"], chosen)
+        groups = privileged_groups(job.task, told.privileged.shape[1])
+        readout = StateReadout.fit(model, told, known, groups, config.readout_penalty)
+        del told, known
         sets: dict[str, dict[str, Any]] = {}
         for part, (name, recording) in enumerate(reversed(recordings.items())):
 
@@ -64,6 +77,7 @@ class DiagnosticsStage:
             during(1.0, "imagining")
             seen = judge.forecast(model, recording, latents, starts, config.horizon, config.samples, seed)
             few = judge.spread_starts(recording, config.horizon, config.image_starts)
+            ahead = judge.spread_starts(recording, config.readout_step, config.starts)
             steps = judge.judged_steps(recording, seen, alarm, cost_sources(folder))
             images = judge.judged_images(model, recording, latents, few, config.horizon, config.samples, seed)
             kinds, counts = np.unique(recording.behaviour[recording.first > 0].astype(str), return_counts=True)
@@ -72,6 +86,12 @@ class DiagnosticsStage:
                 "steps": [row | image for row, image in zip(steps, images, strict=True)],
                 "window": judge.judged_window(recording, seen, alarm),
                 "filter": judge.judged_filter(model, recording, latents, config.image_starts),
+                "readout": {
+                    "filtered": readout.filtered(recording, latents),
+                    "embedding": readout.embedded(recording),
+                    "step": config.readout_step,
+                    "imagined": readout.imagined(recording, latents, ahead, config.readout_step, config.samples, seed),
+                },
             }  # fmt: skip
             if name == "held_out":
                 windows = sampled_windows(recording, seen) if len(few) else []
@@ -91,5 +111,8 @@ def _summary(sets: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         steps = {row["k"]: row for row in sets[name]["steps"]}
         summary |= {f"{prefix}{key}@{k}": round(steps[k][key], 3) for key in keys for k in SHOWN if k in steps}
         summary[f"{prefix}auprc_any"] = round(sets[name]["window"]["auprc"], 3)
+    told = sets["held_out"]["readout"]
+    summary |= {f"readout_{group}": round(share, 3) for group, share in told["filtered"].items()}
+    summary |= {f"readout_embedding_{group}": round(share, 3) for group, share in told["embedding"].items()}
     last = sets["held_out"]["steps"][-1]
     return summary | {f"image_over_copy@{last['k']}": round(last["image_over_copy"], 3)}

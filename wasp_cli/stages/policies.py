@@ -114,8 +114,9 @@ class PoliciesStage:
                 break
 
         # -- reinforcement
-        if not verdicts[-1].reached and config.reinforce.interactions:
-            best = verdict.best_round(verdicts)
+        best = verdict.best_round(verdicts)
+        enough = verdicts[best].return_share >= config.reinforce.return_share and not verdicts[best].excess_cost
+        if not (verdicts[best].reached or enough) and config.reinforce.interactions:
             skills.load_state_dict(weights[best])
             # Its limit comes from episodes of their own, and many, since none of them needs a camera.
             batches = [[seed("policies-limit", k, i) for i in range(config.evaluation_episodes)] for k in range(LIMIT_BATCHES)]
@@ -154,7 +155,8 @@ class PoliciesStage:
         return {
             "return": final["latent"]["return"], "cost": final["latent"]["cost"],
             "privileged_return": final["privileged"]["return"], "privileged_cost": final["privileged"]["cost"],
-            "return_share": final["return_share"], "cost_ratio": final["cost_ratio"], "reached": final["reached"],
+            "return_share": final["return_share"], "return_share_se": final["return_share_se"],
+            "cost_ratio": final["cost_ratio"], "reached": final["reached"],
             "rounds": sum("labelled" in row for row in rounds) - 1, "kept_round": kept, "reinforced": "reinforced" in rounds[kept],
             "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
             "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3), "agreement": round(agree[f"{fractions[-1]:g}"], 3),

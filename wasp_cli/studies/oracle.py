@@ -155,7 +155,8 @@ def _assistant(cell: Cell, config: WASPConfig | None, model: SimulatorModel) -> 
     if config is None:
         return HumanOnly()
     # lambda = 1: with no critics to mix in, a smaller one would only discount once more.
-    return WASP(config, Imagination(model, NoCritics(), effective(config), cell.gamma_r, cell.gamma_c, lam=1.0), {})
+    constants = effective(config), cell.gamma_r, cell.gamma_c
+    return WASP(config, Imagination(model, NoCritics(), *constants, lam=1.0, expert=_skill(cell.expert, 1.0)), {})
 
 
 def _skill(folder: Path, fraction: float) -> Policy:

@@ -122,7 +122,8 @@ class Setup:
         values = LatentCritics(model.feature_size, critics.hidden, critics.bins, critics.reach).requires_grad_(False)
         skills = Skills([1.0], model.feature_size, policies.hidden, ACTIONS).requires_grad_(False)
         context = OperatorContext(skill=skills.at, action_size=ACTIONS, decision_seconds=0.1)
-        self.imagination = Imagination(model, values, effective(wasp), returns.gamma_r, returns.gamma_c, returns.lam)
+        constants = effective(wasp), returns.gamma_r, returns.gamma_c, returns.lam
+        self.imagination = Imagination(model, values, *constants, expert=skills.expert)
         self.operator: Operator = build_operator("laggy", 0.7, context, EpisodeNoise(list(range(batch))), batch)
         self.latent: Latent = model.initial(batch)
         self.a_h = self.operator.command(self.latent.features)

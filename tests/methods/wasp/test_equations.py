@@ -15,9 +15,10 @@ from tests.worlds import Corridor, LinearCritics
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import normal
 from wasp_cli.methods.wasp.assistant import WASP, effective
-from wasp_cli.methods.wasp.gates import probe
+from wasp_cli.methods.wasp.candidates import Batch, propose
+from wasp_cli.methods.wasp.gates import probe, scored_again
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.planner import plan_residuals, propose
+from wasp_cli.methods.wasp.planner import plan_residuals
 from wasp_cli.operators.base import DrawnNoise, Operator
 
 GAMMA_R, GAMMA_C, LAM = 0.9, 0.8, 0.7
@@ -27,7 +28,7 @@ LOW, HIGH, JITTER = 0.3, 0.6, 0.05
 def configured(**changes: Any) -> WASPConfig:
     sizes = {
         "horizon": 6, "residual_steps": 3, "candidates": 24, "probe": 24, "elites": 6, "feasible": 5, "iterations": 3, "rollouts": 2,
-        "gate_rollouts": 3, "continuation": False,
+        "gate_rollouts": 3, "continuation": False, "takeover_shares": (), "probe_with": "random", "elites_kept": 0.0, "shrink": 1.0,
     }  # fmt: skip
     return WASPConfig.model_validate(sizes | changes)
 
@@ -101,9 +102,9 @@ class Literal:
         config, steps = self.config, self.config.residual_steps
         mean, std = [0.0] * steps, [config.initial_std] * steps
         best_task, best_safe, counts = (-float("inf"), [0.0] * steps), (float("inf"), [0.0] * steps), []
-        for batch in normals:
+        for i, batch in enumerate(normals):
             candidates = [[min(2.0, max(-2.0, mean[k] + std[k] * float(n[k]))) for k in range(steps)] for n in batch]
-            candidates[0], candidates[1] = [0.0] * steps, list(mean)
+            candidates[0 if i == 0 else 1] = [0.0] * steps if i == 0 else list(mean)
             found = [self.returns(candidate, draws) for candidate in candidates]
             safe = [i for i, each in enumerate(found) if each[1] <= tau_c]  # Eq. 14
             counts.append(len(safe))
@@ -169,7 +170,9 @@ def test_search_and_gates_equal_their_literal_reading(changes: dict[str, Any], x
 
     zeros = torch.zeros(1, config.residual_steps, 1, dtype=torch.float64)
     candidates = propose(zeros, torch.full_like(zeros, config.initial_std), normals[:, 0])
-    gain = probe(imagination, start, candidates, draws, fresh, tau_c)  # Eq. 11, 12
+    batch = Batch(candidates, None, imagination.returns(start, candidates, draws))
+    gain = probe(batch, nominal.reward, config, tau_c)  # Eq. 11, 12
+    gain = scored_again(imagination, start, batch, gain, fresh)
     delta_g, best = literal.corrected(candidates[0, :, :, 0].tolist(), draws.latent[0], fresh.latent[0], tau_c)
     assert gain.delta_g.item() == pytest.approx(delta_g)
     assert best is None or int(gain.best) == best
@@ -209,7 +212,7 @@ def test_exactly_enough_safe_candidates_are_case_1_and_one_fewer_is_case_2(missi
     config = configured(iterations=2, finalists=0)
 
     class Counted(Imagination):
-        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
             index = torch.arange(residuals.shape[1], dtype=torch.float64).expand(residuals.shape[:2])
             cost = (index >= config.feasible - missing).to(index.dtype)
             return Returns(index, cost, residuals.square().sum((-2, -1)))
@@ -241,18 +244,18 @@ def test_the_executed_action_is_clipped_as_imagined() -> None:
 def test_a_decision_has_the_order_of_section_4(monkeypatch: pytest.MonkeyPatch) -> None:
     """Safety first; the task gate is asked only when it is silent; the probe that fires is the first iteration of the search."""
     seen: list[int] = []
-    original: Callable[..., Returns] = Imagination.returns
+    original: Callable[..., Any] = Imagination.rolled
 
-    def counted(self: Imagination, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+    def counted(self: Imagination, start: Situation, residuals: Tensor, draws: Draws, *rest: Any, **further: Any) -> Any:
         seen.append(residuals.shape[1])
-        return original(self, start, residuals, draws)
+        return original(self, start, residuals, draws, *rest, **further)
 
-    monkeypatch.setattr(Imagination, "returns", counted)
-    config = configured(probe=20, finalists=0)
+    monkeypatch.setattr(Imagination, "rolled", counted)
+    config = configured(probe=20, finalists=2)
     for x, tau_r, gate, batches in [
-        (0.28, 0.0, 1, [1, 24, 24, 24, 2]),  # nominal, three iterations, the chosen one beside nothing
-        (-2.0, 1e9, 0, [1, 20, 2]),  # nominal, probe, its winner beside nothing
-        (-2.0, -1e9, 2, [1, 20, 2, 24, 24, 2]),  # and two further iterations
+        (0.28, 0.0, 1, [1, 24, 24, 24, 6]),  # nominal, three iterations, the finalists
+        (-2.0, 1e9, 0, [1, 20]),  # nominal, probe
+        (-2.0, -1e9, 2, [1, 20, 2, 24, 24, 6]),  # its winner beside nothing, and two further iterations
     ]:
         assistant = deciding(config.model_copy(update={"tau_r": tau_r}))
         assistant.reset(torch.ones(1, dtype=torch.bool), [3])

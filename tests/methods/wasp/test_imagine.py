@@ -114,3 +114,32 @@ def test_imagining_leaves_the_real_operator_alone() -> None:
     model.nominal(start, Draws(torch.zeros(B, H, M, 2, dtype=torch.float64), torch.zeros(B, H, M, 1, dtype=torch.float64)))
     assert all(torch.equal(before[name], operator.memory[name]) for name in before)
     assert isinstance(operator, Operator)
+
+
+def test_nominal_rollouts_follow_the_operator_whatever_the_composition() -> None:
+    """Eq. 9-10 know no correction, so that nothing is held, while a candidate without residual is a held command in Eq. 13 as printed."""
+    draws = Draws(torch.randn(B, H, M, 2, dtype=torch.float64), torch.rand(B, H, M, 1, dtype=torch.float64))
+    operator = laggy(0.3)
+    found = []
+    for composition in ("per_step", "hold"):
+        model = imagination(small(composition=composition))
+        start = Situation(model.model.at(0.0, 0.1, 0.2), operator.memory["last"].clone(), operator, torch.arange(B))  # type: ignore[attr-defined]
+        found.append(model.nominal(start, draws))
+    torch.testing.assert_close(found[0], found[1])
+    held = model.returns(start, torch.zeros(B, 1, L, 1, dtype=torch.float64), draws)
+    assert (held.reward.squeeze(1) != found[1].reward).all()
+
+
+def test_effort_counts_what_is_executed_or_what_was_sampled() -> None:
+    draws = Draws(torch.zeros(B, H, M, 2, dtype=torch.float64), torch.ones(B, H, M, 1, dtype=torch.float64))
+    residuals = torch.full((B, 1, L, 1), 2.0, dtype=torch.float64)
+    for effort, wanted in (("clipped", [0.8**2, 1.4**2, 0.1**2]), ("sampled", [4.0, 4.0, 4.0])):
+        operator = laggy(0.0)
+        model = imagination(small(effort=effort, residual_steps=1), 0.0)
+        start = Situation(model.model.at(0.0, 0.1, 0.2), operator.memory["last"].clone(), operator, torch.arange(B))  # type: ignore[attr-defined]
+        found = model.returns(start, residuals[:, :, :1], draws).effort.squeeze(1)
+        torch.testing.assert_close(found, torch.tensor(wanted, dtype=torch.float64))
+
+
+def test_one_gamma_is_that_of_the_rewards_or_of_the_costs() -> None:
+    assert [imagination(small(discounts=name)).discounts for name in ("two", "reward", "cost")] == [(0.9, 0.8), (0.9, 0.9), (0.8, 0.8)]

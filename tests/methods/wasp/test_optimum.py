@@ -241,7 +241,7 @@ TRAPPED = [
 """Too fast to stop, or in the hazard."""
 BETWEEN = 0.1
 """A plan may be better than the exhaustive search by what lies between its points; 0.1 is the reward of a centimetre."""
-PAPER = {"candidates": 300, "probe": 300, "elites": 100, "feasible": 100, "iterations": 6}
+PAPER = {"candidates": 300, "probe": 300, "elites": 100, "feasible": 100, "iterations": 6, "elites_kept": 0.0, "shrink": 1.0}
 SIZES = [pytest.param(SMALL, 0.15, id="small"), pytest.param(PAPER, 0.05, id="paper")]
 
 

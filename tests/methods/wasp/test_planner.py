@@ -6,9 +6,10 @@ from torch import Tensor
 
 from tests.worlds import Corridor, NoCritics
 from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.wasp.gates import probe, safe_score, task_score
+from wasp_cli.methods.wasp.candidates import Batch, propose
+from wasp_cli.methods.wasp.gates import Gain, probe, safe_score, scored_again, task_score
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.planner import plan_residuals, propose
+from wasp_cli.methods.wasp.planner import plan_residuals
 from wasp_cli.operators.base import DrawnNoise, Operator
 
 TAU = 0.3
@@ -17,7 +18,7 @@ TAU = 0.3
 class Scripted(Imagination):
     """Returns given by a function of the candidates alone."""
 
-    def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+    def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
         effort = residuals.square().sum((-2, -1))
         first = residuals[:, :, 0, 0]
         cost = torch.where(first < -0.4, torch.zeros_like(first), torch.ones_like(first))
@@ -26,6 +27,7 @@ class Scripted(Imagination):
 
 def config(**changes: object) -> WASPConfig:
     sizes = {"horizon": 4, "residual_steps": 2, "candidates": 40, "elites": 10, "feasible": 5, "iterations": 5, "probe": 40}
+    sizes |= {"elites_kept": 0.0, "shrink": 1.0}
     return WASPConfig.model_validate(sizes | changes)
 
 
@@ -75,7 +77,7 @@ def test_a_whole_search_equals_its_literal_reading(seed: int, feasible: int) -> 
     mean, std = torch.zeros(1, 2, 1), torch.full((1, 2, 1), settings.initial_std)
     batches = []
     for i in range(3):
-        candidates = propose(mean, std, normals[:, i])
+        candidates = propose(mean, std, normals[:, i], nothing=i == 0)
         returns = model.returns(start, candidates, draws)
         batches.append((candidates, returns))
         elites = candidates[:, literal_elites(settings, returns)]
@@ -126,7 +128,7 @@ def test_no_case2_keeps_the_command_when_nothing_is_safe() -> None:
 
 def test_broken_rollouts_are_never_chosen() -> None:
     class Broken(Scripted):
-        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
             found = super().returns(start, residuals, draws)
             bad = residuals[:, :, 0, 0] < -0.6
             return Returns(*(torch.where(bad, torch.nan, field) for field in found))
@@ -140,7 +142,7 @@ def test_broken_rollouts_are_never_chosen() -> None:
 
 def test_where_every_rollout_is_broken_the_command_stands() -> None:
     class Broken(Scripted):
-        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
             return Returns(*(torch.full_like(field, torch.nan) for field in super().returns(start, residuals, draws)))
 
     start, draws = nowhere(1)
@@ -156,7 +158,7 @@ def test_a_kept_plan_is_a_candidate_and_a_finalist() -> None:
     """Only one narrow escape is safe, which no sample meets: it is found if and only if it was kept."""
 
     class Narrow(Scripted):
-        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
             cost = ((residuals - 1.25).abs().amax((-2, -1)) > 1e-6).to(residuals.dtype)
             return Returns(torch.zeros_like(cost), cost, residuals.square().sum((-2, -1)))
 
@@ -192,18 +194,24 @@ def test_the_task_gate_scores_its_winner_again_and_finds_nothing_without_a_feasi
     settings = config()
     model = Imagination(Corridor(9.0, 10.0), NoCritics(), settings, 1.0, 1.0, 1.0)
     candidates = torch.tensor([0.0, 0.5, -0.5]).view(1, 3, 1, 1).expand(1, 3, 2, 1).clone()
-    gain = probe(model, start, candidates, draws, draws, TAU)
+
+    def judged(model: Imagination) -> Gain:
+        batch = Batch(candidates, None, model.returns(start, candidates, draws))
+        gain = probe(batch, model.nominal(start, draws).reward, settings, TAU)
+        return scored_again(model, start, batch, gain, draws)
+
+    gain = judged(model)
     assert int(gain.best) == 1
     assert gain.delta_g.item() == pytest.approx(0.1)  # two steps of 0.1 x 0.5; the effort is not part of Eq. 12
     trapped = Imagination(Corridor(-9.0, 9.0), NoCritics(), settings, 1.0, 1.0, 1.0)
-    assert probe(trapped, start, candidates, draws, draws, TAU).delta_g.item() == -float("inf")
+    assert judged(trapped).delta_g.item() == -float("inf")
 
 
 def test_finalists_are_scored_again_so_that_luck_does_not_win() -> None:
     """In the search every brake looks safe; on other draws only a hard one is. The lucky soft brake must not be executed."""
 
     class Lucky(Scripted):
-        def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
             bound = -1.0 if draws.latent.mean() > 0.5 else -0.4
             first = residuals[:, :, 0, 0]
             return Returns(2.0 * first, (first >= bound).to(first.dtype), residuals.square().sum((-2, -1)))
@@ -220,3 +228,63 @@ def test_finalists_are_scored_again_so_that_luck_does_not_win() -> None:
     assert bool(naive.found_safe)
     chosen = float(careful.residuals[0, 0, 0])
     assert chosen < -1.0 if bool(careful.found_safe) else chosen == 0.0
+
+
+def test_no_finalist_is_there_twice() -> None:
+    """No residual is a candidate too, a plan may be among the best by both scores, and the kept one may be the first mean."""
+
+    class Watched(Scripted):
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
+            if alone:
+                seen.append(residuals)
+            found = super().returns(start, residuals, draws)
+            # Without residual nothing costs, and the less the better: every score ranks it first.
+            return found._replace(reward=-found.effort, cost=(found.effort > 0.5).to(found.cost.dtype))
+
+    start, draws = nowhere(2)
+    for kept, finalists in ((None, 4), (torch.tensor([0.2, 0.0]).view(2, 1, 1).expand(2, 2, 1), 4), (None, 1)):
+        seen: list[Tensor] = []
+        settings = config(iterations=4, finalists=finalists, elites_kept=0.5)
+        model = Watched(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+        normals = torch.randn(2, 4, 40, 2, 1, generator=torch.Generator().manual_seed(1))
+        mean = torch.zeros(2, 2, 1) if kept is None else kept
+        plan_residuals(model, start, mean, normals, draws, TAU, fresh=draws, kept=kept)
+        (plans,) = seen
+        for row in plans:
+            assert len({tuple(plan.flatten().tolist()) for plan in row}) == 2 * finalists + (1 if kept is None else 2)
+
+
+def test_kept_elites_stay_candidates_while_the_population_shrinks() -> None:
+    """The elites of an iteration are candidates of the next without being imagined again, and count among the safe ones."""
+    batches: list[int] = []
+
+    class Watched(Scripted):
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
+            batches.append(residuals.shape[1])
+            found = super().returns(start, residuals, draws)
+            return found._replace(cost=torch.zeros_like(found.cost))
+
+    settings = config(elites_kept=0.5, shrink=2.0, finalists=0)
+    model = Watched(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+    start, draws = nowhere(1)
+    normals = torch.randn(1, 5, 40, 2, 1, generator=torch.Generator().manual_seed(0))
+    found = plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU)
+    assert batches == [40, 20, 10, 10, 10, 1]  # never fewer than the elites; and the command alone
+    assert found.safe[0].tolist() == [40, 25, 15, 15, 15]
+
+
+def test_the_plan_is_the_best_of_all_iterations_or_of_the_last() -> None:
+    class Falling(Scripted):
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
+            rounds.append(0)
+            value = torch.full(residuals.shape[:2], -float(len(rounds)))
+            return Returns(value + residuals[:, :, 0, 0] * 1e-3, torch.zeros_like(value), torch.zeros_like(value))
+
+    start, draws = nowhere(1)
+    normals = torch.randn(1, 3, 40, 2, 1, generator=torch.Generator().manual_seed(0))
+    rewards = {}
+    for best_of in ("all", "last"):
+        rounds: list[int] = []
+        model = Falling(Corridor(9, 9), NoCritics(), config(iterations=3, best_of=best_of, finalists=0), 0.9, 0.9, 0.9)
+        rewards[best_of] = round(plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU).predicted.reward.item())
+    assert rewards == {"all": -1, "last": -3}

@@ -45,7 +45,9 @@ def diagnosed(sources: tuple[str, ...] = SOURCES) -> dict[str, Any]:
     window: dict[str, Any] = {f"{prefix}{key}": 0.125 for prefix in ("", "onset_") for key in keys}
     window |= {"persistence": 0.2, "cost_correlation": None, "gamma": 0.95, "threshold": 0.5}
     filtered = {"auprc": 0.9, "base": 0.05, "predicted_over_base": 1.1, "image_error": 0.01, "image_variance": 0.04}
-    one = {"episodes": {"expert": 3, "noisy": 1}, "starts": 40, "steps": steps, "window": window, "filter": filtered}
+    told = {"all": 0.5, "motion": 0.75, "things": None}
+    readout = {"filtered": told, "embedding": {**told, "motion": -0.25}, "step": 5, "imagined": told}
+    one = {"episodes": {"expert": 3, "noisy": 1}, "starts": 40, "steps": steps, "window": window, "filter": filtered, "readout": readout}
     return {"held_out": one, "unseen": one}
 
 

@@ -73,10 +73,14 @@ def test_the_diagnostics_have_a_section_for_each_set_and_a_dash_for_what_is_unde
     assert "| 2 | 0.10 | 0.10 |" in page
     assert "| 6 | - | - |" in page
     assert "Share of the costs of each source that were foreseen" in page
+    rows = ("filtered latent | 0.50 | 0.75 | -", "embedding of the image | 0.50 | -0.25 | -", "imagined, step 5 | 0.50 | 0.75 | -")
+    assert "\n".join(["| read from | all | motion | things |", "| --- | ---: | ---: | ---: |", *(f"| {row} |" for row in rows)]) in page
     assert "Episodes that end there by the task's own rule" in page
     assert "discounted by\n0.95 a step, were above 0.5" in page
     assert "None" not in page
     assert "Share of the costs of each source" not in open_loop_markdown(diagnosed(("hazards",)))
+    earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
+    assert "read from" not in open_loop_markdown(earlier), "a results folder may hold what was judged before there was a readout"
     assert STEPS == SHOWN, "reports show the steps that the stage tells"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -12,17 +12,22 @@ from torch import Tensor
 
 from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
-from wasp_cli.methods.configs import Coverage, WASPConfig
+from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, gumbel, normal, uniform
 from wasp_cli.methods.record import Planned, blank_record
-from wasp_cli.methods.wasp.gates import TAU_R_FALLBACK, Gain, Signals, probe, resolved_tau_c, safety_gate
+from wasp_cli.methods.wasp.candidates import Batch, none_taken, propose, takeovers
+from wasp_cli.methods.wasp.gates import Gain, Signals, probe, resolved_tau_c, resolved_tau_r, safety_gate, scored_again
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
-from wasp_cli.methods.wasp.planner import Plan, plan_residuals, propose
+from wasp_cli.methods.wasp.operator_model import imagined_operator
+from wasp_cli.methods.wasp.planner import Plan, plan_residuals
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.weights import load_module
 from wasp_cli.operators.base import Operator
+
+CHUNK = 64
+"""Held-out decisions that are looked at together."""
 
 
 def effective(config: WASPConfig) -> WASPConfig:
@@ -36,8 +41,26 @@ def wasp(config: Config, parts: Parts) -> WASP:
     """Build WASP over the trained world model and critics."""
     critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors")
     whole = cast(WASPConfig, config)
-    imagination = Imagination(parts.world_model, critics, effective(whole), parts.gamma_r, parts.gamma_c, parts.lam)
-    return WASP(whole, imagination, parts.thresholds)
+    constants = effective(whole), parts.gamma_r, parts.gamma_c, parts.lam
+    return WASP(whole, Imagination(parts.world_model, critics, *constants, expert=parts.skills.expert), parts.thresholds)
+
+
+class Look(NamedTuple):
+    """What the gates see of B decisions: one batch of rollouts."""
+
+    nominal: Returns
+    """[B] of the operator alone (Eq. 9-10)"""
+    taken: Batch | None
+    """takeovers; None where there are none"""
+    baseline: Tensor
+    """[B] return of the operator alone on the rollouts of the takeovers"""
+    draws: Draws
+    """of these rollouts"""
+
+    def rows(self, index: Tensor) -> Look:
+        """Select some of the decisions (indices [R])."""
+        taken = None if self.taken is None else self.taken.rows(index)
+        return Look(Returns(*(values[index] for values in self.nominal)), taken, self.baseline[index], self.draws.rows(index))
 
 
 class WASP:
@@ -46,9 +69,7 @@ class WASP:
     def __init__(self, config: WASPConfig, imagination: Imagination, thresholds: Mapping[str, float]) -> None:
         """WASP over any world model; `imagination` has the effective configuration of the variant."""
         self.whole, self.config, self.imagination = config, imagination.config, imagination
-        self.tau_c = resolved_tau_c(self.config, thresholds)
-        calibrated = thresholds.get("tau_r", TAU_R_FALLBACK)
-        self.tau_r = calibrated if self.config.tau_r == "calibrated" else float(self.config.tau_r)
+        self.tau_c, self.tau_r = resolved_tau_c(self.config, thresholds), resolved_tau_r(self.config, thresholds)
         self.noise = DecisionNoise()
         self.plan = torch.zeros(0)  # [B, L, A] of the last decision
         self.warm = torch.zeros(0, dtype=torch.bool)  # [B] it intervened
@@ -76,7 +97,7 @@ class WASP:
         """
         # Begin with the commands: no gate fired, nothing is planned.
         batch = len(a_h)
-        start = Situation(latent, a_h, operator, torch.arange(batch))
+        start = self._situation(latent, a_h, operator)
         generators = self.noise.next()
         record = blank_record(batch)
         action, gate, delta_g = a_h.clone(), record.gate, record.delta_g
@@ -84,15 +105,8 @@ class WASP:
         plan, warm = torch.zeros_like(self.plan), torch.zeros_like(self.warm)
         recovering = torch.zeros_like(self.warm)
 
-        # Imagine the operator alone: G^(c) and G^(r) of the nominal rollouts (Eq. 9-10).
-        nominal, gate_draws = self._nominal(start, generators)
-
-        # Safety gate: fires where the nominal cost return exceeds tau_c (Eq. 9).
-        fired = safety_gate(nominal.cost, self.tau_c)
-        if self.config.variant == "task-only":
-            fired = torch.zeros_like(fired)
-        # Candidates meet the gate's own draws: where it fired, doing nothing is not suddenly safe.
-        search_draws = gate_draws.first(self.config.rollouts)
+        # Imagine the operator alone, G^(c) and G^(r) of the nominal rollouts (Eq. 9-10), and beside it the takeovers.
+        look = self._look(start, generators)
 
         def carry_out(rows: Tensor, made: Plan, kind: int) -> None:
             # Execute the first residual of the plan (Eq. 18), and note the plan.
@@ -106,41 +120,63 @@ class WASP:
             for field, value in zip(planned, found, strict=True):
                 field[rows] = value
 
-        # Where the safety gate fired: search a residual plan (Eq. 13-17), and look again whether the command needs it.
+        # Safety gate: fires where the nominal cost return exceeds tau_c (Eq. 9). Search a residual plan (Eq. 13-17), and look again
+        # whether the command needs it.
+        fired = safety_gate(look.nominal, self.config, self.tau_c)
         rows = fired.nonzero().flatten()
         if len(rows):
-            made = self._plan(start.select(rows), search_draws.rows(rows), generators, None)
+            made = self._plan(start.select(rows), look.rows(rows), generators, None)
             carry_out(rows, self._rechecked(made), GATE_SAFETY)
 
-        # Task gate, where the safety gate is silent: the best safe probe candidate must gain more return than tau_r (Eq. 11-12).
+        # Task gate, where the safety gate is silent: the best safe candidate must gain more return than tau_r (Eq. 11-12).
         rows = (~fired).nonzero().flatten()
         if len(rows) and self.config.variant != "safety-only":
-            quiet = start.select(rows)
-            candidates = self._candidates(rows, generators)
-            gain = self._probe(quiet, candidates, search_draws.rows(rows), generators)
+            gain, sampled = self._gain(start.select(rows), look.rows(rows), generators, self.tau_r)
             delta_g[rows] = gain.delta_g
             worth = (gain.delta_g > self.tau_r).nonzero().flatten()
             if len(worth):
-                # Where it fired: search on from the probe, which is the first iteration (Eq. 13-17).
-                first = (candidates[worth], Returns(*(field[worth] for field in gain.returns)))
+                # Where it fired, search (Eq. 13-17).
+                first = sampled.rows(worth) if sampled is not None and self.config.probe_first else None
                 chosen = rows[worth]
-                carry_out(chosen, self._plan(start.select(chosen), search_draws.rows(chosen), generators, first), GATE_TASK)
+                carry_out(chosen, self._plan(start.select(chosen), look.rows(chosen), generators, first), GATE_TASK)
 
         # Keep the plans as the next decision's starting point.
         self._remember(plan, warm, recovering)
-        return Decision(action, record._replace(g_cost=nominal.cost, g_return=nominal.reward), planned)
+        return Decision(action, record._replace(g_cost=look.nominal.cost, g_return=look.nominal.reward), planned)
 
     def nominal(self, latent: Latent, a_h: Tensor, operator: Operator) -> Returns:
-        """Return what the operator alone leads to (Eq. 9-10), [B] each: all that a decision costs where no gate goes on from there."""
-        return self._nominal(Situation(latent, a_h, operator, torch.arange(len(a_h))), self.noise.next())[0]
+        """Return what the operator alone leads to (Eq. 9-10), [B] each, at the cost of a decision in which nothing else is imagined."""
+        return self._look(self._situation(latent, a_h, operator), self.noise.next()).nominal
 
     def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
         """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision, and nothing else imagined."""
-        return self.nominal(latent, a_h, operator).cost
+        start, generators = self._situation(latent, a_h, operator), self.noise.next()
+        return self.imagination.nominal(start, self._draws(generators, start.operator, self.config.gate_rollouts)).cost
 
-    def _nominal(self, start: Situation, generators: Sequence[np.random.Generator]) -> tuple[Returns, Draws]:
-        draws = self._draws(generators, start.operator, self.config.gate_rollouts)
-        return self.imagination.nominal(start, draws), draws
+    def _situation(self, latent: Latent, a_h: Tensor, operator: Operator) -> Situation:
+        imagined = imagined_operator(self.config.operator_model, operator, a_h, self.imagination.expert)
+        return Situation(latent, a_h, imagined, torch.arange(len(a_h)))
+
+    def _look(self, start: Situation, generators: Sequence[np.random.Generator]) -> Look:
+        return self._seen(start, self._draws(generators, start.operator, self.config.gate_rollouts))
+
+    def _seen(self, start: Situation, draws: Draws) -> Look:
+        batch, actions = start.a_h.shape
+        share = takeovers(self.config, batch)
+        if not share.shape[1]:
+            nominal = self.imagination.nominal(start, draws)
+            return Look(nominal, None, nominal.reward, draws)
+        # One batch: the operator alone several times, so that together it meets all draws, then the takeovers, which meet the first.
+        each = self.config.takeover_rollouts
+        several = self.config.gate_rollouts // each
+        alone = start.a_h.new_zeros(batch, several, self.config.residual_steps, actions)
+        residuals = alone[:, :1].expand(-1, several + share.shape[1], -1, -1)
+        index = torch.cat([torch.arange(several * each).view(several, each), torch.arange(each).expand(share.shape[1], -1)])
+        shares = torch.cat([none_taken(alone), share], 1)
+        returns, realised = self.imagination.rolled(start, residuals, draws, shares, alone=several, index=index)
+        taken = Batch(realised[:, several:], share, Returns(*(values[:, several:] for values in returns)))
+        nominal = Returns(*(values[:, :several].mean(1) for values in returns))
+        return Look(nominal, taken, returns.reward[:, 0], draws)
 
     def _remember(self, plan: Tensor, warm: Tensor, recovering: Tensor) -> None:
         """Keep the plans for the next decision, and those of Case II for some more."""
@@ -154,43 +190,69 @@ class WASP:
         everyone = torch.ones(len(heldout.a_h), dtype=torch.bool)
         self.reset(everyone, [seed + i for i in range(len(heldout.a_h))])
         generators = self.noise.next()
-        whole = replace(self.imagination, config=self.whole.model_copy(update={"variant": "full"}))
-        cost, whole_cost, gain = [], [], []
-        for chunk in everyone.nonzero().flatten().split(64):
-            own = [generators[i] for i in chunk.tolist()]
-            start = Situation(heldout.latent.rows(chunk), heldout.a_h[chunk], operator, chunk)
-            draws = self._draws(own, operator, self.config.gate_rollouts, self.whole.horizon)
-            whole_cost.append(whole.nominal(start, draws).cost)
-            draws = draws.steps(self.config.horizon)
-            cost.append(self.imagination.nominal(start, draws).cost)
-            fresh = self._draws(own, operator, self.config.gate_rollouts)
-            candidates = propose(*self._start_distribution(chunk), normal(own, self.config.probe, *self.plan.shape[1:]))
-            gain.append((start, candidates, draws.first(self.config.rollouts), fresh))
-        found = Signals(torch.cat(cost), torch.cat(whole_cost), cost_ahead)
-        fixed = self.whole.tau_c
-        tau_c = found.own_tau_c(fixed) if self.config.variant == "no-rollout" and not isinstance(fixed, Coverage) else self.tau_c
-        gains = torch.cat([probe(self.imagination, *case, tau_c).delta_g for case in gain])
-        return found.thresholds(tau_c, gains, self.config)
+        start = self._situation(heldout.latent, heldout.a_h, operator)
+        chunks = [(chunk, start.select(chunk)) for chunk in everyone.nonzero().flatten().split(CHUNK)]
+        own = {id(chunk): [generators[i] for i in chunk.tolist()] for chunk, _ in chunks}
+        draws = [self._draws(own[id(chunk)], part.operator, self.config.gate_rollouts, self.whole.horizon) for chunk, part in chunks]
+        looks = [self._seen(part, drawn.steps(self.config.horizon)) for (_, part), drawn in zip(chunks, draws, strict=True)]
+        cost = whole_cost = torch.cat([look.nominal.cost for look in looks])
+        if self.config.variant == "no-rollout":
+            whole = replace(self.imagination, config=self.whole.model_copy(update={"variant": "full"}))
+            whole_cost = torch.cat([whole.nominal(part, drawn).cost for (_, part), drawn in zip(chunks, draws, strict=True)])
+        signals = Signals(cost, whole_cost, cost_ahead)
+        self.tau_c = signals.tau_c(self.config, self.tau_c)
+        gains = [self._gain(part, look, generators, -torch.inf)[0].delta_g for (_, part), look in zip(chunks, looks, strict=True)]
+        return signals.thresholds(self.tau_c, torch.cat(gains), self.config)
 
-    def _probe(self, start: Situation, candidates: Tensor, search: Draws, generators: Sequence[np.random.Generator]) -> Gain:
+    def _gain(self, start: Situation, look: Look, generators: Sequence[np.random.Generator], tau_r: float) -> tuple[Gain, Batch | None]:
+        """Return what the best candidate gains (Eq. 11-12), and the random sequences among the candidates, evaluated.
+
+        A gain above tau_r is looked at again, where the configuration says so.
+        """
         own = [generators[i] for i in start.rows.tolist()]
-        fresh = self._draws(own, start.operator, self.config.gate_rollouts)
-        return probe(self.imagination, start, candidates, search, fresh, self.tau_c)
+        sampled, candidates = None, look.taken
+        if self.config.probe_with != "takeovers":
+            sampled, baseline = self._sampled(start, look, own)
+            candidates = sampled
+            if self.config.probe_with == "both" and look.taken is not None:
+                # Each beside the operator alone on its own rollouts.
+                offset = (look.baseline - baseline).unsqueeze(1)
+                beside = sampled._replace(returns=sampled.returns._replace(reward=sampled.returns.reward + offset))
+                candidates, baseline = Batch.joined([beside, look.taken]), look.baseline
+        else:
+            baseline = look.baseline
+        assert candidates is not None  # the configuration sees to it
+        gain = probe(candidates, baseline, self.config, self.tau_c)
+        again = (gain.delta_g > tau_r).nonzero().flatten()
+        if self.config.rescore and len(again):
+            fresh = self._draws([own[i] for i in again.tolist()], start.operator, self.config.gate_rollouts)
+            part = Gain(gain.delta_g[again], gain.best[again])
+            gain.delta_g[again] = scored_again(self.imagination, start.select(again), candidates.rows(again), part, fresh).delta_g
+        return gain, sampled
 
-    def _candidates(self, rows: Tensor, generators: Sequence[np.random.Generator]) -> Tensor:
-        own = [generators[i] for i in rows.tolist()]
-        return propose(*self._start_distribution(rows), normal(own, self.config.probe, *self.plan.shape[1:]), self.kept[rows])
+    def _sampled(self, start: Situation, look: Look, own: Sequence[np.random.Generator]) -> tuple[Batch, Tensor]:
+        """Return N_probe random sequences, evaluated, and the return [B] of the operator alone on the same rollouts."""
+        forced = self.config.forced
+        normals = normal(own, self.config.probe, *self.plan.shape[1:])
+        kept = self._kept(start.rows) if self.config.probe_first else None
+        candidates = propose(*self._start_distribution(start.rows), normals, kept, nothing=forced, centre=forced)
+        returns = self.imagination.returns(start, candidates, look.draws.first(self.config.rollouts), alone=int(forced))
+        return Batch(candidates, None, returns), returns.reward[:, 0] if forced else look.nominal.reward
 
-    def _plan(
-        self, start: Situation, draws: Draws, generators: Sequence[np.random.Generator], first: tuple[Tensor, Returns] | None
-    ) -> Plan:
+    def _kept(self, rows: Tensor) -> Tensor | None:
+        return self.kept[rows] if self.config.case2_memory else None
+
+    def _plan(self, start: Situation, look: Look, generators: Sequence[np.random.Generator], first: Batch | None) -> Plan:
+        """Search; candidates meet the gate's own draws, so that where it fired doing nothing is not suddenly safe."""
         own = [generators[i] for i in start.rows.tolist()]
         config = self.config
         normals = normal(own, config.iterations, config.candidates, *self.plan.shape[1:])
         mean, _ = self._start_distribution(start.rows)
         fresh = self._draws(own, start.operator, config.gate_rollouts) if config.finalists else None
-        kept = self.kept[start.rows]
-        return plan_residuals(self.imagination, start, mean, normals, draws, self.tau_c, first=first, fresh=fresh, kept=kept)
+        return plan_residuals(
+            self.imagination, start, mean, normals, look.draws.first(config.rollouts), self.tau_c,
+            first=first, besides=look.taken, fresh=fresh, kept=self._kept(start.rows),
+        )  # fmt: skip
 
     def _rechecked(self, made: Plan) -> Plan:
         """Let the command stand where the gate had fired by chance: it is safe on fresh rollouts, and the plan gains no more than noise."""
@@ -205,7 +267,8 @@ class WASP:
 
     def _start_distribution(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and std [B, L, A]: the last plan shifted by one with 0 appended where the last decision intervened, else 0."""
-        mean = torch.where(self.warm[rows].view(-1, 1, 1), shifted(self.plan[rows]), 0.0)
+        warm = self.warm[rows] & self.config.warm_start
+        mean = torch.where(warm.view(-1, 1, 1), shifted(self.plan[rows]), 0.0)
         return mean, torch.full_like(mean, self.config.initial_std)
 
     def _draws(self, generators: Sequence[np.random.Generator], operator: Operator, rollouts: int, horizon: int | None = None) -> Draws:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from wasp_cli.methods.configs import Coverage, WASPConfig
+from wasp_cli.methods.wasp.candidates import Batch
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
 
 TAU_C_FALLBACK, TAU_R_FALLBACK = 0.5, 0.5
@@ -25,46 +26,47 @@ class Gain(NamedTuple):
     """Delta G_t of Eq. 12 [B]; minus infinity where no candidate is feasible"""
     best: Tensor
     """[B] index of the corrected candidate"""
-    returns: Returns
-    """of the whole probe, which becomes the first CEM iteration when the gate fires"""
 
 
 def resolved_tau_c(config: WASPConfig, thresholds: Mapping[str, float]) -> float:
-    """Return tau_c in force: the configuration's, or a calibrated one where the configuration or the unit of the signal asks for it."""
-    fixed = None if isinstance(config.tau_c, Coverage) else config.tau_c
+    """Return tau_c in force: the configuration's, or a calibrated one where the configuration or the signal's unit asks for it."""
+    fixed = config.tau_c if isinstance(config.tau_c, float | int) else None
     # A single step has another unit than the sum over H, so `no-rollout` brings a threshold of its own.
     if fixed is None or config.variant == "no-rollout":
         return thresholds.get("tau_c", TAU_C_FALLBACK if fixed is None else fixed)
     return fixed
 
 
-def safety_gate(nominal_cost: Tensor, tau_c: float) -> Tensor:
-    """Return where to intervene [B]: the nominal cost return [B] exceeds tau_c (Eq. 9)."""
-    return nominal_cost > tau_c
+def resolved_tau_r(config: WASPConfig, thresholds: Mapping[str, float]) -> float:
+    """Return tau_r in force."""
+    return thresholds.get("tau_r", TAU_R_FALLBACK) if config.tau_r == "calibrated" else float(config.tau_r)
 
 
-def probe(imagination: Imagination, start: Situation, candidates: Tensor, draws: Draws, fresh: Draws, tau_c: float) -> Gain:
-    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over the operator alone (Eq. 12).
+def safety_gate(nominal: Returns, config: WASPConfig, tau_c: float) -> Tensor:
+    """Return where to intervene [B]: the nominal cost return exceeds tau_c (Eq. 9); nowhere in the variant without this gate."""
+    fired = nominal.cost > tau_c
+    return torch.zeros_like(fired) if config.variant == "task-only" else fired
 
-    The maximum of many noisy estimates is biased, so the winner and the operator are scored again with fresh rollouts, common to both.
 
-    Args:
-        imagination: the frozen models.
-        start: B decisions.
-        candidates: residual sequences [B, N_probe, L, A].
-        draws: rollouts of the search.
-        fresh: rollouts of the comparison.
-        tau_c: bound of the cost return.
-    """
-    found = imagination.returns(start, candidates, draws)
-    score = task_score(found, imagination.config.alpha)
+def probe(candidates: Batch, nominal: Tensor, config: WASPConfig, tau_c: float) -> Gain:
+    """Find the feasible candidate of highest penalised return (Eq. 11), and its gain over `nominal` [B], the return of none (Eq. 12)."""
+    found = candidates.returns
     feasible = found.cost <= tau_c  # NaN compares false: a broken rollout is not feasible
-    best = torch.where(feasible, score, -torch.inf).argmax(-1)  # [B]
-    winner = candidates[torch.arange(len(best)), best].unsqueeze(1)  # [B, 1, L, A]
-    pair = torch.cat([torch.zeros_like(winner), winner], 1)
-    again = imagination.returns(start, pair, fresh)
-    gain = again.reward[:, 1] - again.reward[:, 0]
-    return Gain(torch.where(feasible.any(-1), gain, -torch.inf), best, found)
+    best = torch.where(feasible, task_score(found, config.alpha), -torch.inf).argmax(-1)  # [B]
+    gain = found.reward.gather(1, best.unsqueeze(1)).squeeze(1) - nominal
+    return Gain(torch.where(feasible.any(-1), gain, -torch.inf), best)
+
+
+def scored_again(imagination: Imagination, start: Situation, candidates: Batch, gain: Gain, fresh: Draws) -> Gain:
+    """Return the gain of the probe's winner on fresh rollouts, common to it and the operator alone.
+
+    The maximum of many noisy estimates is biased. Where nothing was feasible, nothing is.
+    """
+    winner = candidates.take(gain.best.unsqueeze(1))
+    nothing = torch.zeros_like(winner.residuals)
+    share = () if winner.share is None else (torch.cat([torch.zeros_like(winner.share), winner.share], 1),)
+    again = imagination.returns(start, torch.cat([nothing, winner.residuals], 1), fresh, *share, alone=1)
+    return gain._replace(delta_g=torch.where(gain.delta_g.isfinite(), again.reward[:, 1] - again.reward[:, 0], -torch.inf))
 
 
 def task_score(returns: Returns, alpha: float) -> Tensor:
@@ -89,10 +91,23 @@ class Signals(NamedTuple):
     cost_ahead: Tensor
     """[K] costly decisions that really followed within the window; NaN where the episode has fewer left"""
 
-    def own_tau_c(self, tau_c: float) -> float:
-        """Return the threshold that lets through as many of the expert's decisions as `tau_c` does for the whole method."""
-        rate = float((self.whole_cost > tau_c).float().mean())
-        return quantile(self.cost, 1.0 - rate)
+    def tau_c(self, config: WASPConfig, known: float) -> float:
+        """Return the threshold of the safety gate: `known` where episodes of the operators have given it.
+
+        `calibrated` is a quantile of the signal over the decisions after which nothing cost. In the unit of `no-rollout` it is the one that
+        lets through as many of the expert's decisions as that of the whole method.
+        """
+        single = config.variant == "no-rollout"
+        whole = self.whole_cost if single else self.cost
+        tau_c = config.tau_c
+        if isinstance(tau_c, Coverage):
+            return known
+        if tau_c == "calibrated":
+            free = whole[self.cost_ahead == 0]
+            tau_c = quantile(free, config.tau_c_quantile) if len(free) else TAU_C_FALLBACK
+        if not single:
+            return tau_c
+        return quantile(self.cost, 1.0 - float((self.whole_cost > tau_c).float().mean()))
 
     def thresholds(self, tau_c: float, gains: Tensor, config: WASPConfig) -> dict[str, float]:
         """Return tau_c and tau_r, and the distributions that they stand in.

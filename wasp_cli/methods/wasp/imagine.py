@@ -17,7 +17,10 @@ from torch import Tensor
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
 from wasp_cli.models.base import Critics, Latent
-from wasp_cli.operators.base import DrawnNoise, Operator
+from wasp_cli.operators.base import DrawnNoise, Operator, Policy
+
+ROUNDING = 1e-6
+"""A takeover's residual below this is none: the expert's own command, computed in another batch."""
 
 
 class Dynamics(Protocol):
@@ -100,7 +103,7 @@ class Returns(NamedTuple):
     cost: Tensor
     """G^(c) [B, N] (Eq. 9, 14)"""
     effort: Tensor
-    """sum_k ||delta_k||^2 after clipping [B, N] (Eq. 11, 16, 17)"""
+    """sum_k ||delta_k||^2, after clipping unless `effort` says otherwise [B, N] (Eq. 11, 16, 17)"""
 
 
 @dataclass(frozen=True)
@@ -113,48 +116,101 @@ class Imagination:
     gamma_r: float
     gamma_c: float
     lam: float
+    expert: Policy | None = None
+    """The nominal expert on features [R, F], whose takeovers are candidates; None where there is none."""
 
-    def returns(self, start: Situation, residuals: Tensor, draws: Draws) -> Returns:
+    def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
         """Roll every candidate out and summarise it (Eq. 7-8, 13).
 
         Args:
             start: B decisions.
             residuals: [B, N, L, A].
             draws: of M rollouts, shared by the N candidates.
+            share: [B, N, L, 2] how much of a command the expert takes over, and how much of it is braked away, in the loop of every
+                rollout; the residuals of such steps are not read. None: there is no such candidate.
+            alone: so many of the first candidates are the operator alone, whatever their residuals. For the others zero residuals are a
+                held command where `composition` is `hold`.
+        """
+        return self.rolled(start, residuals, draws, share, alone=alone)[0]
+
+    def rolled(
+        self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0, index: Tensor | None = None
+    ) -> tuple[Returns, Tensor]:
+        """Return what `returns` does, and the residuals [B, N, L, A] of every candidate as they came about, a mean over the M rollouts.
+
+        Args:
+            start, residuals, draws, share, alone: as in `returns`.
+            index: which of the draws' rollouts each candidate meets, [N, M]; None: every candidate meets all of them.
         """
         batch, candidates, steps, actions = residuals.shape
-        rollouts, horizon = draws.latent.shape[2], draws.latent.shape[1]
+        horizon = draws.latent.shape[1]
+        if index is None:
+            index = torch.arange(draws.latent.shape[2]).expand(candidates, -1)
+        rollouts = index.shape[1]
+        shape = (batch, candidates, rollouts)
         copies = candidates * rollouts
-        delta = residuals.unsqueeze(2).expand(-1, -1, rollouts, -1, -1).reshape(-1, steps, actions)  # [R, L, A]
-        operator = start.operator.fork(start.rows, copies, DrawnNoise(_over_candidates(draws.operator, candidates)))
-        noise = _over_candidates(draws.latent, candidates)  # [H, R, Z]
+        delta = _over_rollouts(residuals, rollouts)  # [R, L, A]
+        part = None if share is None else _over_rollouts(share, rollouts)  # [R, L, 2]
+        operator = start.operator.fork(start.rows, copies, DrawnNoise(_over_candidates(draws.operator, index)))
+        noise = _over_candidates(draws.latent, index)  # [H, R, Z]
         latent = start.latent.expand_rows(copies)
         now = start.a_h.repeat_interleave(copies, 0)  # [R, A]
         effort = delta.new_zeros(len(delta))
+        found: list[Tensor] = []
         seen: list[Arrived] = []
         for k in range(horizon):
             command = now if k == 0 else operator.command(latent.features)
             action = command
             if k < steps:
-                base = now if self.config.composition == "hold" else command
-                # Clip before the model and before the penalty: what is penalised is what would be executed.
-                action = (base + delta[:, k]).clamp(-1, 1)
-                effort = effort + (action - base).square().sum(-1)
+                base = self._base(now, command, shape, alone)
+                wanted = base + delta[:, k]
+                if part is not None:
+                    wanted = self._taken_over(latent, base, wanted, part[:, k])
+                action = wanted.clamp(-1, 1)
+                effort = effort + ((action if self.config.effort == "clipped" else wanted) - base).square().sum(-1)
+                found.append(action - base)
             latent = Arrived(*self.model.imagine(latent, action, noise[k]))
             seen.append(latent)
         arrived = Arrived.stack(seen)  # every head runs once, on all steps
         keep = self.model.continues(arrived) if self.config.continuation else None
-        reward = self._summary(self.model.reward(arrived), self.critics.value_r, self.config.bootstrap_reward, self.gamma_r, arrived, keep)
-        cost = self._summary(self.model.cost(arrived), self.critics.value_c, self.config.bootstrap_cost, self.gamma_c, arrived, keep)
-        shape = (batch, candidates, rollouts)
-        return Returns(reward.view(shape).mean(-1), cost.view(shape).mean(-1), effort.view(shape).mean(-1))
+        gamma_r, gamma_c = self.discounts
+        reward = self._summary(self.model.reward(arrived), self.critics.value_r, self.config.bootstrap_reward, gamma_r, arrived, keep)
+        cost = self._summary(self.model.cost(arrived), self.critics.value_c, self.config.bootstrap_cost, gamma_c, arrived, keep)
+        returns = Returns(*(field.view(shape).mean(-1) for field in (reward, cost, effort)))
+        if part is None:
+            return returns, residuals
+        realised = torch.stack(found, 1).view(*shape, steps, actions).mean(2)
+        realised = torch.where(realised.abs() < ROUNDING, 0.0, realised)
+        return returns, torch.where(closed_loop(share), realised, residuals)
 
     def nominal(self, start: Situation, draws: Draws) -> Returns:
-        """Roll out the operator alone: one candidate without residuals (Eq. 9-10). Fields are [B]."""
+        """Roll out the operator alone (Eq. 9-10). Fields are [B]."""
         batch, actions = start.a_h.shape
         nothing = start.a_h.new_zeros(batch, 1, self.config.residual_steps, actions)
-        found = self.returns(start, nothing, draws)
-        return Returns(found.reward.squeeze(1), found.cost.squeeze(1), found.effort.squeeze(1))
+        return Returns(*(field.squeeze(1) for field in self.returns(start, nothing, draws, alone=1)))
+
+    @property
+    def discounts(self) -> tuple[float, float]:
+        """Return gamma of rewards and of costs."""
+        two = {"two": (self.gamma_r, self.gamma_c), "reward": (self.gamma_r, self.gamma_r), "cost": (self.gamma_c, self.gamma_c)}
+        return two[self.config.discounts]
+
+    def _base(self, now: Tensor, command: Tensor, shape: tuple[int, ...], alone: int) -> Tensor:
+        """Return the commands [R, A] that residuals are added to: those of the moment, or the held one of Eq. 13 as printed."""
+        if self.config.composition == "per_step":
+            return command
+        if not alone:
+            return now
+        # Eq. 9-10 know no correction: without one nothing holds the first command.
+        first = torch.arange(shape[1]).view(1, -1, 1).expand(shape).reshape(-1, 1) < alone
+        return torch.where(first, command, now)
+
+    def _taken_over(self, latent: Latent, base: Tensor, open_loop: Tensor, part: Tensor) -> Tensor:
+        """Return the actions [R, A] of candidates of which some are taken over in this step: part [R, 2]."""
+        if self.expert is None:
+            raise ValueError("takeovers need the nominal expert")
+        taken = base + part[:, :1] * (self.expert(latent.features) - base) - part[:, 1:] * base
+        return torch.where((part > 0).any(-1, keepdim=True), taken, open_loop)
 
     def _summary(
         self, signal: Tensor, value: Callable[[Latent], Tensor], bootstrap: bool, gamma: float, arrived: Latent, keep: Tensor | None
@@ -165,8 +221,18 @@ class Imagination:
         return discounted_sum(signal, gamma, keep)
 
 
-def _over_candidates(draws: Tensor, candidates: int) -> Tensor:
-    """Repeat [B, H, M, K] as [H, B * N * M, K]: the same draws for each of the N candidates."""
-    batch, horizon, rollouts, size = draws.shape
-    spread = draws.unsqueeze(1).expand(-1, candidates, -1, -1, -1)  # [B, N, H, M, K]
-    return spread.permute(2, 0, 1, 3, 4).reshape(horizon, batch * candidates * rollouts, size)
+def closed_loop(share: Tensor | None) -> Tensor:
+    """Return which steps of candidates [B, N, L, 2] are taken over: bool [B, N, L, 1]."""
+    assert share is not None
+    return (share > 0).any(-1, keepdim=True)
+
+
+def _over_rollouts(plans: Tensor, rollouts: int) -> Tensor:
+    """Repeat [B, N, L, K] as [B * N * M, L, K]."""
+    return plans.unsqueeze(2).expand(-1, -1, rollouts, -1, -1).reshape(-1, *plans.shape[2:])
+
+
+def _over_candidates(draws: Tensor, index: Tensor) -> Tensor:
+    """Repeat draws [B, H, M', K] as [H, B * N * M, K]: of each of the N candidates those that `index` [N, M] names."""
+    batch, horizon, _, size = draws.shape
+    return draws[:, :, index].transpose(0, 1).reshape(horizon, batch * index.numel(), size)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.wasp.candidates import Batch, is_plan, propose
 from wasp_cli.methods.wasp.gates import safe_score, task_score
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
+
+BEHIND, EXCLUDED = -1e4, -1e6
+"""Scores in a ranking by S_task: of an infeasible sequence, behind all feasible ones; of one that is a finalist anyway."""
 
 
 class Plan(NamedTuple):
@@ -30,22 +34,6 @@ class Plan(NamedTuple):
     """of the commands without residuals [B], on the same rollouts"""
 
 
-class Pool(NamedTuple):
-    """The best K sequences over all iterations by one score, best first."""
-
-    score: Tensor
-    """[B, K]"""
-    plans: Tensor
-    """[B, K, L, A]"""
-
-    def add(self, score: Tensor, candidates: Tensor) -> Pool:
-        """Take the best of a batch in: scores [B, N], candidates [B, N, L, A]."""
-        size = self.score.shape[1]
-        best = torch.cat([self.score, score], 1).topk(size, 1)
-        everything = torch.cat([self.plans, candidates], 1)
-        return Pool(best.values, everything.gather(1, _over_plans(best.indices, everything)))
-
-
 @dataclass
 class _Search:
     """State of the search over B decisions."""
@@ -53,29 +41,12 @@ class _Search:
     mean: Tensor
     """[B, L, A]"""
     std: Tensor
-    task: Pool
-    """by S_task among feasible candidates"""
-    recovery: Pool
-    """by -S_safe among all"""
-    safe: list[Tensor]
+    elites: Batch | None = None
+    """the best of the last iteration, which stay candidates"""
+    seen: list[Batch] = field(default_factory=list)
+    """every batch that was evaluated, once"""
+    safe: list[Tensor] = field(default_factory=list)
     """[B] of every iteration"""
-
-
-def propose(mean: Tensor, std: Tensor, normals: Tensor, kept: Tensor | None = None) -> Tensor:
-    """Sample candidates [B, N, L, A]: the first without residual, the second the mean, the third an older plan if there is one.
-
-    Args:
-        mean, std: [B, L, A].
-        normals: standard normal [B, N, L, A].
-        kept: [B, L, A].
-    """
-    sampled = (mean.unsqueeze(1) + std.unsqueeze(1) * normals).clamp(-2, 2)
-    sampled[:, 0] = 0
-    if sampled.shape[1] > 1:
-        sampled[:, 1] = mean
-    if kept is not None and sampled.shape[1] > 2:
-        sampled[:, 2] = kept
-    return sampled
 
 
 def plan_residuals(
@@ -86,7 +57,8 @@ def plan_residuals(
     draws: Draws,
     tau_c: float,
     *,
-    first: tuple[Tensor, Returns] | None = None,
+    first: Batch | None = None,
+    besides: Batch | None = None,
     fresh: Draws | None = None,
     kept: Tensor | None = None,
 ) -> Plan:
@@ -99,83 +71,110 @@ def plan_residuals(
         normals: standard normal [B, I, N, L, A].
         draws: of M rollouts, common to all candidates and iterations.
         tau_c: bound of the cost return (Eq. 14).
-        first: candidates [B, N', L, A] and returns of a batch that already has been evaluated; it is the first iteration.
+        first: a batch that already has been evaluated; it is the first iteration.
+        besides: candidates that already have been evaluated (takeovers); they join the first iteration.
         fresh: rollouts for scoring the finalists again. The best of some thousand estimates is biased: most plans that looked
             safe in the search are not on other draws. Without them the best as scored is selected, as the paper says.
         kept: a sequence [B, L, A] that is a candidate and a finalist too, whatever the search thinks of it: the shifted plan of an earlier
             recovery, so that an escape once begun is not given up for one that is no better. Zeros where there is none.
     """
-    # Begin: the operator alone as the best so far, and the first sampling distribution.
     config = imagination.config
-    nothing = torch.zeros_like(mean).unsqueeze(1)  # [B, 1, L, A]
-    size = max(1, config.finalists)
-    empty = Pool(mean.new_full((len(mean), size), -torch.inf), nothing.repeat(1, size, 1, 1))
-    search = _Search(mean, torch.full_like(mean, config.initial_std), empty, empty, [])
+    search = _Search(mean, torch.full_like(mean, config.initial_std))
     for i in range(normals.shape[1]):
         if i == 0 and first is not None:
-            candidates, returns = first
+            batch = first
         else:
             # Sample candidates, and imagine the composed behaviour of each (Eq. 13).
-            candidates = propose(search.mean, search.std, normals[:, i], kept if i == 0 else None)
-            returns = imagination.returns(start, candidates, draws)
+            own = normals[:, i, : config.population(i)]
+            candidates = propose(
+                search.mean, search.std, own, kept if i == 0 else None, nothing=config.forced and i == 0, centre=config.forced
+            )
+            batch = Batch(candidates, None, imagination.returns(start, candidates, draws))
+        if i == 0 and besides is not None:
+            batch = Batch.joined([batch, besides])
+        search.seen.append(batch)
         # Score them, choose the case, refit to the elites (Eq. 14-17).
-        _update(search, candidates, returns, config, tau_c)
+        _update(search, batch, config, tau_c)
+    everything = search.seen[-1] if config.best_of == "last" else Batch.joined(search.seen)
 
-    # Finalists: the best plans of all iterations by either score, scored again with fresh rollouts.
-    finalists = torch.cat([nothing, *([] if kept is None else [kept.unsqueeze(1)]), search.task.plans, search.recovery.plans], 1)
+    # Finalists: the best plans of all iterations by either score, scored again with fresh rollouts, beside the commands alone.
     if fresh is None:
-        task, recovery = search.task, search.recovery
+        finalists = everything
+        alone = imagination.nominal(start, draws)
     else:
-        again = imagination.returns(start, finalists, fresh)
-        task, recovery = _ranked(finalists, again, config, tau_c)
+        finalists = _finalists(everything, search.mean, kept, config, tau_c)
+        again = imagination.returns(start, finalists.residuals, fresh, *_shares(finalists), alone=1)
+        finalists = finalists._replace(returns=again)
+        alone = Returns(*(values[:, 0] for values in again))
 
     # Select: the best feasible plan by S_task (Eq. 16), else the one of lowest S_safe (Eq. 17).
-    found = task.score[:, 0] > -torch.inf
-    # Case I only: without a feasible candidate there is nothing to choose, and the command stays. The same where every score is undefined.
-    otherwise = torch.where(recovery.score[:, 0].isfinite().view(-1, 1, 1), recovery.plans[:, 0], 0.0)
+    s_task, s_safe, feasible = _scores(finalists.returns, config, tau_c)
+    found = (feasible & s_task.isfinite()).any(-1)
+    chosen = torch.where(found, torch.where(feasible, s_task, -torch.inf).argmax(-1), s_safe.argmin(-1))
+    best = finalists.take(chosen.unsqueeze(1))
+    residuals, predicted = best.residuals.squeeze(1), Returns(*(values.squeeze(1) for values in best.returns))
+    # Where every score is undefined the command stands; the same without a feasible candidate where only Case I is allowed.
+    stands = ~found & ~(s_safe.amin(-1).isfinite())
     if config.variant == "no-case2":
-        otherwise = torch.zeros_like(mean)
-    chosen = torch.where(found.view(-1, 1, 1), task.plans[:, 0], otherwise)
-
-    # Predict the outcome of the selected plan and of the commands alone, on the same rollouts.
-    pair = imagination.returns(start, torch.cat([nothing, chosen.unsqueeze(1)], 1), draws if fresh is None else fresh)
+        stands = ~found
+    residuals = torch.where(stands.view(-1, 1, 1), 0.0, residuals)
+    predicted = Returns(*(torch.where(stands, *values) for values in zip(alone, predicted, strict=True)))
     safe = torch.stack(search.safe, 1)
-    alone, predicted = (Returns(*(field[:, i] for field in pair)) for i in range(2))
-    return Plan(chosen, found, safe, safe < config.feasible, predicted, alone)
+    return Plan(residuals, found, safe, safe < config.feasible, predicted, alone)
 
 
-def _ranked(plans: Tensor, returns: Returns, config: WASPConfig, tau_c: float) -> tuple[Pool, Pool]:
-    """Return the best of a batch by S_task among its feasible ones, and by -S_safe among all."""
-    none = Pool(plans.new_full((len(plans), 1), -torch.inf), torch.zeros_like(plans[:, :1]))
-    feasible = returns.cost <= tau_c
-    by_task = none.add(torch.where(feasible, task_score(returns, config.alpha), -torch.inf), plans)
-    return by_task, none.add(-safe_score(returns, config.alpha, tau_c), plans)
+def _shares(batch: Batch) -> tuple[Tensor, ...]:
+    return () if batch.share is None else (batch.share,)
 
 
-def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPConfig, tau_c: float) -> None:
-    """Run one CEM iteration: classify the batch, remember the best, refit the distribution to the elites.
+def _scores(returns: Returns, config: WASPConfig, tau_c: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Return S_task (Eq. 16), S_safe (Eq. 17) and the feasible set (Eq. 14), [B, N] each."""
+    return task_score(returns, config.alpha), safe_score(returns, config.alpha, tau_c), returns.cost <= tau_c
+
+
+def _finalists(everything: Batch, mean: Tensor, kept: Tensor | None, config: WASPConfig, tau_c: float) -> Batch:
+    """Return no residual, the kept plan (the mean where there is none), and the best of all by S_task and by S_safe: each plan once.
+
+    `returns` of the first ones are not known yet.
+    """
+    s_task, s_safe, feasible = _scores(everything.returns, config, tau_c)
+    always = [torch.zeros_like(mean), *([] if kept is None else [torch.where(is_plan(kept), kept, mean)])]
+    # No residual is a candidate too, and so is the kept plan, perhaps twice: they are finalists once.
+    there = torch.stack([(everything.residuals == plan.unsqueeze(1)).all(-1).all(-1) for plan in always]).any(0)
+    if everything.share is not None:
+        there = there & ~(everything.share > 0).any(-1).any(-1)
+    size = min(config.finalists, everything.residuals.shape[1] // 2)
+    # Behind the feasible ones come those that violate least.
+    by_task = torch.where(feasible, s_task, BEHIND - s_safe.clamp(max=-BEHIND))
+    best_task = torch.where(there, EXCLUDED, by_task.nan_to_num(nan=EXCLUDED)).topk(size, 1).indices
+    taken = torch.zeros_like(there).scatter(1, best_task, torch.ones_like(best_task, dtype=torch.bool))
+    by_safe = -s_safe.clamp(max=-BEHIND)
+    best_safe = torch.where(there | taken, EXCLUDED, by_safe.nan_to_num(nan=EXCLUDED)).topk(size, 1).indices
+    ranked = everything.take(torch.cat([best_task, best_safe], 1))
+    plans = torch.stack(always, 1)
+    unknown = Returns(*(values.new_full((len(values), len(always)), torch.nan) for values in everything.returns))
+    return Batch.joined([Batch(plans, None, unknown), ranked])
+
+
+def _update(search: _Search, batch: Batch, config: WASPConfig, tau_c: float) -> None:
+    """Run one CEM iteration: classify the batch, refit the distribution to its elites.
 
     Args:
         search: updated in place.
-        candidates: [B, N, L, A].
-        returns: of the candidates, [B, N] each.
+        batch: N new candidates; the elites kept from the last iteration join them.
         config: the constants.
         tau_c: bound of the cost return (Eq. 14).
     """
     # Score the candidates (Eq. 16-17), and find the feasible set F_s (Eq. 14).
-    s_task = task_score(returns, config.alpha)
-    s_safe = safe_score(returns, config.alpha, tau_c)
-    feasible = returns.cost <= tau_c
+    if search.elites is not None:
+        batch = Batch.joined([batch, search.elites])
+    s_task, s_safe, feasible = _scores(batch.returns, config, tau_c)
     safe = feasible.sum(-1).to(s_task.dtype)
     search.safe.append(safe)
     enough = safe >= config.feasible  # Case I, else Case II
 
-    # Remember the best of all iterations by either score.
-    ranked_task = torch.where(feasible, s_task, -torch.inf)
-    search.task = search.task.add(ranked_task, candidates)
-    search.recovery = search.recovery.add(-s_safe, candidates)
-
     # Rank: feasible candidates by S_task in Case I (Eq. 16), all by S_safe in Case II (Eq. 17).
+    ranked_task = torch.where(feasible, s_task, -torch.inf)
     if config.variant == "no-case2":
         score, wanted = ranked_task, safe.clamp(max=config.elites)
     else:
@@ -183,23 +182,26 @@ def _update(search: _Search, candidates: Tensor, returns: Returns, config: WASPC
         wanted = torch.where(enough, safe.clamp(max=config.elites), torch.full_like(safe, config.feasible))
 
     # Elites: a weight of 0 or 1 for each rank.
-    size = min(max(config.elites, config.feasible), candidates.shape[1])
-    top = score.topk(size, -1)
+    size = min(max(config.elites, config.feasible), batch.residuals.shape[1])
+    top, order = score.sort(dim=-1, descending=True, stable=True)  # of equal ones the first
+    top, order = top[:, :size], order[:, :size]
     # A fixed number of ranks and a mask instead of gathered subsets: no row can borrow an elite that is none.
     rank = torch.arange(size, device=score.device)
-    weight = ((rank < wanted.unsqueeze(-1)) & top.values.isfinite()).to(s_task.dtype)  # [B, size]
+    weight = ((rank < wanted.unsqueeze(-1)) & top.isfinite()).to(s_task.dtype)  # [B, size]
     total = weight.sum(-1, keepdim=True).clamp(min=1).unsqueeze(-1)  # [B, 1, 1]
 
     # Refit mean and standard deviation to them; rows without any keep theirs.
-    elites = candidates.gather(1, _over_plans(top.indices, candidates))  # [B, size, L, A]
-    share = weight.view(*weight.shape, 1, 1)
-    mean = (share * elites).sum(1) / total
-    std = ((share * (elites - mean.unsqueeze(1)).square()).sum(1) / total).sqrt().clamp(min=config.std_floor)
+    best = batch.take(order)
+    elites = best.residuals  # [B, size, L, A]
+    part = weight.view(*weight.shape, 1, 1)
+    mean = (part * elites).sum(1) / total
+    std = ((part * (elites - mean.unsqueeze(1)).square()).sum(1) / total).sqrt().clamp(min=config.std_floor)
     some = (weight.sum(-1) > 0).view(-1, 1, 1)
     search.mean = torch.where(some, config.momentum * search.mean + (1 - config.momentum) * mean, search.mean)
     search.std = torch.where(some, std, search.std)
 
-
-def _over_plans(index: Tensor, plans: Tensor) -> Tensor:
-    """Shape indices [B, K] into the second dimension of [B, N, L, A] for `gather`."""
-    return index.view(*index.shape, 1, 1).expand(-1, -1, *plans.shape[2:])
+    # Keep the best of them as candidates: on the same draws their returns stay what they are.
+    staying = int(config.elites_kept * config.elites)
+    if staying:
+        index = torch.arange(staying, device=score.device).expand(len(score), -1)
+        search.elites = best.take(index)

@@ -102,8 +102,8 @@ def _plan(facts: DecisionFacts, width: int) -> list[Text]:
         fired = facts.gate in ("safety", "task")
         older = " (the file has an older table version)" if fired and facts.unknown else ""
         return fields([("search", f"not recorded{older}" if fired else "none: no gate fired")], width)
-    # The probe of the task gate is the first batch of the search that it called for.
-    sizes = [facts.constants.probe if i == 0 and facts.gate == "task" else facts.constants.candidates for i in range(len(plan.safe))]
+    known = facts.constants.task_batches if facts.gate == "task" else facts.constants.batches
+    sizes = [None] * len(plan.safe) if known is None else known[: len(plan.safe)]
     rows = [
         [str(i + 1), "-" if size is None else str(size), str(safe), "II" if case2 else "I"]
         for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe, plan.case2, strict=True))

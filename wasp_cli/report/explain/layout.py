@@ -121,7 +121,7 @@ def cost_meaning(constants: Constants) -> str:
 
 def gain_meaning(constants: Constants) -> str:
     """Return what a value of ΔG means."""
-    tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
+    tried = "" if constants.asked is None else f" of {constants.asked} that are tried"
     return f"ΔG: expected gain in return by the best safe correction{tried}, where the safety gate is silent (Eq. 12)"
 
 

@@ -6,7 +6,7 @@ Letters: T decisions of the episode, A actions, L residual steps, I iterations o
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,12 @@ class Constants:
     """N_probe"""
     feasible: int | None = None
     """N_f"""
+    batches: tuple[int, ...] | None = None
+    """candidates that each iteration of the search classifies"""
+    task_batches: tuple[int, ...] | None = None
+    """the same after the task gate, whose random probe may be the first iteration"""
+    asked: int | None = None
+    """corrections that the task gate judges"""
     bootstrap_cost: bool | None = None
     """whether V_c stands for what lies behind H (Eq. 7)"""
     gamma_c: float | None = None
@@ -217,17 +223,51 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     if row["assistant_variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
         counts["horizon"] = counts["residual_steps"] = 1
         bootstrap = True
-    gamma_c, repeat = cell.setting("settings", "returns", "gamma_c"), cell.setting("settings", "action_repeat")
+    # With one gamma for both (recipe of the paper) costs may be discounted as rewards are.
+    gamma = "gamma_r" if of("discounts", str) == "reward" else "gamma_c"
+    gamma_c, repeat = cell.setting("settings", "returns", gamma), cell.setting("settings", "action_repeat")
     repeat = repeat if isinstance(repeat, int) else None
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(
         **counts,
+        batches=_batches(of, counts, counts["candidates"]),
+        task_batches=_batches(of, counts, counts["probe"] if _probe_is_first(of) else counts["candidates"]),
+        asked=_asked(of, counts),
         bootstrap_cost=bootstrap,
         gamma_c=gamma_c if isinstance(gamma_c, float) else None,
         vote=of("vote", float),
         action_repeat=repeat,
         decision_seconds=None if seconds is None or repeat is None else seconds * repeat,
     )
+
+
+def _probe_is_first(of: Callable[[str, type], Any]) -> bool:
+    """Whether a probe that fired is the first iteration of the search; in files of older versions it always is."""
+    return of("probe_with", str) in (None, "random", "both") and of("probe_first", bool) is not False
+
+
+def _batches(of: Callable[[str, type], Any], counts: Mapping[str, int | None], first: int | None) -> tuple[int, ...] | None:
+    """How many candidates each iteration of the search classifies, if there are so many; None where the file does not say."""
+    many, elites, iterations = counts["candidates"], of("elites", int), 32  # as many as there may be
+    kept, shrink, shares = of("elites_kept", float), of("shrink", float), of("takeover_shares", list)
+    if first is None or many is None:
+        return None
+    if elites is None or kept is None or shrink is None or shares is None:  # of a version without them
+        return (first, *[many] * (iterations - 1))
+    least = min(many, max(elites, counts["feasible"] or 0))
+    taken = (counts["residual_steps"] or 0) * (len(shares) + bool(of("braking", bool)))
+    further = [max(round(many / shrink**i), least) + int(kept * elites) for i in range(1, iterations)]
+    return (first + taken, *further)
+
+
+def _asked(of: Callable[[str, type], Any], counts: Mapping[str, int | None]) -> int | None:
+    """How many corrections the task gate judges; None where the file does not say."""
+    how, shares, steps = of("probe_with", str), of("takeover_shares", list), counts["residual_steps"]
+    if how is None or shares is None or steps is None:
+        return counts["probe"]
+    taken = steps * (len(shares) + bool(of("braking", bool)))
+    random = counts["probe"]
+    return taken if how == "takeovers" else None if random is None else random + (taken if how == "both" else 0)
 
 
 def number(value: float | None) -> float | None:

@@ -20,7 +20,7 @@ from wasp_cli.report.stats.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables.by_axis import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.report.tables.table import Column
-from wasp_cli.report.tables.titles import task_title, who_title
+from wasp_cli.report.tables.titles import is_row, task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none where fewer than two conditions have been computed.
     """
-    found = [group for group in groups(frame) if group.assistant_variant == "full" and METHODS[group.method].impaired and group.cells]
+    found = [group for group in groups(frame) if is_row(group) and METHODS[group.method].impaired and group.cells]
     conditions = _conditions(frame)
     tasks = list(dict.fromkeys(group.task for group in found))
     if not tasks or len(conditions) < 2:
@@ -166,7 +166,8 @@ def _over_conditions(group: Group, conditions: Sequence[Condition], shift: float
         under = [[cell for cell in group.cells if (cell.identity.variant, cell.identity.value) == condition] for _, condition in places]
         return [summarise(cells, column.key) for cells in under]
 
-    return Curve(METHODS[group.method].title, *style_of(group.method), [x for x, _ in places], numbers)
+    title = who_title(group.method, group.assistant_variant)
+    return Curve(title, *style_of(group.method, group.assistant_variant), [x for x, _ in places], numbers)
 
 
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:

@@ -16,7 +16,7 @@ from wasp_cli.report.stats.frame import CellNumbers, Floats, Frame, Group, group
 from wasp_cli.report.stats.summary import summarise
 from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups, row_title
 from wasp_cli.report.tables.table import Column
-from wasp_cli.report.tables.titles import assistant_title, task_title
+from wasp_cli.report.tables.titles import assistant_title, is_row, task_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none when no cell has been computed.
     """
-    drawable = [group for group in groups(frame) if group.assistant_variant == "full" and group.cells]
+    drawable = [group for group in groups(frame) if is_row(group) and group.cells]
     if not drawable:
         return []
     tasks = list(dict.fromkeys(group.task for group in drawable))
@@ -52,7 +52,7 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none when no cell has been computed.
     """
-    drawable = [group for group in groups(frame) if group.assistant_variant == "full" and group.cells]
+    drawable = [group for group in groups(frame) if is_row(group) and group.cells]
     tasks = list(dict.fromkeys(group.task for group in drawable))
     if not tasks:
         return []
@@ -74,7 +74,7 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
 
 def _draw(panel: Axes, group: Group) -> None:
     """One method: its operator variants small, their mean large with the spread over seeds."""
-    colour, marker = style_of(group.method)
+    colour, marker = style_of(group.method, group.assistant_variant)
     x, y = _point(group.cells)
     for variant in dict.fromkeys(cell.identity.variant for cell in group.cells) if METHODS[group.method].impaired else ():
         small_x, small_y = _point(group.of_variant(variant))
@@ -99,7 +99,7 @@ def _latency(panel: Axes, group: Group, y: int) -> None:
     median, late = (summarise(group.cells, f"decision_{share}_ms").mean for share in ("p50", "p95"))
     if median is None or late is None or median <= 0:
         return
-    colour, marker = style_of(group.method)
+    colour, marker = style_of(group.method, group.assistant_variant)
     panel.plot([median, max(late, median)], [y, y], color=colour, linewidth=1.6)
     panel.plot([late], [y], "|", color=colour, markersize=9)
     panel.plot([median], [y], marker, color=colour, markersize=6)
@@ -184,7 +184,7 @@ def _points(panel: Axes, own: Sequence[Group], column: Column) -> None:
         value = estimated(group, column)
         if value.mean is None:
             continue
-        colour, marker = style_of(group.method)
+        colour, marker = style_of(group.method, group.assistant_variant)
         if value.interval is not None:
             panel.plot([value.interval.low, value.interval.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
         panel.plot(value.mean, y, marker, color=colour, markersize=8, markeredgecolor="white")

@@ -22,6 +22,7 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
+ROW_MARKERS = ("d", "p", "h")
 ENDINGS = ("png", "svg")
 STYLES = {name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[i % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)}
 """Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
@@ -72,8 +73,14 @@ def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
     return [png, svg]
 
 
-def style_of(method: str) -> tuple[str, str]:
-    """Return the colour and the marker of a method, the same in every figure; the marker also tells them apart in print."""
+def style_of(method: str, variant: str = "full") -> tuple[str, str]:
+    """Return the colour and the marker of a method, the same in every figure; the marker also tells them apart in print.
+
+    A variant with a row of its own has a grey and a marker of its own.
+    """
+    rows = [] if method not in METHODS else list(METHODS[method].rows)
+    if variant in rows:
+        return GREY, ROW_MARKERS[rows.index(variant) % len(ROW_MARKERS)]
     return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
 
 

@@ -15,7 +15,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats.frame import TIMES, CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.stats.summary import UNDEFINED, Value, over_episodes, over_seeds, paired_difference, spread_note, summarise
 from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import assistant_title, task_title
+from wasp_cli.report.tables.titles import assistant_title, is_row, task_title
 
 PAPER_COLUMNS = (
     Column("return", "Return", "up"),
@@ -76,8 +76,8 @@ def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value
 
 
 def full_groups(frame: Frame) -> list[Group]:
-    """List the rows of assistants as a whole, without ablations."""
-    return [group for group in groups(frame) if group.assistant_variant == "full"]
+    """List the rows of assistants as a whole, and of variants that are no ablations."""
+    return [group for group in groups(frame) if is_row(group)]
 
 
 def labels_of(group: Group) -> tuple[str, str]:

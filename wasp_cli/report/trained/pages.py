@@ -119,6 +119,7 @@ def open_loop_markdown(sets: Document) -> str:
         lines += [f"{_short(filtered['auprc'])} at a base rate of {_short(filtered['base'])}, predicted / base"]
         lines += [f"{_short(filtered['predicted_over_base'])}, image error {_short(filtered['image_error'])} against"]
         lines += [f"{_short(filtered['image_variance'])} of the mean image.", ""]
+        lines += _readout(table.get("readout"))
         sources = list(steps[0]["foreseen_by_source"]) if steps else []
         if len(sources) > 1:
             rows = [[str(row["k"]), *(_short(row["foreseen_by_source"][kind]) for kind in sources)] for row in steps]
@@ -137,6 +138,17 @@ def open_loop_markdown(sets: Document) -> str:
         "[0, 1].",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _readout(told: Document | None) -> list[str]:
+    """What the privileged vector has in the model: a row per place that it is read from. Older diagnostics have none."""
+    if not told:
+        return []
+    places = (("filtered latent", "filtered"), ("embedding of the image", "embedding"), (f"imagined, step {told['step']}", "imagined"))
+    groups = list(told["filtered"])
+    rows = [[title, *(_short(told[place][group]) for group in groups)] for title, place in places]
+    head = "What a ridge regression tells of the privileged vector, as R2 (fitted on the episodes that were learned from):"
+    return [head, "", *_table(["read from", *groups], rows), ""]
 
 
 # -- signals of the gate ----------------------------------------------------------------------------------------

@@ -1,0 +1,149 @@
+"""What the world model knows of the task's state: a ridge regression to the privileged vector, judged by groups of its entries.
+
+It is fitted on rows that were learned from and judged on others. N rows, K starts; F = features, P = entries of the vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.sampling import generator, roll_prior
+from wasp_cli.learning.shards import Recording
+from wasp_cli.models.world_model import SafetyWorldModel
+
+CHUNK = 256
+"""Images that are embedded, or starts that are imagined, together."""
+CONSTANT = 1e-3
+"""Standard deviation below which an entry of the vector counts as constant."""
+EPSILON = 1e-6
+"""Keeps the regression solvable where the features do not vary at all."""
+Floats = NDArray[Any]
+Groups = Mapping[str, slice]
+
+
+class Ridge(NamedTuple):
+    """A linear map to the standardised privileged vector."""
+
+    centre: Tensor
+    """float64 [F] mean of the features"""
+    weight: Tensor
+    """float64 [F, P]"""
+    mean: Floats
+    """[P] of the vector"""
+    std: Floats
+    """[P] of the vector; 0 where an entry is constant, which nothing is asked of"""
+
+    def explained(self, features: Tensor, privileged: Floats, groups: Groups) -> dict[str, float]:
+        """Return R2 by group: the explained share of the variance of its entries, each in units of its standard deviation.
+
+        Args:
+            features: [N, F].
+            privileged: [N, P] what is to be told.
+            groups: entries of each group. One whose entries do not vary has no R2 (NaN).
+        """
+        told = ((features.double() - self.centre) @ self.weight).numpy()
+        true = _standardised(privileged, self.mean, self.std)
+        error, variance = ((told - true) ** 2).mean(0), true.var(0)
+        return {name: _share(float(error[part].sum()), float(variance[part].sum())) for name, part in groups.items()}
+
+
+def fit_ridge(features: Tensor, privileged: Floats, penalty: float) -> Ridge:
+    """Fit features [N, F] to the standardised privileged vector [N, P].
+
+    Args:
+        features: centred here, not scaled: a class of z that is hardly ever drawn shall not count like a common one.
+        privileged: its constant entries are left out.
+        penalty: on the squared weights per row, relative to the features' mean variance.
+    """
+    mean, std = privileged.mean(0, dtype=np.float64), privileged.std(0, dtype=np.float64)
+    std = np.where(std > CONSTANT, std, 0.0)
+    centre = features.double().mean(0)
+    centred = features.double() - centre
+    gram = centred.T @ centred
+    ridge = penalty * gram.diagonal().mean() + EPSILON
+    wanted = torch.from_numpy(_standardised(privileged, mean, std))
+    weight = torch.linalg.solve(gram + ridge * torch.eye(len(gram), dtype=gram.dtype), centred.T @ wanted)
+    return Ridge(centre, weight, mean, std)
+
+
+@dataclass(frozen=True)
+class StateReadout:
+    """A regression from the filtered latent and one from the encoder's embedding, fitted on the same rows."""
+
+    model: SafetyWorldModel
+    groups: Groups
+    latent: Ridge
+    embedding: Ridge
+
+    @classmethod
+    def fit(cls, model: SafetyWorldModel, recording: Recording, latents: Latents, groups: Groups, penalty: float) -> StateReadout:
+        """Fit both.
+
+        Args:
+            model: frozen.
+            recording: pixels and privileged of N rows that may be learned from.
+            latents: of the same rows.
+            groups: entries of the privileged vector by name.
+            penalty: see `fit_ridge`.
+        """
+        every = torch.arange(len(recording.privileged))
+        from_latents = fit_ridge(latents.at(every).features, recording.privileged, penalty)
+        return cls(model, groups, from_latents, fit_ridge(embeddings(model, recording.pixels), recording.privileged, penalty))
+
+    def filtered(self, recording: Recording, latents: Latents) -> dict[str, float]:
+        """Return R2 by group of what the filtered latents of N rows tell."""
+        features = latents.at(torch.arange(len(recording.privileged))).features
+        return self.latent.explained(features, recording.privileged, self.groups)
+
+    def embedded(self, recording: Recording) -> dict[str, float]:
+        """Return R2 by group of what the single images of N rows tell."""
+        return self.embedding.explained(embeddings(self.model, recording.pixels), recording.privileged, self.groups)
+
+    def imagined(
+        self, recording: Recording, latents: Latents, starts: NDArray[np.int64], step: int, samples: int, seed: int
+    ) -> dict[str, float]:
+        """Return R2 by group of what imagined latents tell, from starts [K] `step` steps ahead under the true actions."""
+        if not len(starts):
+            return dict.fromkeys(self.groups, float("nan"))
+        features = imagined_features(self.model, recording, latents, starts, step, samples, seed)
+        return self.latent.explained(features, recording.privileged[starts + step], self.groups)
+
+
+@torch.inference_mode()
+def embeddings(model: SafetyWorldModel, pixels: NDArray[np.uint8]) -> Tensor:
+    """Embed single images uint8 [N, 6, 64, 64] with the encoder: [N, F]."""
+    parts = [model.encoder(torch.from_numpy(pixels[begin : begin + CHUNK]), model.mean_image) for begin in range(0, len(pixels), CHUNK)]
+    return torch.cat(parts)
+
+
+@torch.inference_mode()
+def imagined_features(
+    model: SafetyWorldModel, recording: Recording, latents: Latents, starts: NDArray[np.int64], step: int, samples: int, seed: int
+) -> Tensor:
+    """Imagine `step` steps under the true actions from starts [K]: the features [K, F] there, means over samples of the prior."""
+    source, parts = generator(seed), []
+    for begin in range(0, len(starts), CHUNK):
+        rows = starts[begin : begin + CHUNK]
+        actions = torch.from_numpy(recording.action[rows[:, None] + 1 + np.arange(step)])
+        begun = latents.at(torch.from_numpy(rows))
+        drawn = [roll_prior(model, begun, actions, source).features[:, -1] for _ in range(samples)]
+        parts.append(torch.stack(drawn).mean(0))
+    return torch.cat(parts)
+
+
+def _standardised(privileged: Floats, mean: Floats, std: Floats) -> Floats:
+    """Vectors [N, P] in units of their standard deviation, constant entries as zero."""
+    found: Floats = np.where(std > 0, (privileged - mean) / np.where(std > 0, std, 1.0), 0.0)
+    return found
+
+
+def _share(error: float, variance: float) -> float:
+    return float(1.0 - error / variance) if variance > 0 else float("nan")
