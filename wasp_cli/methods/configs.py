@@ -162,8 +162,10 @@ class WASPConfig(Config):
     discounts: Literal["two", "reward", "cost"] = deviates(
         "two", "gamma_r for rewards and gamma_c for costs; the paper has one gamma: that of the rewards or of the costs for both"
     )
-    bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the plain sum over H ranks better")
-    bootstrap_reward: bool = from_paper(True, "Eq. 7-8: V_r after H for the reward; without it the discounted sum over H")
+    bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the discounted sum over H ranks as well")
+    bootstrap_reward: bool = deviates(
+        False, "V_r after H for the reward, as in Eq. 7-8; the discounted sum over H foresees the operator's next 15 decisions better"
+    )
     continuation: bool = deviates(
         True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"
     )

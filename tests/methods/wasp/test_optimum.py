@@ -62,7 +62,7 @@ class Case(NamedTuple):
 
 
 def case(kind: Kind, start: Start, steps: int, **changes: object) -> Case:
-    sizes = SMALL | {"horizon": H, "residual_steps": steps, "rollouts": M} | changes
+    sizes = SMALL | {"horizon": H, "residual_steps": steps, "rollouts": M, "bootstrap_reward": True} | changes
     gusts = np.random.default_rng(0).gumbel(size=(H, M, kind.action_size)).tolist()
     return Case(kind(jitter=0.02, dtype=torch.float64), scene_drives.settings(**sizes), start, gusts)
 
@@ -166,9 +166,11 @@ def literal(case: Case, residuals: Residuals) -> Value:
             costs.append(cost_probability(world, place))
             keeps.append(float(after > 0.15))
             firsts.append(place[0])
-        g_r, g_c = 3.0 * firsts[-1], 0.02 * firsts[-1] if config.bootstrap_cost else 0.0
+        g_r = 3.0 * firsts[-1] if config.bootstrap_reward else 0.0
+        g_c = 0.02 * firsts[-1] if config.bootstrap_cost else 0.0
         for k in reversed(range(H)):
-            g_r = rewards[k] + GAMMA_R * keeps[k] * ((1 - LAM) * 3.0 * firsts[k] + LAM * g_r)
+            further = (1 - LAM) * 3.0 * firsts[k] + LAM * g_r if config.bootstrap_reward else g_r
+            g_r = rewards[k] + GAMMA_R * keeps[k] * further
             behind = (1 - LAM) * 0.02 * firsts[k] + LAM * g_c if config.bootstrap_cost else g_c
             g_c = costs[k] + GAMMA_C * keeps[k] * behind
         total = [old + new / M for old, new in zip(total, (g_r, g_c, effort), strict=True)]

@@ -61,7 +61,7 @@ def test_takeovers_are_of_the_next_one_to_l_commands_whole_and_in_part() -> None
 @pytest.mark.parametrize("length", [1, L])
 def test_a_takeover_answers_in_every_rollout_what_the_operator_does_there(share: tuple[float, float], length: int) -> None:
     """Against plain numbers, rollout by rollout."""
-    config, operator, draws = WASPConfig.model_validate(SIZES), laggy(-0.6, 0.5), drawn()
+    config, operator, draws = WASPConfig.model_validate(SIZES | {"bootstrap_reward": True}), laggy(-0.6, 0.5), drawn()
     model = imagination(config)
     start = Situation(model.model.at(0.2), torch.tensor([[-0.6]], dtype=torch.float64), operator, torch.arange(1))  # type: ignore[attr-defined]
     part = torch.zeros(1, 1, L, 2, dtype=torch.float64)
