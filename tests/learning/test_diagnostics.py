@@ -253,7 +253,10 @@ def test_sampled_windows_are_onsets_and_calm_ones_and_are_stored_frame_by_frame(
 
 
 def test_the_unseen_operators_are_not_in_the_mixture() -> None:
-    known = {dataclasses.replace(b, name="") for b in behaviours(MixtureConfig().model_dump(), 400, 4, np.random.default_rng(0))}
+    known = {
+        dataclasses.replace(b, name="")
+        for b in behaviours(dict.fromkeys(MixtureConfig.model_fields, 1 / 13), 520, 4, np.random.default_rng(0))
+    }
     unseen = unseen_behaviours(4)
     assert not {dataclasses.replace(b, name="") for b in unseen} & known
     half: set[float] = {HALF_TRAINED}

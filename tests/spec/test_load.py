@@ -82,7 +82,7 @@ def test_counts_may_be_written_like_people_do() -> None:
         ("variants: [no-case]\n", (8, 12), "unknown assistant variant 'no-case'", "did you mean 'no-case2'?"),
         ("returns: {gamma_c: .nan}\n", (8, 20), "should be a finite number, not nan", None),
         ("expert: {hidden: [64, x]}\n", (8, 23), "should be an integer, not 'x'", None),
-        ("dataset: {mixture: {expert: 0.9}}\n", (8, 11), "the shares sum to 1.76, not 1", None),
+        ("dataset: {mixture: {expert: 0.9}}\n", (8, 11), "the shares sum to 1.67, not 1", None),
         ("training_seed: -1\n", (8, 16), "should be greater than or equal to 0, not -1", None),
     ],
 )  # fmt: skip

@@ -64,19 +64,19 @@ class ExpertConfig(Config):
 class MixtureConfig(Config):
     """Shares of the behaviours in the dataset; they must sum to 1."""
 
-    expert: float = assumed(0.14, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
-    noisy: float = assumed(0.06, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
-    laggy: float = assumed(0.10, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
-    delayed: float = assumed(0.10, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
-    tardy: float = assumed(0.06, "the same with 2 to 6 decision steps and Gaussian noise 0.15 to 0.5", ge=0.0, le=1.0)
-    early: float = assumed(0.04, "the first two checkpoints", ge=0.0, le=1.0)
-    between: float = assumed(0.04, "the mean of one of them and the expert", ge=0.0, le=1.0)
-    bursts: float = assumed(0.05, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
-    careless: float = assumed(0.18, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
-    wandering: float = assumed(0.12, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
-    biased: float = assumed(0.06, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
-    scaled: float = assumed(0.02, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
-    random: float = assumed(0.03, "uniform random commands", ge=0.0, le=1.0)
+    expert: float = assumed(0.23, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    noisy: float = assumed(0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.12, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    tardy: float = assumed(0.00, "the same with 2 to 6 decision steps and Gaussian noise 0.15 to 0.5", ge=0.0, le=1.0)
+    early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
+    between: float = assumed(0.00, "the mean of one of them and the expert", ge=0.0, le=1.0)
+    bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    careless: float = assumed(0.20, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    wandering: float = assumed(0.00, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
+    biased: float = assumed(0.00, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
+    scaled: float = assumed(0.00, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
+    random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
 
     @model_validator(mode="before")
     @classmethod
@@ -98,8 +98,9 @@ class DatasetConfig(Config):
     steps: int = assumed(100_000, "decision steps", ge=1)
     envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
     decisions: int | None = assumed(
-        50,
-        "recorded of an episode: one of its parts of so many decisions, so that the same images show more layouts; null: whole episodes",
+        None,
+        "recorded of an episode: one of its parts of so many decisions, so that the same images show more layouts; null: whole episodes, "
+        "which hold more costs; parts of 50 with a wider mixture foresaw costs of unseen operators no better",
         ge=2,
     )
     whole_share: float = assumed(0.1, "share of the episodes that are recorded whole all the same", ge=0.0, le=1.0)
