@@ -5,8 +5,7 @@ Defaults are the `cpu` preset; the other presets override them (`spec.presets`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -78,12 +77,6 @@ class MixtureConfig(Config):
     scaled: float = assumed(0.00, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
     random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _unnamed_shares_are_none(cls, data: Any) -> Any:
-        # Where some are named, they are the whole: a mixture that was recorded before a behaviour existed has none of it.
-        return {**dict.fromkeys(cls.model_fields, 0.0), **data} if isinstance(data, Mapping) and data else data
-
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> MixtureConfig:
         total = sum(getattr(self, name) for name in type(self).model_fields)
@@ -131,8 +124,8 @@ class WorldModelConfig(Config):
     alpha_p: float = assumed(1.0, "Eq. 6: weight of the prediction term", ge=0.0)
     free_nats: float = deviates(1.0, "KL below which no gradient flows, on the sum over variables; Eq. 6 has no such bound (0)", ge=0.0)
     beta_o: float = assumed(1.0, "Eq. 6: image, squared error summed over pixels", ge=0.0)
-    beta_r: float = assumed(5.0, "Eq. 6: reward", ge=0.0)
-    beta_c: float = assumed(20.0, "Eq. 6: cost; 1 drowns in the image sum", ge=0.0)
+    beta_r: float = assumed(50.0, "Eq. 6: reward; 5 is lost beside the loss on the privileged vector", ge=0.0)
+    beta_c: float = assumed(50.0, "Eq. 6: cost; 1 drowns in the image sum", ge=0.0)
     beta_n: float = deviates(1.0, "weight of the continuation; not in Eq. 6, but Race1 ends at the goal", ge=0.0)
     reward_scale: float = assumed(5.0, "rewards are multiplied by it before the squared error", gt=0.0)
     cost_weight: float = deviates(5.0, "weight of costly steps, 1 in Eq. 6; its logarithm is removed from the logit at inference", ge=1.0)
@@ -167,9 +160,9 @@ class WorldModelConfig(Config):
     taught_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
     taught_head: int = assumed(256, "width of the two layers that read the embedding meanwhile", ge=1)
     privileged: float = deviates(
-        25.0,
+        10.0,
         "weight of the squared error, summed over the standardised privileged vector, of a head on filtered latents; not in Eq. 6; "
-        "0 as in the paper; 100 told no more, and the reward less",
+        "0 as in the paper",
         ge=0.0,
     )
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")

@@ -67,7 +67,7 @@ class Foreseeing(Protocol):
     """An assistant whose gate looks ahead at the operator alone, such as WASP."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Begin new episodes in `rows` [B] (bool)."""
+        """Begin new episodes in `rows` [B] (bool); `seeds` has one entry for each of the B rows."""
         ...
 
     def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
