@@ -34,7 +34,7 @@ policies: {labelling_episodes: 1}
 rollouts: {steps: 100}
 seeds: [4]
 episodes: 2
-wasp: {tau_c: 0.05, tau_r: 0.0}      # untrained models see little: gates that fire all the same
+wasp: {tau_c: 0.05, tau_r: 0.0, operator_model: cloned}   # untrained models see little: gates that fire all the same
 """
 
 

@@ -47,8 +47,8 @@ def timed_under_both_planners() -> list[dict[str, float]]:
         timings = {timing["kind"]: timing for timing in bench["timings"]}
         assert list(timings) == KINDS
         assert all(0 < timing["ms"] <= timing["ms_p50"] for timing in timings.values())
-        # A task decision is the gate, the probe as first iteration, and the rest of the search; the sizes decide what they multiply.
-        assert timings["gate"]["gflop"] < timings["quiet"]["gflop"] < timings["task"]["gflop"]
+        # Takeovers are imagined along with the gate; a task decision searches besides.
+        assert timings["gate"]["gflop"] <= timings["quiet"]["gflop"] < timings["task"]["gflop"]
         assert timings["gate"]["gflop"] < timings["safety"]["gflop"]
         for timing in timings.values():
             assert timing["ratio"] == pytest.approx(timing["ms"] / 1000 * bench["roof"] / timing["gflop"])

@@ -53,7 +53,7 @@ def test_losses_in_bfloat16_are_float32_sums_close_to_those_in_float32() -> None
         model.zero_grad()
         with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
             losses, latent = model.losses(batch, noise, torch.arange(0, 8, 2), 0.0, ahead=ahead)
-        assert losses.keys() == loss_weights(SMALL).keys()
+        assert losses.keys() == loss_weights(SMALL).keys() - {"privileged"}  # that head is beside the model
         assert all(loss.dtype == torch.float32 for loss in losses.values())
         assert latent.z.dtype == torch.float32
         torch.stack(list(losses.values())).sum().backward()

@@ -29,7 +29,7 @@ from wasp_cli.tasks.make import make_task
 
 EAGER = {
     "horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 1, "probe": 12, "gate_rollouts": 1,
-    "tau_c": 1.2, "tau_r": 0.0,
+    "tau_c": 1.2, "tau_r": 0.0, "probe_with": "random",
 }  # fmt: skip
 """WASP that intervenes although nothing is trained, in little time."""
 LIMIT = 12
