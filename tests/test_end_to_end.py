@@ -87,11 +87,12 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
         assert rates[name] > 0, f"{name} never acted"
 
 
-def test_a_threshold_with_a_guarantee_is_taken_from_episodes_of_the_operators_and_shown(results: Path) -> None:
-    """The trained parts are those of the first round; episodes, calibration and cells are new."""
-    narrowed = ("methods=[human, wasp]", "variants=[full]", "rounds=1", "stages=[]", "name=guarantee")
+def test_a_threshold_with_a_guarantee_is_taken_from_episodes_of_the_operators_and_shown(results: Path, tmp_path: Path) -> None:
+    """The trained parts are those of the first round; episodes, calibration and cells are new, and in a folder of their own."""
+    spec, results = results.parent / "chain.yaml", shutil.copytree(results, tmp_path / "results")
+    narrowed = ("methods=[human, wasp]", "variants=[full]", "rounds=1", "stages=[]", "name=guarantee", "wasp.operator_model=rule")
     options = [part for setting in (*narrowed, "wasp.tau_c={coverage: 0.5}", "coverage.episodes=16") for part in ("--set", setting)]
-    done = wasp("run", str(results.parent / "chain.yaml"), "--results", str(results), "-j", "2", *options)
+    done = wasp("run", str(spec), "--results", str(results), "-j", "2", *options)
     assert done.returncode == 0, done.stderr
     (told,) = (results / "store" / "calibration").glob("*/coverage.json")
     statement = json.loads(told.read_text())["statement"]
