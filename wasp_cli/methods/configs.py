@@ -200,6 +200,10 @@ class WASPConfig(Config):
             raise ValueError(f"residual_steps ({self.residual_steps}) is longer than horizon ({self.horizon})")
         if self.probe_with != "random" and not (self.takeover_shares or self.braking):
             raise ValueError(f"probe_with is '{self.probe_with}', but takeover_shares is empty")
+        if isinstance(self.tau_c, Coverage) and self.operator_model == "cloned":
+            raise ValueError(
+                "tau_c with a coverage is taken from a mixture of operators, and a clone is of one; give tau_c a number or `calibrated`"
+            )
         # A random probe becomes the first iteration.
         batches = ("candidates", *(("probe",) if self.probe_with != "takeovers" and self.probe_first else ()))
         for name in ("elites", "feasible", "finalists"):
