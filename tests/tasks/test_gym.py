@@ -399,9 +399,23 @@ def test_wrong_resets_are_refused() -> None:
         env.step(np.zeros(2))
     with pytest.raises(UsageError, match="no option 'level'"):
         env.reset(options={"level": 2})
-    with pytest.raises(TaskError, match="out of range"):
-        env.reset(seed=2**32)
+    with pytest.raises(gymnasium.error.Error, match="greater or equal to zero"):
+        env.reset(seed=-1)
     env.reset(seed=0, options={})
+
+
+def test_a_seed_beyond_the_layouts_draws_one() -> None:
+    """Minari seeds every reset without a seed with 64 bits."""
+    env, again, envs = gymnasium.make(ID), gymnasium.make(ID), gymnasium.make_vec(ID, num_envs=2)
+    for seed in (2**32, 2**64 - 1):
+        first = env.reset(seed=seed)
+        assert same(first, again.reset(seed=seed))
+        assert not same(first, again.reset(seed=seed - 7 if seed > 2**33 else 0))
+        assert same(envs.reset(seed=[seed, 0])[0][0], first[0])
+        again.reset(seed=seed)
+        second = env.reset()
+        assert same(second, again.reset())
+        assert not same(first, second)
 
 
 @pytest.mark.parametrize("name", ["gaol1", "wasp/SafetyPointGaol1-v0", "SafetyPointGoal1"])

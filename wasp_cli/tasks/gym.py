@@ -25,6 +25,7 @@ from wasp_cli.tasks.gym_common import (
     Seen,
     checked_control,
     chosen_fields,
+    drawn_layout,
     limited_spec,
     observed_task,
     refuse_other_task,
@@ -33,7 +34,6 @@ from wasp_cli.tasks.gym_common import (
     row_of,
     space_of,
 )
-from wasp_cli.tasks.layout import SEED_LIMIT
 from wasp_cli.tasks.registry import TASKS
 
 _OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "upstream_api")
@@ -118,15 +118,16 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         self._spec = spec
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
-        """Start an episode. A seed names a layout, the same as in the reference package; without one a new layout is drawn.
+        """Start an episode. A seed below 2^32 names a layout, the same as in the reference package; without one a new layout is drawn.
+
+        Larger seeds, as Minari draws them, seed the draw of a layout.
 
         Raises:
             UsageError: `options` holds something; there are none.
-            TaskError: the seed is beyond the range of the layouts.
         """
         super().reset(seed=seed, options=options)
         refuse_reset_options(options)
-        layout = int(self.np_random.integers(SEED_LIMIT)) if seed is None else seed
+        layout = drawn_layout(self.np_random, seed)
         self._goals = 0
         seen = row_of(chosen_fields(self._task, self._task.reset([layout]), self._name), 0)
         return seen, self._told(Info.zeros(self._task), 0)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TaskError, UnknownOption, UsageError, did_you_mean
 from wasp_cli.tasks.base import CAMERA_SIZE, Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene
+from wasp_cli.tasks.layout import SEED_LIMIT
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 from wasp_cli.tasks.vision import sensor_shapes, with_vision
@@ -76,6 +77,11 @@ def refuse_reset_options(options: dict[str, Any] | None) -> None:
     """
     for option in options or {}:
         raise UsageError(f"reset has no option '{option}'", "a seed names a layout; there is nothing else to choose")
+
+
+def drawn_layout(draws: np.random.Generator, seed: int | None) -> int:
+    """Return the layout that a seed names; without one, or of one beyond the layouts, the next that a generator (seeded with it) draws."""
+    return int(draws.integers(SEED_LIMIT)) if seed is None or seed >= SEED_LIMIT else int(seed)
 
 
 def limited_spec(spec: EnvSpec, steps: int) -> EnvSpec:

@@ -20,6 +20,7 @@ from wasp_cli.tasks.gym_common import (
     Seen,
     checked_control,
     chosen_fields,
+    drawn_layout,
     limited_spec,
     masked,
     observed_task,
@@ -29,7 +30,6 @@ from wasp_cli.tasks.gym_common import (
     row_of,
     space_of,
 )
-from wasp_cli.tasks.layout import SEED_LIMIT
 from wasp_cli.tasks.registry import TASKS
 
 _OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "threads", "autoreset_mode", "max_episode_steps")
@@ -222,7 +222,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]])
             if seed is not None or draws is None:
                 draws, _ = gymnasium.utils.seeding.np_random(seed)
                 self._draws[row] = draws
-            layouts.append(int(draws.integers(SEED_LIMIT)) if seed is None else seed)
+            layouts.append(drawn_layout(draws, seed))
         seen = self._task.reset(layouts, rows)
         self._goals[rows] = 0
         self._steps[rows] = 0
