@@ -182,6 +182,8 @@ class Info(NamedTuple):
 
     def only(self, rows: NDArray[np.bool_]) -> Info:
         """Return the same with zeros in all but some rows [B]."""
+        if rows.all():
+            return self
         sources = {name: np.where(rows, value, 0.0) for name, value in self.sources.items()}
         return Info(np.where(rows, self.cost, 0.0), sources, np.where(rows, self.goals, 0), self.success & rows)
 
