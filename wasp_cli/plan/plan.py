@@ -10,8 +10,9 @@ from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import Grid, uncollected
-from wasp_cli.plan.node import Cell, Node, Part, waves
+from wasp_cli.plan.node import Cell, Node, Part, levels
 from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
+from wasp_cli.plan.schedule import simulated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.index import scan
 from wasp_cli.store.layout import Layout
@@ -59,17 +60,15 @@ class Plan:
         found: dict[str, Counter[State]] = {}
         for step in self.steps:
             found.setdefault(step.node.kind, Counter())[step.state] += 1
-        order = dict.fromkeys(node.kind for wave in waves(step.node for step in self.steps) for node in wave)
+        order = dict.fromkeys(node.kind for level in levels(step.node for step in self.steps) for node in level)
         return {kind: found[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
-        """Return the seconds for the nodes that are to run, and how many of them have no measured time."""
-        total, unknown = 0.0, 0
-        for wave in waves(self.to_run()):
-            known = [self.seconds[node.sort] for node in wave if node.sort in self.seconds]
-            unknown += len(wave) - len(known)
-            total += max(sum(known) / workers, max(known, default=0.0))
-        return total, unknown
+        """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
+        nodes = self.to_run()
+        known = {node.key: self.seconds.get(node.sort) for node in nodes}
+        total, _ = simulated(nodes, {key: seconds or 0.0 for key, seconds in known.items()}, workers)
+        return total, sum(seconds is None for seconds in known.values())
 
     def critical_path(self) -> tuple[float, list[Node]]:
         """Return the chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -61,26 +62,22 @@ class WorkersDied(Exception):
 
 
 class Pool(Protocol):
-    """Computes the nodes of one wave, side by side."""
+    """Computes nodes side by side."""
 
     jobs: int
+    """Nodes at once; 0 is counted as 1, in this process."""
     name: str
     """As the journal has it."""
 
-    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
-        """Give the results as nodes end. Jobs are taken as workers come free, not all at once.
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node; nobody submits more than `jobs` at a time.
 
-        Raises:
-            WorkersDied: a worker was killed. The pool can be used again.
+        The future ends with WorkersDied where a worker was killed, perhaps that of another node. The pool can be used again.
         """
         ...
 
-    def alone(self, job: NodeJob) -> NodeResult:
-        """Compute one node in a process of its own.
-
-        Raises:
-            WorkersDied: that process was killed.
-        """
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node in a process of its own. The future ends with WorkersDied where that process was killed."""
         ...
 
     def close(self, *, kill: bool = False) -> None:

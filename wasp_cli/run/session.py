@@ -15,9 +15,9 @@ from pathlib import Path
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName, UsageError
 from wasp_cli.plan.grid import Grid, together
-from wasp_cli.plan.node import waves
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
 from wasp_cli.run.interrupt import SIGNALS, listening
@@ -43,7 +43,8 @@ def cores() -> int:
 
 def useful_jobs(plan: Plan, jobs: int) -> int:
     """Return the number of workers: no more than nodes can run side by side, since an idle worker costs memory too."""
-    return min(jobs, max((len(wave) for wave in waves(plan.to_run())), default=jobs))
+    nodes = plan.to_run()
+    return min(jobs, simulated(nodes, durations(nodes, plan.seconds), None)[1]) if nodes else jobs
 
 
 def restricted(loaded: Loaded, task: str | None) -> Loaded:
@@ -203,7 +204,8 @@ def _summary_line(plan: Plan, summary: Summary) -> str:
         parts.append(f"{len(summary.failed)} failed")
     if summary.blocked:
         parts.append(f"{len(summary.blocked)} blocked")
-    return f"{', '.join(parts)} in {duration(summary.seconds)}"
+    busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
+    return f"{', '.join(parts)} in {duration(summary.seconds)}{busy}"
 
 
 def _idle(plan: Plan, shared: int = 0) -> list[str]:
