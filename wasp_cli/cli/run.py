@@ -56,6 +56,9 @@ def run(
     failed: FailedOption = False,
     reuse: ReuseOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")] = False,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="Go on without this terminal. One line of JSON says where; wasp status shows progress.")
+    ] = False,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
     backend: BackendOption = "loky",
@@ -74,6 +77,8 @@ def run(
     options = run_options(jobs, timeout, retries, backend, scheduler)
     if dry_run:
         show_plan(loaded.spec, results, selection, options.jobs, reuse)
+    elif detach:
+        run_detached()
     else:
         run_and_report(loaded, results, options, selection, reuse)
 
@@ -280,6 +285,20 @@ def show_plan(
         print_json({"spec": spec.name, **laid_out.as_json()})
     else:
         show(laid_out, out(), max(jobs, 1), every=every)
+
+
+def run_detached() -> None:
+    """Start this command again without a terminal, and print where its run is."""
+    import json
+    import sys
+
+    from wasp_cli.run.detach import detached
+
+    said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
+    if said is None:
+        sys.stderr.write(printed)
+        raise typer.Exit(code or 1)
+    print(json.dumps(said))
 
 
 def run_and_report(

@@ -66,6 +66,10 @@ class Schedule:
         """Make a node ready, also one that was taken before and has to run again."""
         heapq.heappush(self._ready, (self._rank[node.key], node))
 
+    def waits(self, node: Node) -> bool:
+        """Return whether a node has not ended, and nothing that it needs has failed."""
+        return node.key in self._left
+
     def ended(self, node: Node) -> None:
         """Make ready what has waited for this node alone."""
         self._left.discard(node.key)
@@ -76,8 +80,10 @@ class Schedule:
                 self.put(dependent)
 
     def failed(self, node: Node) -> list[Node]:
-        """Give up a node and return what can never begin without it, needed ones first."""
+        """Give up a node, ready or taken, and return what can never begin without it, needed ones first."""
         self._left.discard(node.key)
+        self._ready = [entry for entry in self._ready if entry[1].key != node.key]
+        heapq.heapify(self._ready)
         lost: dict[str, Node] = {}
         waiting = [node]
         while waiting:

@@ -38,12 +38,16 @@ class NodeJob:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-State = Literal["done", "shared", "failed", "busy", "skipped"]
+State = Literal["done", "shared", "failed", "cancelled", "busy", "skipped"]
 
 
 @dataclass(frozen=True)
 class NodeResult:
-    """How a node ended. `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is to end."""
+    """How a node ended.
+
+    `shared`: another run computed it meanwhile; `busy`: another run computes it now; `cancelled`: it was taken back; `skipped`: the run is
+    to end.
+    """
 
     key: str
     state: State

@@ -29,6 +29,8 @@ UNEXPLAINED = 5
 """Deaths of idle workers that a run lives with."""
 DEATH_SECONDS = 2.0
 """Within which the whole pool learns that one of its workers was killed."""
+LOOK_SECONDS = 0.5
+"""Between two looks at what was asked from elsewhere."""
 ASK_SECONDS = 2.0
 """Between two looks at a node that another run computes."""
 POLL_SECONDS = 0.1
@@ -62,7 +64,9 @@ class Summary:
     shared: int = 0
     failed: list[Failure] = field(default_factory=list)
     blocked: list[tuple[Node, Node]] = field(default_factory=list)
-    """Nodes that could not run, each with the failed node that it needs."""
+    """Nodes that could not run, each with the failed or cancelled node that it needs."""
+    cancelled: list[Node] = field(default_factory=list)
+    """Nodes that were taken back."""
     seconds: float = 0.0
     busy: float = 0.0
     """Seconds that workers spent on nodes, all together."""
@@ -76,7 +80,7 @@ class Summary:
     @property
     def complete(self) -> bool:
         """Whether every node ended well."""
-        return not self.failed and not self.blocked
+        return not self.failed and not self.blocked and not self.cancelled
 
 
 class Runner:
@@ -108,6 +112,11 @@ class Runner:
         """What runs again, by key."""
         self._tries: dict[str, int] = {}
         """Further attempts that are left, by key."""
+        self._deaths: list[tuple[NodeJob, bool, float | None]] = []
+        """What was lost with killed workers and is not in the journal yet: whether it ran, and what it held."""
+        self._nodes: dict[str, Node] = {}
+        self._paused = False
+        self._cancelling = layout.cancelled(run_id)
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
 
@@ -119,6 +128,7 @@ class Runner:
         """
         started = time.monotonic()
         nodes = plan.to_run()
+        self._nodes = {node.key: node for node in nodes}
         self.summary.workers = max(self._pool.jobs, 1)
         facts = {"pid": os.getpid(), "host": platform.node(), "boot": boot_id(), "jobs": self._pool.jobs, "backend": self._pool.name}
         self._journal.write("run started", nodes=len(nodes), **facts)
@@ -138,16 +148,36 @@ class Runner:
     def _carry_out(self, schedule: Schedule) -> None:
         """Keep every worker busy until nothing is left: what ends makes room, and makes ready what has waited for it."""
         while True:
+            self._obey(schedule)
             self._begin(schedule)
-            if not self._flying and (self.stop.asked or not self._elsewhere):
+            if not self._flying and (self.stop.asked or not (self._elsewhere or len(schedule))):
                 return
             for flight, result in self._landed():
                 self._handle(schedule, flight, result)
+            self._tell_deaths()
+
+    def _obey(self, schedule: Schedule) -> None:
+        """Do what was asked from another terminal: pause, go on, take nodes back. A running node hears of it from its worker."""
+        paused = self._layout.pause(self._run_id).exists()
+        if paused != self._paused:
+            self._paused = paused
+            self._journal.write("paused" if paused else "resumed")
+        flying = {flight.node.key for flight in self._flying.values()}
+        for path in self._cancelling.glob("*"):
+            node = self._nodes.get(path.name)
+            if node is not None and node.key not in flying and schedule.waits(node):
+                self._elsewhere.pop(node.key, None)
+                self._give_up(schedule, node)
+
+    def _give_up(self, schedule: Schedule, node: Node) -> None:
+        self.summary.cancelled.append(node)
+        self._journal.write("cancelled", key=node.key, label=node.label)
+        self._block(schedule.failed(node), node)
 
     def _begin(self, schedule: Schedule) -> None:
         """Give ready nodes to idle workers."""
         jobs = max(self._pool.jobs, 1)
-        while len(self._flying) < jobs and not self.stop.asked:
+        while len(self._flying) < jobs and not self.stop.asked and not self._paused:
             if self._suspects:
                 job, node, memory = self._suspects.pop(0)
                 self._send(self._pool.alone(replace(job, wait=True)), Flight(node, job, alone=True, memory=memory))
@@ -177,7 +207,7 @@ class Runner:
         if not self._flying:
             time.sleep(POLL_SECONDS)
             return []
-        done, _ = wait(self._flying, ASK_SECONDS if self._elsewhere else None, FIRST_COMPLETED)
+        done, _ = wait(self._flying, LOOK_SECONDS, FIRST_COMPLETED)
         if any(_killed(future) for future in done):
             # A worker that is killed takes its pool along: what else was in flight there is lost in the same moment.
             done, _ = wait(self._flying, DEATH_SECONDS)
@@ -191,7 +221,10 @@ class Runner:
             result = self._after_death(schedule, flight)
         if result is None or result.state == "skipped":
             return
-        if result.state == "busy":
+        if result.state == "cancelled":
+            self.summary.busy += result.seconds
+            self._give_up(schedule, node)
+        elif result.state == "busy":
             self._elsewhere[node.key] = (time.monotonic(), flight)
         elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
             self._tries[node.key] -= 1
@@ -216,6 +249,8 @@ class Runner:
         running.unlink(missing_ok=True)
         if exists(self._layout, job.kind, job.key):
             return self._stored(job)
+        if self._layout.cancel(self._run_id, job.key).exists():
+            return NodeResult(job.key, "cancelled", 0.0)
         overdue = self._layout.overdue(self._run_id, job.key)
         if was_ended(overdue):
             return self._killed(job, "it exceeded its time limit and did not stop, so its process was ended", HINT)
@@ -229,8 +264,16 @@ class Runner:
         else:
             self._jobs[job.key] = job
             schedule.put(flight.node)
-        self._journal.write("worker killed", key=job.key, label=job.label, suspect=was_running, memory_mb=memory)
+        self._deaths.append((job, was_running, memory))
         return None
+
+    def _tell_deaths(self) -> None:
+        if self._deaths:
+            suspects = [(job, memory) for job, was_running, memory in self._deaths if was_running]
+            held = {job.key: memory for job, memory in suspects}
+            keys, labels = [job.key for job, _ in suspects], [job.label for job, _ in suspects]
+            self._journal.write("worker killed", suspects=keys, labels=labels, memory_mb=held)
+            self._deaths = []
 
     def _killed(self, job: NodeJob, message: str, hint: str | None) -> NodeResult:
         log = str(self._layout.log(job.run_id, job.label, job.key))

@@ -20,6 +20,7 @@ from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
+from wasp_cli.run.detach import announce
 from wasp_cli.run.interrupt import SIGNALS, listening
 from wasp_cli.run.job import Pool
 from wasp_cli.run.pool import pool_of, require_backend
@@ -73,7 +74,10 @@ class Session:
     def require_complete(self) -> None:
         """Raise CellsFailed when a node failed."""
         if not self.summary.complete:
-            raise CellsFailed(_failure_message(self.summary, self.names), "run the same command again to retry what failed")
+            raise CellsFailed(
+                _failure_message(self.summary, self.names),
+                "run the same command again to retry what failed" if self.summary.failed else "run the same command again to compute it",
+            )
 
 
 @dataclass(frozen=True)
@@ -126,6 +130,7 @@ def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Sele
     with planning(layout):
         plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
         run_id = new_run(layout, loaded, plan)
+    announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options)
 
 
@@ -202,6 +207,8 @@ def _summary_line(plan: Plan, summary: Summary) -> str:
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
     if summary.failed:
         parts.append(f"{len(summary.failed)} failed")
+    if summary.cancelled:
+        parts.append(f"{len(summary.cancelled)} cancelled")
     if summary.blocked:
         parts.append(f"{len(summary.blocked)} blocked")
     busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
@@ -215,7 +222,9 @@ def _idle(plan: Plan, shared: int = 0) -> list[str]:
 
 
 def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
-    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed, names)]
+    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed, names)] if summary.failed else []
+    if summary.cancelled:
+        lines += [f"{len(summary.cancelled)} cancelled:", *(f"  {names.get(node.key, node.label)}" for node in summary.cancelled)]
     if summary.blocked:
         lines.append(f"{len(summary.blocked)} blocked by them:")
         lines += [
