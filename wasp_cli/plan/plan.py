@@ -13,6 +13,7 @@ from wasp_cli.plan.grid import Grid, uncollected
 from wasp_cli.plan.node import Cell, Node, Part, levels
 from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
 from wasp_cli.plan.schedule import simulated
+from wasp_cli.plan.times import estimated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.index import scan
 from wasp_cli.store.layout import Layout
@@ -43,9 +44,11 @@ class Plan:
     grid: Grid
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """Median time of each sort of node, where the store has some."""
+    """Median time of each sort of node, where the store has some, else an estimate."""
     wanted: frozenset[str] | None = None
     """Keys of the targets that were selected; None when all are wanted."""
+    guessed: frozenset[str] = frozenset()
+    """The sorts whose time is an estimate from figures of another machine."""
 
     def to_run(self) -> list[Node]:
         """Return the nodes that a run computes, needed ones first."""
@@ -205,7 +208,9 @@ def plan_against(
         if failed_only:
             wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
         reasons = Reasons(layout, index, kinds)
-        return make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
+        plan = make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
+        guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset)
+        return replace(plan, seconds={**plan.seconds, **guesses}, guessed=frozenset(guesses))
 
 
 def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:
