@@ -14,7 +14,6 @@ import pytest
 from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
 from wasp_cli.store.plain import read_json_lines
 
-
 NODES = 36
 """Of the small spec."""
 

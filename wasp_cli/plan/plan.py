@@ -47,6 +47,8 @@ class Plan:
     """Median time of each sort of node, where the store has some, else an estimate."""
     wanted: frozenset[str] | None = None
     """Keys of the targets that were selected; None when all are wanted."""
+    begun: Mapping[str, str] = field(default_factory=dict)
+    """Keys of cells of which the store has the first episodes, each with the key of the cell that has them."""
     guessed: frozenset[str] = frozenset()
     """The sorts whose time is an estimate from figures of another machine."""
 
@@ -209,8 +211,14 @@ def plan_against(
             wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
         reasons = Reasons(layout, index, kinds)
         plan = make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
+        begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
         guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset)
-        return replace(plan, seconds={**plan.seconds, **guesses}, guessed=frozenset(guesses))
+        return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
+
+
+def _may_begin(step: Step) -> bool:
+    """Whether a cell is to run of which another version is there."""
+    return step.runs and step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")
 
 
 def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:

@@ -95,6 +95,9 @@ def _time(plan: Plan, workers: int) -> list[str]:
     if len(names) > SHOWN:
         names[SHOWN // 2 : -SHOWN // 2] = ["..."]
     guessed = sum(node.sort in plan.guessed for node in plan.to_run())
+    if plan.begun:
+        count = len(plan.begun)
+        rest += f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there and are taken over"
     source = f"; for {guessed} nodes an estimate, from another machine's times and the speed of this one" if guessed else ""
     return [
         f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",

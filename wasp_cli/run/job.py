@@ -29,6 +29,8 @@ class NodeJob:
     """Kind and key of the upstream artifacts, by the name under which the stage reads them."""
     sources: Mapping[str, str]
     """Hash by module of the code that decides the result."""
+    earlier: str | None = None
+    """Key of the same artifact with fewer episodes, whose rows may be taken over."""
     attempt: int = 1
     threads: int = 1
     limit: float | None = None

@@ -115,6 +115,8 @@ class Runner:
         self._deaths: list[tuple[NodeJob, bool, float | None]] = []
         """What was lost with killed workers and is not in the journal yet: whether it ran, and what it held."""
         self._nodes: dict[str, Node] = {}
+        self._begun: Mapping[str, str] = {}
+        """By key of a cell the key of another one that has its first episodes."""
         self._paused = False
         self._cancelling = layout.cancelled(run_id)
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
@@ -129,6 +131,7 @@ class Runner:
         started = time.monotonic()
         nodes = plan.to_run()
         self._nodes = {node.key: node for node in nodes}
+        self._begun = plan.begun
         self.summary.workers = max(self._pool.jobs, 1)
         facts = {"pid": os.getpid(), "host": platform.node(), "boot": boot_id(), "jobs": self._pool.jobs, "backend": self._pool.name}
         self._journal.write("run started", nodes=len(nodes), **facts)
@@ -322,6 +325,7 @@ class Runner:
             settings=node.settings,
             inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
             sources=source_hashes(node.modules),
+            earlier=self._begun.get(node.key),
             attempt=attempts(self._layout, node.key) + 1,
             threads=threads,
             limit=self._limit,

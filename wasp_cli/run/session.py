@@ -61,6 +61,15 @@ def restricted(loaded: Loaded, task: str | None) -> Loaded:
     return replace(loaded, spec=loaded.spec.model_copy(update={"tasks": (task,)}))
 
 
+def limited(loaded: Loaded, episodes: int | None) -> Loaded:
+    """Return the spec with so many episodes in each cell at most (or as it is). These are the first ones of the whole cell."""
+    if episodes is None:
+        return loaded
+    count = min(episodes, loaded.spec.episodes)
+    evaluate = loaded.spec.stage("evaluate").model_copy(update={"episodes": count})
+    return replace(loaded, spec=loaded.spec.model_copy(update={"episodes": count, "evaluate": evaluate}))
+
+
 @dataclass(frozen=True)
 class Session:
     """A run that is over."""

@@ -162,8 +162,16 @@ def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progre
         out_dir=staging,
         work_dir=work,
         progress=progress,
+        earlier=_earlier(job, layout),
         threads=job.threads,
     )
+
+
+def _earlier(job: NodeJob, layout: Layout) -> Path | None:
+    """Where the first episodes of a cell are; nowhere where they have been removed or damaged since the plan."""
+    if job.earlier is None or corruption(layout, job.kind, job.earlier) is not None:
+        return None
+    return layout.artifact(job.kind, job.earlier)
 
 
 def _settings(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -194,6 +202,7 @@ def _manifest(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_
             **job.provenance,
             **({"cuda": devices} if (devices := cuda_devices()) else {}),
             "run": job.run_id,
+            **({"earlier": job.earlier} if job.earlier else {}),
             "attempt": job.attempt,
             "threads": job.threads,
             "started_at": started_at,
