@@ -72,6 +72,10 @@ SetOption = Annotated[
     list[str] | None,
     option("--set", metavar="KEY=VALUE", help="Override a value of the spec (repeatable).", autocompletion=complete.settings),
 ]
+LimitOption = Annotated[
+    int | None,
+    option("--limit", min=1, metavar="N", help="Only the first N episodes of each cell: a look before the whole, which computes the rest."),
+]
 SelectOption = Annotated[
     list[str] | None,
     option(

@@ -151,6 +151,7 @@ def write_cell(
     thresholds: Thresholds,
     decision_ms: Sequence[NDArray[np.floating]],
     episode_seeds: Sequence[int],
+    earlier: pa.Table | None = None,
 ) -> None:
     """Write the table of a cell. The file appears complete or not at all; the same input gives the same bytes.
 
@@ -162,11 +163,14 @@ def write_cell(
         thresholds: in force for all rows.
         decision_ms: per episode [T], wall time of each decision in milliseconds.
         episode_seeds: the seed of each episode's world; operator and method have streams of their own.
+        earlier: rows of the cell that come before these (`first_rows`).
 
     Raises:
         StoreError: the file cannot be written.
     """
-    write_table(cell_table(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds), path)
+    first = 0 if earlier is None else len(earlier)
+    table = cell_table(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds, first)
+    write_table(table if earlier is None else pa.concat_tables([earlier, table]).combine_chunks(), path)
 
 
 def cell_table(
@@ -176,13 +180,14 @@ def cell_table(
     thresholds: Thresholds,
     decision_ms: Sequence[NDArray[np.floating]],
     episode_seeds: Sequence[int],
+    first: int = 0,
 ) -> pa.Table:
-    """Build the table of a cell in memory; see `write_cell`."""
+    """Build the table of a cell in memory, or of its episodes from `first` on; see `write_cell`."""
     episodes = len(trajectories)
     if not episodes == len(metrics) == len(decision_ms) == len(episode_seeds):
         raise ValueError(f"{episodes} trajectories, {len(metrics)} rows, {len(decision_ms)} timings, {len(episode_seeds)} seeds")
     columns: dict[str, Any] = {name: [value] * episodes for name, value in (asdict(identity) | asdict(thresholds)).items()}
-    columns |= {"episode": list(range(episodes)), "episode_seed": [int(seed) for seed in episode_seeds]}
+    columns |= {"episode": list(range(first, first + episodes)), "episode_seed": [int(seed) for seed in episode_seeds]}
     for field in METRICS:
         attribute = "return_" if field.name == "return" else field.name
         columns[field.name] = [getattr(row, attribute) for row in metrics]
@@ -251,6 +256,16 @@ def read_episodes(paths: Iterable[Path]) -> pa.Table:
     schema = pa.schema([SCHEMA.field(name) for name in EPISODE_COLUMNS])
     tables = [_read(path, EPISODE_COLUMNS).cast(schema) for path in paths]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
+
+
+def first_rows(path: Path, batch: int) -> pa.Table:
+    """Read the rows of a cell of this version, to write them again before others: as many as whole batches of `batch` episodes have.
+
+    Raises:
+        StoreError: as `read_episodes`.
+    """
+    table = _read(path, SCHEMA.names).cast(SCHEMA)
+    return table.slice(0, len(table) // batch * batch)
 
 
 def read_steps(path: Path) -> pa.Table:
