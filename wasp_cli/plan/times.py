@@ -29,7 +29,7 @@ def figure_of(kind: str, task: str, method: object) -> str:
 
 @cache
 def speed() -> float:
-    """Return how much one core does now, in rounds of arithmetic and Python per second. Without BLAS, whose threads would measure others."""
+    """Return how much one core does now, in rounds of arithmetic and Python per second. Without BLAS, whose threads mislead."""
     import numpy as np
 
     values = np.random.default_rng(0).random(SIZE, dtype=np.float32)
