@@ -59,4 +59,4 @@ def evaluated(
     folder.mkdir(parents=True, exist_ok=True)
     axes = {"method": method, "method_config": dict(config or {}), "variant": variant, "value": value}
     EvaluateStage().run(Job("evaluate", task, seed, EvaluateConfig(episodes=episodes), SETTINGS, axes, inputs, folder, folder))
-    return Evaluated(folder / "cell.parquet", task, variant, value, episodes, seed, inputs)
+    return Evaluated(folder / "episodes.parquet", task, variant, value, episodes, seed, inputs)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from tests.report.invented import invent
 from wasp_cli.metrics.episode import episode_metrics
@@ -20,7 +19,7 @@ from wasp_cli.report.stats.frame import Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
-from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, cell_table
+from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity, Thresholds, cell_tables, write_episodes
 
 TASKS = ("goal1", "race1", "formula1")
 METHODS = ("human", "ida", "diffusion", "saferl", "wasp", "filter")
@@ -46,7 +45,7 @@ def grid() -> Iterator[tuple[CellIdentity, str | None]]:
 
 def wanted(folder: Path) -> list[Wanted]:
     """The cells of the grid, with their places."""
-    return [Wanted(identity, f"cell {i}", folder / str(i) / "cell.parquet", name) for i, (identity, name) in enumerate(grid())]
+    return [Wanted(identity, f"cell {i}", folder / str(i) / EPISODES_FILE, name) for i, (identity, name) in enumerate(grid())]
 
 
 def write(folder: Path) -> None:
@@ -54,7 +53,7 @@ def write(folder: Path) -> None:
     episodes = [invent(e, 5, 0.2, 0.05, steps=2) for e in range(EPISODES)]
     rows = [episode_metrics(episode, 7, 25.0) for episode in episodes]
     times = [np.full(2, 2.0)] * EPISODES
-    template = cell_table(CellIdentity("", "", "", "", None, 0), episodes, rows, Thresholds(0.3, 0.4), times, range(EPISODES))
+    template, _ = cell_tables(CellIdentity("", "", "", "", None, 0), episodes, rows, Thresholds(0.3, 0.4), times, range(EPISODES))
     rng = np.random.default_rng(0)
     for cell in wanted(folder):
         columns = {name: [value] * EPISODES for name, value in vars(cell.identity).items()}
@@ -65,7 +64,7 @@ def write(folder: Path) -> None:
             place = SCHEMA.get_field_index(name)
             table = table.set_column(place, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type))
         cell.path.parent.mkdir()
-        pq.write_table(table, cell.path, compression="zstd", compression_level=3, write_page_checksum=True)
+        write_episodes(table, cell.path)
 
 
 def peak() -> int:

@@ -31,7 +31,7 @@ from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import CellIdentity, cell_file
 
 
 def report_run(
@@ -129,8 +129,9 @@ def wanted_cells(
     damaged: list[str] = []
     failed, blocked = _failed(layout), _blocked(layout, spec, damaged)
 
-    def wanted(cell: Cell, key: str, kind: str, file: str, branches: Wanted | None = None) -> Wanted:
-        path, refused = layout.artifact(kind, key) / file, None
+    def wanted(cell: Cell, key: str, kind: str, branches: Wanted | None = None) -> Wanted:
+        folder, refused = layout.artifact(kind, key), None
+        path = cell_file(folder) if kind == KIND else folder / BRANCHES_FILE
         try:
             layout.within(path)
         except StoreError as error:
@@ -139,8 +140,8 @@ def wanted_cells(
         label = str(cell) if kind == KIND else f"{kind} of {cell}"
         return Wanted(identity_of(cell), label, path, cell.severity, failure, blocked.get(key), refused, branches)
 
-    judged = {cell: wanted(cell, key, COUNTERFACTUAL, BRANCHES_FILE) for cell, key in branched}
-    return [wanted(cell, key, KIND, CELL_FILE, judged.get(cell)) for cell, key in cells], damaged
+    judged = {cell: wanted(cell, key, COUNTERFACTUAL) for cell, key in branched}
+    return [wanted(cell, key, KIND, judged.get(cell)) for cell, key in cells], damaged
 
 
 def _failed(layout: Layout) -> set[str]:

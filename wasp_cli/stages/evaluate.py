@@ -1,6 +1,6 @@
 """Evaluation of one cell of the grid: a method under one operator and one seed.
 
-Artifact: `cell.parquet` (see `store.tables`).
+Artifact: `episodes.parquet` and `steps.parquet` (see `store.tables`).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class EvaluateStage:
         goals = config.success_goals or TASKS[job.task].success_goals
         rows = [episode_metrics(trajectory, goals, config.safe_cost) for trajectory in found]
         identity = CellIdentity(job.task, method, job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
-        write_cell(job.out_dir / "cell.parquet", identity, found, rows, thresholds_of(assistant), times, layouts)
+        write_cell(job.out_dir, identity, found, rows, thresholds_of(assistant), times, layouts)
         return {
             "return": round(float(np.mean([row.return_ for row in rows])), 2), "cost": round(float(np.mean([row.cost for row in rows])), 1),
             "int": round(float(np.mean([row.int_rate for row in rows])), 3),
