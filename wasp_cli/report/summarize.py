@@ -55,7 +55,7 @@ def report_run(
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = with_branches(read_frame(wanted), wanted)
+    frame = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
     roots = [
         *(("evaluate", key) for _, key in cells),
         *((COUNTERFACTUAL, key) for _, key in branched),
@@ -113,6 +113,14 @@ def _severity_check(spec: Spec, frame: Frame) -> Table | None:
         return None
     checks = checks_of(spec, frame)
     return judged(check_table(checks, frame), checks)
+
+
+def _kept(layout: Layout, spec: str) -> Path | None:
+    """Where the rows of large grids are kept; None where that would be somewhere else."""
+    try:
+        return layout.within(layout.rows(spec))
+    except StoreError:
+        return None
 
 
 def wanted_cells(
