@@ -47,7 +47,7 @@ ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=
 ResultsArgument = Annotated[Path, typer.Argument(metavar="DIR", parser=parse_folder, help="The results folder.")]
 NodeArgument = Annotated[str, argument(metavar="NODE", help="A label ('goal1 s0 world_model'), or the beginning of a key.")]
 StoredCellArgument = Annotated[
-    str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or a cell.parquet.")
+    str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
 ]
 EpisodeOption = Annotated[int, option("--episode", "-e", metavar="E", help="The episode, counted from 0.")]
 TaskOption = Annotated[
