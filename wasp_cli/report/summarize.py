@@ -41,6 +41,7 @@ def report_run(
     parts: Sequence[tuple[Part, str]] = (),
     paper: Paper | None = None,
     branched: Sequence[tuple[Cell, str]] = (),
+    unknown: Sequence[str] = (),
 ) -> Report:
     """Summarise the cells and the trained parts of a run.
 
@@ -51,6 +52,7 @@ def report_run(
         parts: what it trains, each with the key of its artifact.
         paper: whose numbers and claims the cells are held against; None: against none.
         branched: the cells whose interventions are judged, each with the key of its counterfactual branches.
+        unknown: what the record of the run has that this version does not know.
     """
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
@@ -94,7 +96,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*_facts(spec, frame), *published, *damaged),
+        facts=(*_facts(spec, frame), *published, *unknown, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,

@@ -116,6 +116,18 @@ class Layout:
         """Return the file that is there when a run was asked to end."""
         return self.run(run_id) / "stop"
 
+    def pause(self, run_id: str) -> Path:
+        """Return the file that is there while a run begins nothing new."""
+        return self.run(run_id) / "pause"
+
+    def cancelled(self, run_id: str) -> Path:
+        """Return the folder of what of a run was taken back."""
+        return self.run(run_id) / "cancelled"
+
+    def cancel(self, run_id: str, key: str) -> Path:
+        """Return the file that is there when a node of a run was taken back."""
+        return self.cancelled(run_id) / _key(key)
+
     def overdue(self, run_id: str, key: str) -> Path:
         """Return the file that has text when a node's process was ended because it did not react to its time limit."""
         return self.run(run_id) / "running" / f"{_key(key)}.overdue"

@@ -23,7 +23,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -150,6 +150,15 @@ class Thresholds:
     tau_q: float | None = None
 
 
+class Rows(NamedTuple):
+    """The rows of a cell."""
+
+    episodes: pa.Table
+    """of SCHEMA"""
+    steps: pa.Table
+    """of STEPS_SCHEMA"""
+
+
 def write_cell(
     folder: Path,
     identity: CellIdentity,
@@ -158,6 +167,7 @@ def write_cell(
     thresholds: Thresholds,
     decision_ms: Sequence[NDArray[np.floating]],
     episode_seeds: Sequence[int],
+    earlier: Rows | None = None,
 ) -> Path:
     """Write the tables of a cell; returns the path of its episodes. Each file appears complete or not at all, the episodes last.
 
@@ -171,11 +181,15 @@ def write_cell(
         thresholds: in force for all rows.
         decision_ms: per episode [T], wall time of each decision in milliseconds.
         episode_seeds: the seed of each episode's world; operator and method have streams of their own.
+        earlier: rows of the cell that come before these (`first_rows`).
 
     Raises:
         StoreError: a file cannot be written.
     """
-    episodes, steps = cell_tables(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds)
+    first = 0 if earlier is None else len(earlier.episodes)
+    new = cell_tables(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds, first)
+    pieces = [new] if earlier is None else [earlier, new]
+    episodes, steps = (pa.concat_tables(tables).combine_chunks() for tables in zip(*pieces, strict=True))
     write_table(steps, folder / STEPS_FILE)
     write_episodes(episodes, folder / EPISODES_FILE)
     return folder / EPISODES_FILE
@@ -198,13 +212,14 @@ def cell_tables(
     thresholds: Thresholds,
     decision_ms: Sequence[NDArray[np.floating]],
     episode_seeds: Sequence[int],
-) -> tuple[pa.Table, pa.Table]:
-    """Build the tables of a cell in memory, episodes and steps; see `write_cell`."""
+    first: int = 0,
+) -> Rows:
+    """Build the tables of a cell in memory, or of its episodes from `first` on; see `write_cell`."""
     episodes = len(trajectories)
     if not episodes == len(metrics) == len(decision_ms) == len(episode_seeds):
         raise ValueError(f"{episodes} trajectories, {len(metrics)} rows, {len(decision_ms)} timings, {len(episode_seeds)} seeds")
     columns: dict[str, Any] = {name: [value] * episodes for name, value in (asdict(identity) | asdict(thresholds)).items()}
-    columns |= {"episode": list(range(episodes)), "episode_seed": [int(seed) for seed in episode_seeds]}
+    columns |= {"episode": list(range(first, first + episodes)), "episode_seed": [int(seed) for seed in episode_seeds]}
     for field in METRICS:
         attribute = "return_" if field.name == "return" else field.name
         columns[field.name] = [getattr(row, attribute) for row in metrics]
@@ -214,7 +229,7 @@ def cell_tables(
     episode = np.repeat(np.arange(episodes), [trajectory.steps for trajectory in trajectories])
     names = [table[field.name].take(episode) for field in IDENTITY]
     times = pa.array(np.concatenate([np.asarray(times, np.float32) for times in decision_ms]), STEP_TIME.type)
-    return table, pa.table([*names, *_steps(trajectories), times], schema=STEPS_SCHEMA)
+    return Rows(table, pa.table([*names, *_steps(trajectories), times], schema=STEPS_SCHEMA))
 
 
 def _steps(trajectories: Sequence[Trajectory]) -> list[pa.Array]:
@@ -276,6 +291,18 @@ def read_episodes(paths: Iterable[Path]) -> pa.Table:
     schema = SCHEMA.remove_metadata()
     tables = [_read(path, SCHEMA.names).cast(schema) for path in paths]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
+
+
+def first_rows(folder: Path, batch: int) -> Rows:
+    """Read the rows of a cell of this version, to write them again before others: as many as whole batches of `batch` episodes have.
+
+    Raises:
+        StoreError: as `read_episodes`, also of the file of the steps.
+    """
+    episodes = _read(folder / EPISODES_FILE, SCHEMA.names).cast(SCHEMA)
+    whole = len(episodes) // batch * batch
+    steps = _read_steps(folder / EPISODES_FILE, STEPS_SCHEMA.names).cast(STEPS_SCHEMA)
+    return Rows(episodes.slice(0, whole), steps.filter(pc.less(steps["episode"], whole)))
 
 
 def read_steps(path: Path) -> pa.Table:
