@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.cells import SETTINGS, Evaluated, evaluated
+from wasp_cli.learning.closed_loop import batches
 from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
-from wasp_cli.learning.evaluation import batches
 from wasp_cli.metrics.necessity import ASSISTED
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.counterfactual import CounterfactualStage

@@ -27,8 +27,8 @@ class CounterfactualStage:
 
         from wasp_cli import seeds
         from wasp_cli.errors import TrainingError
+        from wasp_cli.learning.closed_loop import batches
         from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampled
-        from wasp_cli.learning.evaluation import batches
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.rerun import Recorded, Rerun
         from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity

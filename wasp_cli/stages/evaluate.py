@@ -26,8 +26,8 @@ class EvaluateStage:
 
         from wasp_cli import seeds
         from wasp_cli.learning.assistants import build_assistant, load_parts
-        from wasp_cli.learning.closed_loop import run_episodes
-        from wasp_cli.learning.evaluation import batches, trajectories
+        from wasp_cli.learning.closed_loop import batches, run_episodes
+        from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
         from wasp_cli.store.tables import CELL_FILE, CellIdentity, first_rows, read_episodes, write_cell
