@@ -63,4 +63,4 @@ def evaluated(
     settings = {**SETTINGS, "side_by_side": side_by_side}
     own = EvaluateConfig(episodes=episodes)
     EvaluateStage().run(Job("evaluate", task, seed, own, settings, axes, inputs, folder, folder, earlier=earlier))
-    return Evaluated(folder / "cell.parquet", task, variant, value, episodes, seed, inputs)
+    return Evaluated(folder / "episodes.parquet", task, variant, value, episodes, seed, inputs)

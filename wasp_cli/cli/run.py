@@ -11,6 +11,7 @@ import typer
 from wasp_cli.cli import completion as complete
 from wasp_cli.cli.options import (
     BackendOption,
+    DryRunOption,
     FailedOption,
     JobsOption,
     JsonOption,
@@ -57,7 +58,7 @@ def run(
     limit: LimitOption = None,
     failed: FailedOption = False,
     reuse: ReuseOption = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")] = False,
+    dry_run: DryRunOption = False,
     detach: Annotated[
         bool, typer.Option("--detach", help="Go on without this terminal. One line of JSON says where; wasp status shows progress.")
     ] = False,
@@ -128,6 +129,7 @@ def ablate(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     reuse: ReuseOption = None,
+    dry_run: DryRunOption = False,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
     backend: BackendOption = "loky",
@@ -136,12 +138,16 @@ def ablate(
 ) -> None:
     """Compare a method with one of its ablations.
 
-    Operators, seeds and episodes are those of the spec. With many of them this takes long: --set changes them.
+    Operators, seeds and episodes are those of the spec. With many of them this takes long: --dry-run says how long, --set changes them.
     """
+    from wasp_cli.run.session import WHOLE
     from wasp_cli.spec.derived import ablation
 
     options = run_options(jobs, timeout, retries, backend, scheduler)
-    run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, options, reuse=reuse)
+    loaded = ablation(spec, variant, task, preset, set_ or ())
+    show_plan(loaded.spec, results, WHOLE, options.jobs, reuse, aside=not dry_run)
+    if not dry_run:
+        run_and_report(loaded, results, options, reuse=reuse)
 
 
 @run_app.command(
@@ -271,10 +277,18 @@ def run_options(jobs: int | None, timeout: float | None, retries: int, backend: 
 
 
 def show_plan(
-    spec: Spec, results: Path, selection: Selection, jobs: int, reuse: str | None, *, every: bool = False, json: bool = False
+    spec: Spec,
+    results: Path,
+    selection: Selection,
+    jobs: int,
+    reuse: str | None,
+    *,
+    every: bool = False,
+    json: bool = False,
+    aside: bool = False,
 ) -> None:
-    """Print the plan of a spec against a results folder."""
-    from wasp_cli.console import out
+    """Print the plan of a spec against a results folder; `aside`, to stderr, where the run itself follows."""
+    from wasp_cli.console import err, out
     from wasp_cli.plan.plan import plan_against
     from wasp_cli.plan.reuse import lay_out_over
     from wasp_cli.plan.select import select
@@ -287,7 +301,7 @@ def show_plan(
     if json:
         print_json({"spec": spec.name, **laid_out.as_json()})
     else:
-        show(laid_out, out(), max(jobs, 1), every=every)
+        show(laid_out, err() if aside else out(), max(jobs, 1), every=every)
 
 
 def run_detached() -> None:

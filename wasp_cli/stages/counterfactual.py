@@ -37,7 +37,7 @@ class CounterfactualStage:
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
         from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, read_branches, write_branches
         from wasp_cli.store.recorded import read_recorded
-        from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_steps
+        from wasp_cli.store.tables import CellIdentity, cell_file, read_steps
         from wasp_cli.tasks.make import make_task
 
         config = cast(CounterfactualConfig, job.config)
@@ -48,7 +48,7 @@ class CounterfactualStage:
                 f"no held-out episode of the expert has {config.window} decisions, so there is no tau_R",
                 "set a smaller counterfactual.window",
             )
-        path = job.inputs["evaluate"] / CELL_FILE
+        path = cell_file(job.inputs["evaluate"])
         recorded = Recorded(**read_recorded(path))
         count = len(recorded.a)
         ends = np.cumsum([len(actions) for actions in recorded.a])[:-1]

@@ -1,6 +1,6 @@
 """Evaluation of one cell of the grid: a method under one operator and one seed.
 
-Artifact: `cell.parquet` (see `store.tables`).
+Artifact: `episodes.parquet` and `steps.parquet` (see `store.tables`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class EvaluateStage:
         from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
-        from wasp_cli.store.tables import CELL_FILE, CellIdentity, first_rows, read_episodes, write_cell
+        from wasp_cli.store.tables import CellIdentity, first_rows, read_episodes, write_cell
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
 
@@ -39,8 +39,8 @@ class EvaluateStage:
         parts = load_parts(job.inputs, job.settings["returns"])
         goals = config.success_goals or TASKS[job.task].success_goals
         batch: int = job.settings["side_by_side"]
-        earlier = None if job.earlier is None else first_rows(job.earlier / CELL_FILE, batch)
-        begin = 0 if earlier is None else len(earlier)
+        earlier = None if job.earlier is None else first_rows(job.earlier, batch)
+        begin = 0 if earlier is None else len(earlier.episodes)
         found, rows, times, layouts = [], [], [], [seeds.layout_seed(job.task, job.seed, e) for e in range(begin, config.episodes)]
         for episodes in batches(begin, config.episodes, batch):
 
@@ -62,8 +62,8 @@ class EvaluateStage:
             times += new_times
             rows += [episode_metrics(trajectory, goals, config.safe_cost) for trajectory in new]
         identity = CellIdentity(job.task, method, job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
-        write_cell(job.out_dir / CELL_FILE, identity, found, rows, thresholds_of(assistant), times, layouts, earlier)
-        numbers = read_episodes([job.out_dir / CELL_FILE])
+        path = write_cell(job.out_dir, identity, found, rows, thresholds_of(assistant), times, layouts, earlier)
+        numbers = read_episodes([path])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
         return {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
 
