@@ -39,6 +39,7 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
         # What took rows over says nothing of how long its like takes.
         **({} if "earlier" in provenance else {"seconds": float(provenance["seconds"])}),
         "at": str(provenance.get("started_at", "")),
+        **({"episodes": int(manifest["config"]["episodes"])} if "episodes" in manifest["config"] else {}),
     }
 
 
@@ -105,16 +106,18 @@ class Reasons:
 
     def beginning(self, node: Node) -> str | None:
         """Return the key of the stored cell with which this one begins: it has fewer episodes, and nothing else is different."""
-        found = [(episodes, key) for key, _ in self._versions().get(who_is(node), []) if (episodes := self._begun(node, key))]
-        return max(found)[1] if found else None
+        fewer = [
+            (episodes, key)
+            for key, entry in self._versions().get(who_is(node), [])
+            if 0 < (episodes := entry.facts.get("episodes", 0)) < node.config["episodes"]
+        ]
+        return next((key for _, key in sorted(fewer, reverse=True) if self._begins(node, key)), None)
 
-    def _begun(self, node: Node, key: str) -> int:
-        """The episodes of a stored cell, where this one begins with them; else 0."""
+    def _begins(self, node: Node, key: str) -> bool:
         try:
-            manifest = read_manifest(self._layout, node.kind, key)
-            return _episodes_of_beginning(node, manifest)
+            return _differs_in_episodes_alone(node, read_manifest(self._layout, node.kind, key))
         except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
-            return 0
+            return False
 
     def _difference(self, node: Node, key: str, entry: Entry) -> tuple[int, str] | None:
         method = node.axes.get("method_config")
@@ -128,16 +131,11 @@ class Reasons:
         return self._known[pair]
 
 
-def _episodes_of_beginning(node: Node, manifest: Mapping[str, Any]) -> int:
-    episodes = manifest["config"]["episodes"]
+def _differs_in_episodes_alone(node: Node, manifest: Mapping[str, Any]) -> bool:
+    before = [{**manifest["config"], "episodes": None}, *(manifest[name] for name in ("settings", "axes", "upstream"))]
     upstream = {name: needed.key for name, needed in node.needs.items()}
-    same = (
-        0 < episodes < node.config["episodes"]
-        and canonical({**manifest["config"], "episodes": 0}) == canonical({**node.config, "episodes": 0})
-        and canonical([manifest[name] for name in ("settings", "axes", "upstream")]) == canonical([node.settings, node.axes, upstream])
-        and not moved_on(node, manifest)
-    )
-    return int(episodes) if same else 0
+    now = [{**node.config, "episodes": None}, node.settings, node.axes, upstream]
+    return canonical(before) == canonical(now) and not moved_on(node, manifest)
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
