@@ -75,17 +75,6 @@ class Filter:
         self._action = action
 
 
-def batches(begin: int, episodes: int, size: int) -> list[range]:
-    """Return which episodes of a cell meet side by side: `size` at a time, the last batch with what is left.
-
-    Args:
-        begin: how many are there already, in whole batches.
-        episodes: of the cell.
-        size: of a batch.
-    """
-    return [range(first, min(first + size, episodes)) for first in range(begin, episodes, size)]
-
-
 @torch.inference_mode()
 def run_episodes(
     task: VectorTask,
