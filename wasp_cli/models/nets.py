@@ -40,10 +40,9 @@ class Encoder(nn.Module):
         """Embed `pixels` / 255 - `mean`, where `mean` [6, 64, 64] is in [0, 1]."""
         first, *rest = self.layers
         assert isinstance(first, nn.Conv2d)
-        # A convolution is linear: centring its output by that of one mean image spares two passes over all images.
-        images = pixels.to(dtype=mean.dtype, memory_format=torch.channels_last)
-        centre = F.conv2d(mean.unsqueeze(0), first.weight, None, 2, 1)
-        x = F.silu(F.conv2d(images, first.weight / 255.0, first.bias, 2, 1) - centre)
+        # Centred in place while no gradient is recorded; a convolution of the mean image instead costs a sum over the batch on the way back.
+        images = pixels.contiguous(memory_format=torch.channels_last).to(mean.dtype, copy=True).sub_(mean * 255.0)
+        x = F.silu(F.conv2d(images, first.weight / 255.0, first.bias, 2, 1))
         for layer in rest:
             x = F.silu(layer(x))
         return x.flatten(1)

@@ -200,12 +200,8 @@ class SafetyWorldModel(nn.Module):
 
         Eq. 6 trains the prior on single steps, and what it knows of the surroundings blurs within ten. The images teach h to carry them.
         """
-        current = Latent(latent.h[ahead.row, ahead.step], latent.z[ahead.row, ahead.step])
-        imagined = []
-        for k, noise in enumerate(ahead.noise):
-            current = self.imagine(current, ahead.action[:, k], noise)
-            imagined.append(current.features)
-        features = torch.stack(imagined, 1)  # [N, K, F]
+        start = Latent(latent.h[ahead.row, ahead.step], latent.z[ahead.row, ahead.step])
+        features = self.rssm.imagine(start, ahead.action, ahead.noise).features  # [N, K, F]
         reward, cost = self.head_losses(features, ahead.reward, ahead.cost, ahead.within)
         terms = {"ahead_r": reward, "ahead_c": cost}
         if len(ahead.shown):
