@@ -122,7 +122,7 @@ class _Unroll(torch.autograd.Function):
         x, x_mean, x_rstd, x_normed, u, reset, update, hidden_new, new, y, y_mean, y_rstd, y_normed, v = rest[:14]
         w, sharp = Weights(*rest[14:]), 1 - ctx.unimix
         to_h, to_z, to_logs = grads
-        (steps, batch, deter), (variables, classes) = hs.shape, soft.shape[-2:]
+        (steps, batch, _), (variables, classes) = hs.shape, soft.shape[-2:]
         # Everything that does not depend on later steps, for all steps at once. All six gradients of the GRU's gates are multiples of h's.
         to_mixed = to_logs * torch.exp(-log_probs) * sharp
         to_u, to_v = _silu_slope(x_normed), _silu_slope(y_normed)
