@@ -119,7 +119,8 @@ class Windows:
 
 def _at(values: Tensor, rows: Tensor) -> Tensor:
     """`values[rows]`, rows copied whole."""
-    return values.index_select(0, rows.flatten()).unflatten(0, rows.shape)
+    found: Tensor = values.index_select(0, rows.flatten()).unflatten(0, rows.shape)
+    return found
 
 
 def in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:

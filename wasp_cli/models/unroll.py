@@ -49,10 +49,12 @@ class Weights(NamedTuple):
 def weights(inputs: nn.Sequential, cell: nn.GRUCell, h: Tensor, norm: nn.LayerNorm, logits: nn.Linear, flat: int) -> Weights:
     """Collect the weights of a step from its layers; `h` [H, D] reads the recurrent part, `flat` is Z."""
     first, before, _ = inputs
+    assert isinstance(first, nn.Linear)
+    assert isinstance(before, nn.LayerNorm)
     return Weights(
         first.weight[:, :flat], before.weight, before.bias, cell.weight_ih, cell.bias_ih, cell.weight_hh, cell.bias_hh,
         h, norm.weight, norm.bias, logits.weight, logits.bias,
-    )  # type: ignore[arg-type]  # fmt: skip
+    )  # fmt: skip
 
 
 def unroll(start: Latent, inputs: Tensor, keep: Tensor | None, added: Tensor, noise: Tensor, unimix: float, weights: Weights) -> Unrolled:
