@@ -1,6 +1,7 @@
 """An update of the world model beside those of others at the same sizes, on the same core, by turns.
 
-`WASP_BASE`: a checkout of an earlier commit; `WASP_DREAMER`: one of github.com/NM512/dreamerv3-torch. Without them there is nothing to compare.
+`WASP_BASE`: a checkout of an earlier commit; `WASP_DREAMER`: one of github.com/NM512/dreamerv3-torch. Without them there is nothing to
+compare.
 """
 
 from __future__ import annotations
