@@ -33,7 +33,7 @@ NEVER = (
 )
 WEIGHTS = "models models.nets models.weights"
 POLICY = f"{WEIGHTS} models.policy"
-WORLD = f"{WEIGHTS} models.base models.rssm models.world_model"
+WORLD = f"{WEIGHTS} models.base models.rssm models.unroll models.world_model"
 OPERATOR = "operators operators.base"
 OPERATORS_BY_NAME = f"{OPERATOR} operators.*"
 ASSISTANT = f"{POLICY} {WORLD} {OPERATOR} methods methods.base"

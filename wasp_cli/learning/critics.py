@@ -108,7 +108,7 @@ def train_critics(
         segments = Segments(recording, values, config.horizon)
     critics = LatentCritics(model.feature_size, config.hidden, config.bins, config.reach)
     slow = copy.deepcopy(critics).requires_grad_(False)
-    optimizer = torch.optim.Adam(critics.parameters(), lr=config.learning_rate)
+    optimizer = torch.optim.Adam(critics.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
     starts = Starts(recording, config.cost_starts, config.horizon)
     recent: list[Tensor] = []

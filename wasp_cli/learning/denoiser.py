@@ -71,7 +71,7 @@ def train_denoiser(
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
     denoiser = Denoiser(features, labels.shape[1], config.hidden, config.steps)
     average = copy.deepcopy(denoiser).requires_grad_(False)
-    optimizer = torch.optim.Adam(denoiser.parameters(), lr=config.learning_rate)
+    optimizer = torch.optim.Adam(denoiser.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
     rows = torch.from_numpy(demonstrations(recording, config, action_repeat))
     smoothed = 1.0

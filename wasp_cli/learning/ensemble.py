@@ -38,7 +38,7 @@ def train_ensemble(
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
     ensemble = QEnsemble(config.members, features, recording.action.shape[1], config.hidden)
     target = copy.deepcopy(ensemble).requires_grad_(False)
-    optimizer = torch.optim.Adam(ensemble.parameters(), lr=config.learning_rate)
+    optimizer = torch.optim.Adam(ensemble.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
     windows = recording.window_starts(2)
     starts = torch.from_numpy(windows[~recording.held_out(HELD_OUT)[windows]])

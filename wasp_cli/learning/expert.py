@@ -57,7 +57,10 @@ def train_expert(
         "MlpPolicy", normalised, device="cpu", seed=derive("expert-ppo", task_name, seed),
         n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma, gae_lambda=config.gae_lambda,
         ent_coef=config.entropy, learning_rate=lambda left: config.learning_rate * max(0.1, left),
-        policy_kwargs={"net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init},
+        policy_kwargs={
+            "net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init,
+            "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # stable-baselines3's own eps
+        },
     )  # fmt: skip
 
     def store(fraction: float) -> None:

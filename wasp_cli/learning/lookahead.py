@@ -95,7 +95,7 @@ def train_lookahead(
     chosen, command, cost, at_risk = (torch.from_numpy(x) for x in (rows, ahead.command, ahead.cost, ahead.at_risk))
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
     model = LookAhead(config.members, features, command.shape[-1], config.commands, config.hidden, config.horizon, config.dropout)
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate)
+    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
     torch.manual_seed(seed)  # dropout knows no generator of its own
     curve: list[dict[str, float]] = []

@@ -119,7 +119,7 @@ def fit(
         report: called every 50 updates.
     """
     skills.train().requires_grad_(True)
-    optimizer = torch.optim.Adam(skills.parameters(), lr=config.learning_rate)
+    optimizer = torch.optim.Adam(skills.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
     later = _joined(visited)
     fresh = round(config.labelled_share * config.batch) if later is not None else 0

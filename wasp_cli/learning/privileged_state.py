@@ -114,7 +114,7 @@ def teach_encoder(
             group["lr"] = config.taught_rate * min(1.0, 1.9 - 1.8 * update / config.taught)
         index = places[torch.randint(len(places), (config.taught_batch,), generator=source, device=device).cpu()]
         mirrored = torch.rand(len(index), generator=source, device=device) < (0.5 if mirror is not None else 0.0)
-        images = in_mirror(pixels[index].to(device), mirrored)
+        images = in_mirror(pixels.index_select(0, index).to(device), mirrored)
         loss = readout.loss(model.encoder(images, model.mean_image), privileged[index].to(device), mirrored, mirror)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()

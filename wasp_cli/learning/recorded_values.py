@@ -55,7 +55,7 @@ def recorded_values(
     features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
     q = ActionCritics(features, action.shape[1], config.hidden, config.bins, config.reach)
     slow = copy.deepcopy(q).requires_grad_(False)
-    optimizer = torch.optim.Adam(q.parameters(), lr=config.q_learning_rate)
+    optimizer = torch.optim.Adam(q.parameters(), lr=config.q_learning_rate, fused=True)
     source = generator(seed)
     curve: list[dict[str, float]] = []
     recent: list[Tensor] = []

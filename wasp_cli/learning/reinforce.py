@@ -63,7 +63,7 @@ def reinforce(
     # The distilled layers take the place of stable-baselines3's own: other activations, and LayerNorm between them.
     policy: Any = ppo.policy
     policy.mlp_extractor.policy_net, policy.action_net = better.net[:-1], better.net[-1]
-    policy.optimizer = torch.optim.Adam(policy.parameters(), lr=config.learning_rate, eps=1e-5)
+    policy.optimizer = torch.optim.Adam(policy.parameters(), lr=config.learning_rate, eps=1e-5, fused=True)
     rule = MultiplierRule(
         config.multiplier_init, config.multiplier_lr, config.multiplier_max, cost_limit,
         delay=int(config.value_warmup * config.interactions), floor=config.multiplier_min,

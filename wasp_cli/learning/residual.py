@@ -128,7 +128,10 @@ def train_residual(
         "MlpPolicy", env, device="cpu", seed=derive("residual-ppo", name, seed),
         n_steps=config.rollout, batch_size=config.batch, n_epochs=config.epochs, gamma=config.gamma, ent_coef=config.entropy,
         learning_rate=config.learning_rate,
-        policy_kwargs={"net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init},
+        policy_kwargs={
+            "net_arch": list(config.hidden), "activation_fn": nn.Tanh, "log_std_init": config.log_std_init,
+            "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # stable-baselines3's own eps
+        },
     )  # fmt: skip
     output = actor_layers(ppo.policy)[-1]
     nn.init.zeros_(output.weight)

@@ -15,8 +15,8 @@ def generator(seed: int, device: str | torch.device = "cpu") -> torch.Generator:
 
 def gumbel(shape: tuple[int, ...], source: torch.Generator) -> Tensor:
     """Draw standard Gumbel variables of a shape on the generator's device."""
-    uniform = torch.rand(shape, generator=source, device=source.device).clamp(1e-20, 1 - 1e-7)
-    return -(-uniform.log()).log()
+    uniform = torch.rand(shape, generator=source, device=source.device).clamp_(1e-20, 1 - 1e-7)
+    return uniform.log_().neg_().log_().neg_()
 
 
 def roll_prior(model: WorldModel, start: Latent, actions: Tensor, source: torch.Generator) -> Latent:

@@ -189,7 +189,7 @@ def refit_heads(
     heads = [*model.reward_head.parameters(), *model.cost_head.parameters(), *model.continue_head.parameters()]
     for parameter in heads:
         parameter.requires_grad_(True)
-    optimizer = torch.optim.Adam(heads, lr=REFIT_RATE)
+    optimizer = torch.optim.Adam(heads, lr=REFIT_RATE, fused=True)
     device, last = model.mean_image.device, len(recording.first) - 1
     source = generator(seed, device)
     for update in range(config.refit_updates):

@@ -27,6 +27,19 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, zero: bool = False)
     return nn.Sequential(*layers, last)
 
 
+def centred(pixels: Tensor, mean: Tensor, white: float = 1.0) -> Tensor:
+    """Convert uint8 images [B, 6, 64, 64] to [0, white] minus `white` times a mean image [6, 64, 64] in [0, 1]; channels last in memory."""
+    # Bytes are turned into channels-last before they are floats, and everything afterwards happens in place.
+    images = pixels.contiguous(memory_format=torch.channels_last).to(mean.dtype, copy=True)
+    if white != 255.0:
+        images.mul_(white / 255.0)
+    return images.sub_((mean * white).unsqueeze(0).contiguous(memory_format=torch.channels_last))
+
+
+def _channels_last(images: Tensor) -> Tensor:
+    return images.contiguous(memory_format=torch.channels_last)
+
+
 class Encoder(nn.Module):
     """Images uint8 [B, 6, 64, 64] minus a mean image to embeddings [B, 128 * depth]: four convolutions 4x4, stride 2."""
 
@@ -40,12 +53,12 @@ class Encoder(nn.Module):
         """Embed `pixels` / 255 - `mean`, where `mean` [6, 64, 64] is in [0, 1]."""
         first, *rest = self.layers
         assert isinstance(first, nn.Conv2d)
-        # A convolution is linear: centring its output by that of one mean image spares two passes over all images.
-        images = pixels.to(dtype=mean.dtype, memory_format=torch.channels_last)
-        centre = F.conv2d(mean.unsqueeze(0), first.weight, None, 2, 1)
-        x = F.silu(F.conv2d(images, first.weight / 255.0, first.bias, 2, 1) - centre)
+        # Taking off the convolution of the mean image instead would cost a sum over the batch on the way back.
+        x = F.silu(F.conv2d(centred(pixels, mean, 255.0), first.weight / 255.0, first.bias, 2, 1))
         for layer in rest:
             x = F.silu(layer(x))
+        if x.requires_grad:  # flattening is undone channels-first, and one such gradient makes all behind it twice as slow
+            x.register_hook(_channels_last)
         return x.flatten(1)
 
 

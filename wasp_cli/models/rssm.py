@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from wasp_cli.models.base import Latent
+from wasp_cli.models.unroll import unroll, weights
 
 
 class Observed(NamedTuple):
@@ -101,19 +102,33 @@ class RSSM(nn.Module):
             noise: standard Gumbel draws [B, T, S, C].
             start: the latent before step 0; zeros by default.
         """
+        keep = (1.0 - first.float()).t().unsqueeze(-1)  # [T, B, 1]
+        added = (projected + self.posterior_h.bias).transpose(0, 1)
+        norm, _, logits = self.posterior_net
+        read = weights(self.inputs, self.cell, self.posterior_h.weight, norm, logits, self.flat)  # type: ignore[arg-type]
         latent = self.initial(len(action)) if start is None else start
-        keep = (1.0 - first.float()).unsqueeze(-1)  # [B, T, 1]
-        hs, zs, posteriors = [], [], []
-        for t in range(action.shape[1]):
-            k = keep[:, t]
-            h = self.recur(Latent(latent.h * k, latent.z * k), action[:, t] * k)
-            posterior = self.posterior(h, projected[:, t])
-            latent = Latent(h, self.sample(posterior, noise[:, t]))
-            hs.append(latent.h)
-            zs.append(latent.z)
-            posteriors.append(posterior)
-        h_seq = torch.stack(hs, 1)
-        return Observed(Latent(h_seq, torch.stack(zs, 1)), torch.stack(posteriors, 1), self.prior(h_seq))
+        inputs = self._from_action(action.transpose(0, 1) * keep)
+        seen = unroll(latent, inputs, keep, added, noise.transpose(0, 1), self.unimix, read)
+        return Observed(seen.latent, seen.log_probs, self.prior(seen.latent.h))
+
+    def imagine(self, start: Latent, action: Tensor, noise: Tensor) -> Latent:
+        """Imagine K steps from N latents [N, .] by the prior, with gradients: fields [N, K, .].
+
+        Args:
+            start: where from.
+            action: what is executed, [N, K, A].
+            noise: standard Gumbel draws [K, N, Z].
+        """
+        first, norm, _, logits = self.prior_net
+        read = weights(self.inputs, self.cell, first.weight, norm, logits, self.flat)  # type: ignore[arg-type]
+        added = first.bias.expand(*noise.shape[:2], -1)  # type: ignore[operator]
+        draws = noise.unflatten(-1, (self.variables, self.classes))
+        return unroll(start, self._from_action(action.transpose(0, 1)), None, added, draws, self.unimix, read).latent
+
+    def _from_action(self, action: Tensor) -> Tensor:
+        """What the action [..., A] and the bias give to the layer that reads z and action: [..., hidden]."""
+        layer = self.inputs[0]
+        return F.linear(self.scaled(action), layer.weight[:, self.flat :], layer.bias)  # type: ignore[index, arg-type]
 
 
 def kl_divergence(left: Tensor, right: Tensor) -> Tensor:

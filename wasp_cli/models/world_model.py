@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from wasp_cli.models.base import Latent
-from wasp_cli.models.nets import CHANNELS, Decoder, Encoder, mlp
+from wasp_cli.models.nets import CHANNELS, Decoder, Encoder, centred, mlp
 from wasp_cli.models.rssm import RSSM, Observed, balanced_kl
 from wasp_cli.models.weights import load_module, save_weights
 
@@ -106,10 +106,6 @@ class SafetyWorldModel(nn.Module):
         """Map uint8 images [B, 6, 64, 64] to the image half of the posterior's first layer [B, hidden]."""
         return self.rssm.posterior_o(self.encoder(pixels, self.mean_image))  # type: ignore[no-any-return]
 
-    def centred(self, pixels: Tensor) -> Tensor:
-        """Convert uint8 images [B, 6, 64, 64] to float in [-1, 1], minus the mean image."""
-        return pixels.to(self.mean_image.dtype) / 255.0 - self.mean_image
-
     def initial(self, batch: int) -> Latent:
         """Return the latent [B, .] before an episode."""
         return self.rssm.initial(batch)
@@ -181,39 +177,38 @@ class SafetyWorldModel(nn.Module):
         seen = self.observe(batch, noise, start)
         features = seen.latent.features  # [B, T, F]
         representation, prediction = balanced_kl(seen.posterior, seen.prior, free_nats)
-        image = self._image_errors(features[:, decode_steps].flatten(0, 1), batch.pixels[:, decode_steps].flatten(0, 1)).mean()
         reward, cost = self.head_losses(features, batch.reward, batch.cost)
         terms = {
-            "alpha_q": representation, "alpha_p": prediction, "beta_o": image,
+            "alpha_q": representation, "alpha_p": prediction,
             "beta_r": reward, "beta_c": cost, "beta_n": self.continuation_loss(features, batch.terminal),
         }  # fmt: skip
-        if ahead is not None:
-            terms |= self._ahead_losses(seen.latent, ahead)
+        decoded, pixels = features[:, decode_steps].flatten(0, 1), batch.pixels[:, decode_steps].flatten(0, 1)
+        if ahead is None:
+            return terms | {"beta_o": self._image_errors(decoded, pixels).mean()}, seen.latent
+        imagined = self._imagined(seen.latent, ahead)
+        terms["ahead_r"], terms["ahead_c"] = self.head_losses(imagined, ahead.reward, ahead.cost, ahead.within)
+        # Both kinds of images in one pass of the decoder.
+        each = torch.arange(len(ahead.shown), device=ahead.row.device)
+        errors = self._image_errors(torch.cat((decoded, imagined[each, ahead.shown])), torch.cat((pixels, ahead.pixels)))
+        terms["beta_o"] = errors[: len(decoded)].mean()
+        if len(ahead.shown):
+            counts = ahead.within[each, ahead.shown]
+            terms["ahead_o"] = (errors[len(decoded) :] * counts).sum() / counts.sum().clamp(min=1.0)
         return terms, seen.latent
 
     def _image_errors(self, features: Tensor, pixels: Tensor) -> Tensor:
         """Squared errors of decoded images, summed over pixels: [N]. A sum over 24,576 values needs float32, whatever the autocast."""
-        return (self.decoder(features).float() - self.centred(pixels)).square().sum((1, 2, 3))  # type: ignore[no-any-return]
+        target = centred(pixels, self.mean_image)
+        return F.mse_loss(self.decoder(features).float(), target, reduction="none").sum((1, 2, 3))
 
-    def _ahead_losses(self, latent: Latent, ahead: Ahead) -> dict[str, Tensor]:
-        """Losses along imagined rollouts from latents [B, T, .] under the recorded actions, up to the end of the episode.
+    def _imagined(self, latent: Latent, ahead: Ahead) -> Tensor:
+        """Features [N, K, F] along imagined rollouts from latents [B, T, .] under the recorded actions.
 
-        Eq. 6 trains the prior on single steps, and what it knows of the surroundings blurs within ten. The images teach h to carry them.
+        Eq. 6 trains the prior on single steps, and what it knows of the surroundings blurs within ten. Reward, cost and images of these
+        count up to the end of the episode; the images teach h to carry the surroundings.
         """
-        current = Latent(latent.h[ahead.row, ahead.step], latent.z[ahead.row, ahead.step])
-        imagined = []
-        for k, noise in enumerate(ahead.noise):
-            current = self.imagine(current, ahead.action[:, k], noise)
-            imagined.append(current.features)
-        features = torch.stack(imagined, 1)  # [N, K, F]
-        reward, cost = self.head_losses(features, ahead.reward, ahead.cost, ahead.within)
-        terms = {"ahead_r": reward, "ahead_c": cost}
-        if len(ahead.shown):
-            each = torch.arange(len(ahead.shown), device=ahead.row.device)
-            counts = ahead.within[each, ahead.shown]
-            errors = self._image_errors(features[each, ahead.shown], ahead.pixels)
-            terms["ahead_o"] = (errors * counts).sum() / counts.sum().clamp(min=1.0)
-        return terms
+        start = Latent(latent.h[ahead.row, ahead.step], latent.z[ahead.row, ahead.step])
+        return self.rssm.imagine(start, ahead.action, ahead.noise).features
 
     def head_losses(self, features: Tensor, reward: Tensor, cost: Tensor, counts: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return squared error of the scaled reward and weighted BCE of the cost: means over the steps that `counts` [...] marks with 1."""
