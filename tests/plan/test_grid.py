@@ -122,6 +122,23 @@ def test_the_world_model_moves_everything_after_it() -> None:
     assert {label.split(maxsplit=2)[2] for label in still} == {"expert", "dataset"}
 
 
+def test_what_a_task_has_of_its_own_moves_that_task_alone() -> None:
+    own = {"formula1": {"world_model": {"updates": 21}, "wasp": {"candidates": 9}}}
+    tasks = ["goal1", "formula1"]
+    before, after = by_label(grid(tasks=tasks)), by_label(grid(tasks=tasks, by_task=own))
+    moved = {label for label in before if before[label].key != after[label].key}
+    assert {label.partition(" ")[0] for label in moved} == {"formula1"}
+    # It is what the section would give, were it the only task.
+    alone = by_label(grid(tasks=["formula1"], **own["formula1"]))
+    assert {label: node.key for label, node in alone.items()} == {
+        label: node.key for label, node in after.items() if label.startswith("formula1")
+    }
+    assert after["formula1 s0 wasp noisy=0.2"].axes["method_config"]["candidates"] == 9
+    assert after["goal1 s0 wasp noisy=0.2"].axes["method_config"]["candidates"] == 8
+    same = {"formula1": {"world_model": {"updates": 20}}, "race1": {"wasp": {"candidates": 9}}}
+    assert keys(grid(tasks=tasks, by_task=same)) == keys(grid(tasks=tasks))  # and a task that does not run is no mistake
+
+
 def test_more_episodes_move_evaluations_only() -> None:
     moved = changed(episodes=3)
     assert moved == {node.label for node in grid().nodes if node.kind == "evaluate"}

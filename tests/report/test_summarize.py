@@ -221,6 +221,13 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert differs == sorted(differs, reverse=True)  # what differs comes first
 
 
+def test_what_a_task_has_of_its_own_is_listed_with_its_task(spec: Spec) -> None:
+    own = spec.model_copy(update={"by_task": {spec.tasks[0]: {"wasp": {"alpha": 0.2, "candidates": 8}}}})
+    before = assumptions_in_force(spec)
+    added = [one for one in assumptions_in_force(own) if one not in before]
+    assert [(name, value, why[-len("(on goal1 alone)") :]) for name, value, why in added] == [("wasp.alpha", 0.2, "(on goal1 alone)")]
+
+
 def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()

@@ -67,6 +67,7 @@ def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsons
         "extends: base.yaml\nname: over\ntask: CartPole-v1\nwasp: {candidates: 8}\n",
         GOOD + "episodes: 1e1\nfilter: {tau_c: calibrated}\nwasp: {tau_r: 0.3}\ntraining_seed: null\n",
         GOOD + "residual: {operators: {laggy: [0.5]}}\nevaluate: {success_goals: null}\n",
+        GOOD + "by_task: {formula1: {world_model: {privileged: 25}, policies: {hidden: [256, 256]}}}\n",
         GOOD + "critics: &c {updates: 3}\npolicies: {<<: *c}\n",
     ],
 )
@@ -93,6 +94,9 @@ def test_what_specs_may_write_validates(text: str, validator: jsonschema.Draft20
         ("seeds: [0]", "seeds: [0]\nwasp: {composition: held}"),
         ("seeds: [0]", "seeds: [0]\nwasp: {variant: full}"),
         ("seeds: [0]", "seeds: [0]\nevaluate: {episodes: 3}"),
+        ("seeds: [0]", "seeds: [0]\nby_task: {gaol1: {}}"),
+        ("seeds: [0]", "seeds: [0]\nby_task: {goal1: {world_model: {updatse: 3}}}"),
+        ("seeds: [0]", "seeds: [0]\nby_task: {goal1: {evaluate: {success_goals: 3}}}"),
         ("seeds: [0]", "seeds: [0]\nresidual: {operators: {nosiy: [0.5]}}"),
         ("seeds: [0]", "seeds: [0]\nstages: [worldmodel]"),
         ("seeds: [0]", "seeds: [0]\nvariants: [no-case]"),

@@ -168,11 +168,11 @@ class _Builder:
         self.spec = spec
         self.reuse = reuse
         self.recipes: dict[str, str] = {}
-        self.config = cache(lambda kind: spec.stage(kind).model_dump(mode="json"))
-        self.identity = cache(lambda kind: canonical(spec.stage(kind).identity()))
+        self.config = cache(lambda kind, task: spec.stage(kind, task).model_dump(mode="json"))
+        self.identity = cache(lambda kind, task: canonical(spec.stage(kind, task).identity()))
         self.settings = cache(self._settings)
         self.settings_text = cache(lambda kind: canonical(self.settings(kind)))
-        self.method_config = cache(lambda method, variant: spec.method(method, variant).model_dump(mode="json"))
+        self.method_config = cache(lambda method, variant, task: spec.method(method, variant, task).model_dump(mode="json"))
         self.training = cache(self._training)
         self.rollouts = cache(self._rollouts)
         self.calibration = cache(self._calibration)
@@ -209,20 +209,20 @@ class _Builder:
 
     def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
         info = METHODS[method]
-        config = self.method_config(method, assistant)
+        config = self.method_config(method, assistant, task)
         further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
         needs = self._inputs("evaluate", task, chain, self.spec.rounds, further)
         if info.calibrated:
             variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(task, chain, method, variant)
         axes = _round_axis(self.spec.rounds) | {"method": method, "method_config": config}
-        sort = sort_of("evaluate", task, self.config("evaluate"), axes)
+        sort = sort_of("evaluate", task, self.config("evaluate", task), axes)
         return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort, of_operator)
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
         number = self.spec.rounds
-        config = self.method_config(method, variant)
+        config = self.method_config(method, variant, task)
         axes = _round_axis(number) | {"method": method, "method_config": config} | _plugins({method: info.target})
         further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
         needs = self._inputs("calibration", task, seed, number, further)
@@ -234,7 +234,7 @@ class _Builder:
     def _training(self, kind: str, task: str, seed: int, number: int) -> Node:
         if number > 1 and not STAGES[kind].every_round:
             return self.training(kind, task, seed, 1)
-        operators = self._operators(kind)
+        operators = self._operators(kind, task)
         axes = _round_axis(number) | _plugins({kind: STAGES[kind].target} | operators)
         needs = self._inputs(kind, task, seed, number)
         if number > 1 and getattr(stage_class(kind), "previous", False):
@@ -242,8 +242,8 @@ class _Builder:
         return self._node(kind, task, seed, axes, needs, _roots(operators), _in_round(kind, number))
 
     def _rollouts(self, task: str, seed: int, number: int) -> Node:
-        operators = self._operators(ROLLOUTS)
-        config = self.method_config(ASSISTANT, CALIBRATED_VARIANT)
+        operators = self._operators(ROLLOUTS, task)
+        config = self.method_config(ASSISTANT, CALIBRATED_VARIANT, task)
         axes = _round_axis(number) | {"method": ASSISTANT, "method_config": config}
         axes |= _plugins(operators)
         further, of_operator = _split(METHODS[ASSISTANT].needs_of(config))
@@ -272,9 +272,9 @@ class _Builder:
             return self.rollouts(task, seed, number)
         return self.training(name, task, seed, number)
 
-    def _operators(self, kind: str) -> dict[str, str]:
+    def _operators(self, kind: str, task: str) -> dict[str, str]:
         """A stage that mixes operators finds them by the names in its section."""
-        return _operator_targets(self.config(kind).get("operators", {}))
+        return _operator_targets(self.config(kind, task).get("operators", {}))
 
     def _settings(self, kind: str) -> dict[str, Any]:
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
@@ -293,14 +293,14 @@ class _Builder:
     ) -> Node:
         """A node; `made` are the text of its axes, those of its upstream, and its sort, where many nodes share them."""
         modules: tuple[str, ...] = self.modules(kind, task, roots)
-        config = self.config(kind)
+        config = self.config(kind, task)
         text, upstream, sort = made or (canonical(axes), self._upstream(needs), sort_of(kind, task, config, axes))
         identity = {
             "kind": kind,
             "task": _task_text(task),
             "seed": seed,
             "axes": text,
-            "config": self.identity(kind),
+            "config": self.identity(kind, task),
             "settings": self.settings_text(kind),
             "upstream": upstream.keys,
             "code": closure_hash(modules),

@@ -154,7 +154,7 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
         need(ROLLOUTS)
     assistants = {*spec.methods, *([ASSISTANT] if spec.rounds > 1 else [])}
     found: list[Assumption] = []
-    for name, value, why in assumptions(spec):
+    for name, value, why in [*assumptions(spec), *_of_single_tasks(spec)]:
         section = name.partition(".")[0] if "." in name else ""
         idle = section not in kinds if section in STAGES else section in METHODS and section not in assistants
         if not idle:
@@ -162,6 +162,21 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
     if "world_model" in kinds:
         found.append(POSTERIOR)
     return sorted(found, key=lambda one: not one[2].startswith(DIFFERS))
+
+
+def _of_single_tasks(spec: Spec) -> list[Assumption]:
+    """The values that differ in the sections of single tasks, each with its task."""
+    found: list[Assumption] = []
+    for task in spec.tasks:
+        for section in spec.by_task.get(task, {}):
+            base, own = ((spec.stage if section in STAGES else spec.method)(section, task=which) for which in (None, task))
+            same = {name: value for name, value, _ in assumptions(base)}
+            found += [
+                (f"{section}.{name}", value, f"{why} (on {task} alone)")
+                for name, value, why in assumptions(own)
+                if name not in same or same[name] != value
+            ]
+    return found
 
 
 def assumptions_markdown(found: Sequence[Assumption]) -> str:

@@ -18,8 +18,9 @@ from wasp_cli.spec.places import KEY, Loc
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
-    """Return the model of a section; that of the whole spec for an empty place."""
+    """Return the model of a section, a task's own included; that of the whole spec for an empty place."""
     model: type[BaseModel] = spec_type()
+    loc = loc[2:] if loc[:1] == ("by_task",) and len(loc) > 2 else loc
     for part in loc:
         below = _section(model.model_fields.get(str(part)))
         if below is None:
@@ -133,10 +134,14 @@ class Finding:
 def misplaced(document: Mapping[str, Any]) -> list[Finding]:
     """Return what sections have as fields, and specs say at the top."""
     found: list[Finding] = []
-    for name, (field, example) in not_set_in_sections().items():
-        section, model = document.get(name), model_at((name,))
-        if isinstance(section, Mapping) and field in section and model is not None and field in model.model_fields:
-            found.append(Finding((name, field, KEY), f"'{field}' is not set here", f"write `{example}` at the top, outside every section"))
+    own = document.get("by_task")
+    tasks = own.items() if isinstance(own, Mapping) else ()
+    for above, sections in ((), document), *((("by_task", task), sections) for task, sections in tasks if isinstance(sections, Mapping)):
+        for name, (field, example) in not_set_in_sections().items():
+            section, model = sections.get(name), model_at((name,))
+            if isinstance(section, Mapping) and field in section and model is not None and field in model.model_fields:
+                hint = f"write `{example}` at the top, outside every section"
+                found.append(Finding((*above, name, field, KEY), f"'{field}' is not set here", hint))
     return found
 
 

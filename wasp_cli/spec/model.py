@@ -11,7 +11,8 @@ from functools import cache
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, ValidationError, create_model, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+from pydantic_core.core_schema import ErrorType
 
 from wasp_cli.config import Config, assumed
 from wasp_cli.errors import WaspError
@@ -94,21 +95,25 @@ class Spec(Config):
     episodes: int = assumed(30, "episodes per cell and seed", ge=1)
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
+    by_task: dict[TaskName, dict[str, dict[str, Any]]] = Field(
+        default={}, description="settings that one task has of its own, over those of the sections, as task: {section: {field: value}}"
+    )
     reuse: Literal["none", "published"] = Field(
         default="none",
         description="published: results in results/published with the same configuration are used instead of computed, "
         "even if the code has changed since; not part of any key",
     )
 
-    def stage(self, kind: str) -> Config:
-        """Return the section of a stage."""
-        section: Config = getattr(self, kind)
-        return section
+    def stage(self, kind: str, task: str | None = None) -> Config:
+        """Return the section of a stage: with a task's own settings, or as the spec has it for all."""
+        return _over(getattr(self, kind), self.by_task.get(task or "", {}).get(kind))
 
-    def method(self, name: str, variant: str = "full") -> Config:
-        """Return the configuration of a method in one of its variants."""
+    def method(self, name: str, variant: str = "full", task: str | None = None) -> Config:
+        """Return the configuration of a method in one of its variants: with a task's own settings, or as the spec has it for all."""
         info = METHODS[name]
-        section: Config = getattr(self, name) if name in method_sections() else info.config_model()()
+        section: Config = info.config_model()()
+        if name in method_sections():
+            section = _over(getattr(self, name), self.by_task.get(task or "", {}).get(name))
         if len(info.variants) > 1:
             # Validated again, since a variant may ask for more of the other fields than the section did.
             section = type(section).model_validate({**section.model_dump(), "variant": variant})
@@ -130,7 +135,54 @@ class Spec(Config):
     @model_validator(mode="after")
     def _parts_fit(self) -> Spec:
         refuse(_nothing_to_do(self) + _variant_problems(self) + _operator_problems(self) + _skill_problems(self))
+        _check_tasks(self)
         return self
+
+
+def _over(section: Config, values: Mapping[str, Any] | None) -> Config:
+    """A section with some other values, validated again."""
+    if not values:
+        return section
+    document = merged(section.model_dump(mode="json"), values)
+    return type(section).model_validate_json(json.dumps(document), strict=True)
+
+
+EVERYWHERE = ("evaluate", "counterfactual", "expert.checkpoints")
+"""Sections and settings that are the same for all tasks: tables compare cells, and operators name skills."""
+
+
+def _check_tasks(spec: Spec) -> None:
+    """Refuse what the sections of single tasks have wrong, each mistake at its own place."""
+    sections = [name for name in (*STAGES, *method_sections()) if name not in EVERYWHERE]
+    errors: list[InitErrorDetails] = []
+    for task, own in spec.by_task.items():
+        for name, values in own.items():
+            here = ("by_task", task, name)
+            places = {name: ("[key]",)} | {f"{name}.{field}": (field, "[key]") for field in values}
+            same = [key for key in places if key in EVERYWHERE or key in [f"{kind}.operators" for kind in mixing_stages()]]
+            for key in same:
+                hint = {"key": key, "hint": f"set '{key}' outside `by_task`"}
+                what = PydanticCustomError("everywhere", "'{key}' is the same for all tasks", hint)
+                errors.append(InitErrorDetails(type=what, loc=(*here, *places[key]), input=key))
+            if same:
+                continue
+            if name not in sections:
+                errors.append(InitErrorDetails(type=unknown("section", name, sections), loc=(*here, "[key]"), input=name))
+                continue
+            try:
+                _over(getattr(spec, name), values)
+            except ValidationError as error:
+                errors += [_moved(found, here) for found in error.errors(include_url=False)]
+    if errors:
+        raise ValidationError.from_exception_data("Spec", errors)
+
+
+def _moved(found: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
+    """The same error at a place below another one."""
+    context = found.get("ctx", {})
+    own = found["type"] not in get_args(ErrorType)
+    what = PydanticCustomError(found["type"], found["msg"], context) if own else found["type"]
+    return InitErrorDetails(type=what, loc=(*under, *found["loc"]), input=found["input"], ctx=context)
 
 
 def _nothing_to_do(spec: Spec) -> list[Problem]:

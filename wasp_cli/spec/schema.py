@@ -17,7 +17,7 @@ from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import Registry
 from wasp_cli.spec.hints import not_set_in_sections
 from wasp_cli.spec.load import SUFFIX
-from wasp_cli.spec.model import method_sections, mixing_stages, spec_type
+from wasp_cli.spec.model import EVERYWHERE, method_sections, mixing_stages, spec_type
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, training_stages
 from wasp_cli.spec.presets import PRESETS, preset_values
 from wasp_cli.stages.registry import STAGES
@@ -90,6 +90,9 @@ def _name_things(top: Schema, definitions: Schema, plugins: bool) -> None:
         top[name]["uniqueItems"] = True
     top["operators"]["propertyNames"] = {"enum": operators}
     top["operators"]["additionalProperties"]["additionalProperties"] = False  # names of severities have a pattern
+    own = {name: top[name] for name in (*STAGES, *method_sections()) if name in top and name not in EVERYWHERE}
+    top["by_task"]["propertyNames"] = _task(plugins)
+    top["by_task"]["additionalProperties"] = {"type": "object", "properties": own, "additionalProperties": False}
     for section in [kind for kind in mixing_stages() if kind in top]:
         _section(top[section], definitions)["properties"]["operators"]["propertyNames"] = {"enum": operators}
 
