@@ -93,7 +93,7 @@ MAY_HAVE = {
     ),
     "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
     "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
-    "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.parquet store.tables",
+    "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation store store.parquet store.tables",
     "counterfactual": (
         f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
         "learning.playback learning.rerun"

@@ -27,6 +27,7 @@ class EvaluateStage:
         from wasp_cli import seeds
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.closed_loop import run_episodes
+        from wasp_cli.learning.device import training_device
         from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
@@ -37,14 +38,15 @@ class EvaluateStage:
         config = cast(EvaluateConfig, job.config)
         method, variant, value = job.axes["method"], job.axes["variant"], job.axes["value"]
         task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
-        parts = load_parts(job.inputs, job.settings["returns"])
+        device = training_device()
+        parts = load_parts(job.inputs, job.settings["returns"], device)
         assistant = build_assistant(method, job.axes["method_config"], parts)
         episodes = range(config.episodes)
         layouts = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
         mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
         own = [seeds.method_seed(job.task, variant, job.seed, e, method) for e in episodes]
         context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
-        operator = build_operator(variant, value, context, mistakes, config.episodes)
+        operator = build_operator(variant, value, context, mistakes, config.episodes).to(device)
         loop = run_episodes(task, parts.world_model, operator, assistant, layouts, own, progress=job.progress)
 
         found, times = trajectories(loop)

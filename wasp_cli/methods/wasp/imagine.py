@@ -155,13 +155,14 @@ class Imagination:
         batch, candidates, steps, actions = residuals.shape
         horizon = draws.latent.shape[1]
         if index is None:
-            index = torch.arange(draws.latent.shape[2]).expand(candidates, -1)
+            index = torch.arange(draws.latent.shape[2], device=residuals.device).expand(candidates, -1)
         rollouts = index.shape[1]
         shape = (batch, candidates, rollouts)
         copies = candidates * rollouts
         delta = _over_rollouts(residuals, rollouts)  # [R, L, A]
         part = None if share is None else _over_rollouts(share, rollouts)  # [R, L, 2]
-        met = (draws.latent.shape[2] * torch.arange(batch).unsqueeze(1) + index.flatten()).flatten()  # [R] of the B * M draws
+        rows = draws.latent.shape[2] * torch.arange(batch, device=index.device)
+        met = (rows.unsqueeze(1) + index.flatten()).flatten()  # [R] of the B * M draws
         operator = start.operator.fork(start.rows, copies, DrawnNoise(_by_step(draws.operator)[:, met]))
         packed = self.packed
         room = None if packed is None else packed.room(horizon, len(delta))
@@ -226,7 +227,7 @@ class Imagination:
         if not alone:
             return now
         # Eq. 9-10 know no correction: without one nothing holds the first command.
-        first = torch.arange(shape[1]).view(1, -1, 1).expand(shape).reshape(-1, 1) < alone
+        first = torch.arange(shape[1], device=now.device).view(1, -1, 1).expand(shape).reshape(-1, 1) < alone
         return torch.where(first, command, now)
 
     def _taken_over(self, features: Tensor, alike: int, base: Tensor, open_loop: Tensor, part: Tensor) -> Tensor:
