@@ -46,9 +46,8 @@ def parts(folders: dict[str, Path]) -> Parts:
 
 def filtered(parts: Parts) -> Latent:
     source = torch.Generator().manual_seed(0)
-    latent = parts.world_model.initial(B)
-    h = torch.randn(latent.h.shape, generator=source).tanh()
     rssm = parts.world_model.rssm
+    h = torch.randn((B, rssm.deter), generator=source).tanh()
     drawn = torch.randint(0, rssm.classes, (B, rssm.variables), generator=source)
     return Latent(h, torch.nn.functional.one_hot(drawn, rssm.classes).float().flatten(1))
 
@@ -66,7 +65,7 @@ def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float,
     assistant, operator = made(parts, method, changes)
     if tau is not None:
         assistant.tau_c, assistant.tau_r = tau  # type: ignore[attr-defined]
-    latent, found = filtered(parts), []
+    latent, found = filtered(parts).to(parts.device), []
     with torch.inference_mode():
         for _ in range(3):
             a_h = operator.command(latent.features).clamp(-1, 1)
@@ -85,7 +84,7 @@ def test_no_assistant_looks_at_a_number_on_another_device(
             look(torch.zeros(2, device=nowhere))
     parts = load_parts(folders, ReturnsConfig(), nowhere)
     assistant, issuing = made(parts, method, changes, operator)
-    latent = filtered(load_parts(folders, ReturnsConfig())).to(nowhere)
+    latent = filtered(parts).to(nowhere)
     with torch.inference_mode():
         for _ in range(2):
             a_h = issuing.command(latent.features).clamp(-1, 1)
@@ -170,6 +169,29 @@ def test_what_rests_is_left_alone_and_changes_nothing_for_the_others(parts: Part
     assert set(seen) == {0, 2, 4}
     assistant.reset(over, [20 + b for b in range(B)])
     assert not assistant.resting.any()  # type: ignore[attr-defined]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no GPU")
+@pytest.mark.parametrize(("method", "changes"), [*CASES, *ALSO])
+def test_a_gpu_decides_what_the_cpu_does(folders: dict[str, Path], parts: Parts, method: str, changes: dict[str, Any]) -> None:
+    """The same draws and weights; only sums are in another order: 1e-4 of every number that leads to a decision."""
+    tau = thresholds(parts, changes) if method == "wasp" else None
+    there = load_parts(folders, ReturnsConfig(), torch.device("cuda"))
+    found = decide(there, method, changes, tau)
+    wanted = decide(parts, method, changes, tau)
+    if wanted[0].record is not None:
+        same([on_cpu(decision) for decision in found], wanted)
+    for one, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(one.action.cpu(), other.action, atol=1e-4, rtol=1e-4)
+
+
+def on_cpu(decision: Decision) -> Decision:
+    record, planned = decision.record, decision.planned
+    return Decision(
+        decision.action.cpu(),
+        None if record is None else type(record)(*(field.cpu() for field in record)),
+        None if planned is None else type(planned)(*(field.cpu() for field in planned)),
+    )
 
 
 def blocks() -> Iterator[tuple[str, Callable[[Any], list[Tensor]]]]:

@@ -144,7 +144,19 @@ def test_nothing_is_allowed_that_no_node_has(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["evaluate", "calibration", "heldout", "counterfactual"])
 def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> None:
     reached = {module for module in short(closures()[kind]) if module.startswith("learning.")}
-    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "coverage", "playback", "rerun"}
+    known = {
+        "configs",
+        "assistants",
+        "closed_loop",
+        "device",
+        "evaluation",
+        "heldout",
+        "nominal",
+        "counterfactual",
+        "coverage",
+        "playback",
+        "rerun",
+    }
     assert reached <= {f"learning.{name}" for name in known}
 
 
