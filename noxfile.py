@@ -19,6 +19,13 @@ nox.needs_version = ">=2025.5.1"
 nox.options.reuse_existing_virtualenvs = True
 
 SPECS = sorted(path.as_posix() for path in Path("specs").glob("*.yaml"))
+PEERS = (
+    "gymnasium==1.4.0", "torch==2.13.0", "stable-baselines3==2.9.2", "torchrl==0.14.1", "minari[create,hdf5]==0.5.4", "skrl==2.1.1",
+)  # fmt: skip
+"""Packages of others whose suites and trainers run on the environments."""
+OMNISAFE = "omnisafe==0.5.0"
+OMNISAFE_NEEDS = ("tensorboard", "wandb", "moviepy", "gdown", "seaborn", "pandas", "pyyaml")
+"""What it imports. Its own requirements hold safety-gymnasium, whose gymnasium 0.28.1 and MuJoCo 2.3.3 exclude ours."""
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
@@ -116,6 +123,15 @@ def ray(session: nox.Session) -> None:
     """The grid through a ray cluster, which is large to install."""
     run(session, "python", "-m", "pip", "install", "--quiet", "ray>=2.40")
     run(session, "python", "-m", "pytest", "-m", "slow", "tests/faults/test_ray.py", *session.posargs)
+
+
+@nox.session(default=False)
+def peers(session: nox.Session) -> None:
+    """The checkers, collectors and trainers of others on our environments, in an environment of their own; results in docs/tasks.md."""
+    session.install("-e", ".", "pytest>=8", *PEERS, *OMNISAFE_NEEDS)
+    session.install("--no-deps", OMNISAFE)
+    options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
+    session.run("python", "-m", "pytest", "-o", options, "tests/peers", *session.posargs, env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1"})
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)

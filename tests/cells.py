@@ -17,7 +17,7 @@ from wasp_cli.tasks.make import make_task
 
 REPEAT = 20
 """Env steps per decision: few decisions, so that whole episodes are short."""
-SETTINGS = {"action_repeat": REPEAT, "returns": ReturnsConfig()}
+SETTINGS = {"action_repeat": REPEAT, "returns": ReturnsConfig(), "side_by_side": 10}
 
 
 class Evaluated(NamedTuple):
@@ -54,9 +54,13 @@ def evaluated(
     task: str = "race1",
     episodes: int = 3,
     seed: int = 0,
+    side_by_side: int = 10,
+    earlier: Path | None = None,
 ) -> Evaluated:
     """The cell of a method on `inputs`, see `tests.artifacts`; its table lies in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     axes = {"method": method, "method_config": dict(config or {}), "variant": variant, "value": value}
-    EvaluateStage().run(Job("evaluate", task, seed, EvaluateConfig(episodes=episodes), SETTINGS, axes, inputs, folder, folder))
-    return Evaluated(folder / "cell.parquet", task, variant, value, episodes, seed, inputs)
+    settings = {**SETTINGS, "side_by_side": side_by_side}
+    own = EvaluateConfig(episodes=episodes)
+    EvaluateStage().run(Job("evaluate", task, seed, own, settings, axes, inputs, folder, folder, earlier=earlier))
+    return Evaluated(folder / "episodes.parquet", task, variant, value, episodes, seed, inputs)

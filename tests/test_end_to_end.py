@@ -54,7 +54,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def cells(results: Path) -> dict[tuple[str, str], Path]:
     found = {}
-    for path in sorted((results / "store" / "evaluate").glob("*/cell.parquet")):
+    for path in sorted((results / "store" / "evaluate").glob("*/episodes.parquet")):
         row = read_episodes([path]).slice(0, 1).to_pylist()[0]
         found[row["method"], row["assistant_variant"]] = path
     return found

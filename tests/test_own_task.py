@@ -73,7 +73,7 @@ def test_its_snapshots_serve_to_judge_interventions(home: Path) -> None:
 
 
 def test_its_costs_and_episodes_are_its_own(home: Path) -> None:
-    cells = [read_episodes([path]).to_pylist() for path in (home / "results" / "store" / "evaluate").glob("*/cell.parquet")]
+    cells = [read_episodes([path]).to_pylist() for path in (home / "results" / "store" / "evaluate").glob("*/episodes.parquet")]
     assert len(cells) == 5
     rows = [row for cell in cells for row in cell]
     assert {row["task"] for row in rows} == {"puddle:Puddle-v0"}

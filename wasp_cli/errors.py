@@ -10,7 +10,8 @@
     ├── TrainingError               1   a learning stage cannot go on (non-finite loss, no data)
     ├── NotAccepted                 1   what was measured does not keep the rule that it is held against
     ├── UsageError                  2   a command-line argument is wrong
-    │   └── UnknownName             2   a name that no registry knows
+    │   ├── UnknownName             2   a name that no registry knows
+    │   └── UnknownOption           2   an environment is made with an option that it does not have
     ├── SpecError                   3   a spec does not read or does not validate
     └── Interrupted               130   Ctrl-C or SIGTERM ended a run
 
@@ -94,6 +95,13 @@ class UnknownName(UsageError):
 
     def __reduce__(self) -> tuple[type[UnknownName], tuple[str, str, list[str], str, str | None]]:  # type: ignore[override]
         return type(self), (self.kind, self.name, self.known, self.message, self._otherwise)
+
+
+class UnknownOption(UsageError, TypeError):
+    """An environment is made with an option that it does not have: a `TypeError` in Python's words, on which others retry without it.
+
+    `gymnasium.make` raises it anew from its text alone, so the message says all of it.
+    """
 
 
 class SpecError(WaspError):

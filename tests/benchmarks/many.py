@@ -1,4 +1,8 @@
-"""A grid of 5,000 cells with a million episodes, and all tables of it: `python -m tests.benchmarks.many FOLDER` says what that takes."""
+"""A grid of 5,000 cells with a million episodes, and all tables and figures of it.
+
+python -m tests.benchmarks.many FOLDER [KEPT]   what wasp takes for them; KEPT: a file for the rows of all cells, as `wasp report` has one
+python -m tests.benchmarks.many FOLDER duckdb   what DuckDB takes to pool the same columns of the same files
+"""
 
 from __future__ import annotations
 
@@ -8,19 +12,21 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from tests.report.invented import invent
-from wasp_cli.metrics.episode import episode_metrics
+from wasp_cli.metrics.episode import WEIGHTS, episode_metrics
+from wasp_cli.report.document import draw_figures
 from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.stats.frame import Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
-from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, cell_table
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity, Thresholds, cell_tables, write_episodes
 
 TASKS = ("goal1", "race1", "formula1")
 METHODS = ("human", "ida", "diffusion", "saferl", "wasp", "filter")
@@ -46,7 +52,7 @@ def grid() -> Iterator[tuple[CellIdentity, str | None]]:
 
 def wanted(folder: Path) -> list[Wanted]:
     """The cells of the grid, with their places."""
-    return [Wanted(identity, f"cell {i}", folder / str(i) / "cell.parquet", name) for i, (identity, name) in enumerate(grid())]
+    return [Wanted(identity, f"cell {i}", folder / str(i) / EPISODES_FILE, name) for i, (identity, name) in enumerate(grid())]
 
 
 def write(folder: Path) -> None:
@@ -54,7 +60,7 @@ def write(folder: Path) -> None:
     episodes = [invent(e, 5, 0.2, 0.05, steps=2) for e in range(EPISODES)]
     rows = [episode_metrics(episode, 7, 25.0) for episode in episodes]
     times = [np.full(2, 2.0)] * EPISODES
-    template = cell_table(CellIdentity("", "", "", "", None, 0), episodes, rows, Thresholds(0.3, 0.4), times, range(EPISODES))
+    template, _ = cell_tables(CellIdentity("", "", "", "", None, 0), episodes, rows, Thresholds(0.3, 0.4), times, range(EPISODES))
     rng = np.random.default_rng(0)
     for cell in wanted(folder):
         columns = {name: [value] * EPISODES for name, value in vars(cell.identity).items()}
@@ -65,7 +71,7 @@ def write(folder: Path) -> None:
             place = SCHEMA.get_field_index(name)
             table = table.set_column(place, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type))
         cell.path.parent.mkdir()
-        pq.write_table(table, cell.path, compression="zstd", compression_level=3, write_page_checksum=True)
+        write_episodes(table, cell.path)
 
 
 def peak() -> int:
@@ -76,18 +82,52 @@ def peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def main(folder: Path) -> None:
-    """Print as JSON: seconds to read and to make and render every table, cells, episodes, bytes held at most."""
+def pooled_by_duckdb(folder: Path, threads: int = 2) -> list[tuple[object, ...]]:
+    """Pool every cell as `report.stats.frame` does, in one query: identity, count, and the columns of WEIGHTS."""
+    import duckdb
+
+    names = tuple(CellIdentity.__dataclass_fields__)
+    weights = {None: "1", "decisions": "decisions", "env_steps": "env_steps", "intervened": "intervened", "planned": "planned"}
+    sums = []
+    for name, weight in WEIGHTS.items():
+        by = "(decisions - 1)" if name == "smoothness" else weights[weight]
+        sums.append(f'sum("{name}"::double * {by}) / sum(case when "{name}" is null then 0 else {by} end) as "{name}"')
+    query = f"select {', '.join(names)}, count(*), {', '.join(sums)} from '{folder}/*/{EPISODES_FILE}' group by {', '.join(names)}"
+    return duckdb.connect(config={"threads": threads}).sql(query).fetchall()
+
+
+def peer(folder: Path) -> None:
+    """Print as JSON: seconds that DuckDB takes, the import aside, and the mean of all returns."""
+    import duckdb  # noqa: F401
+
     begun = time.perf_counter()
-    frame = read_frame(wanted(folder))
+    rows = pooled_by_duckdb(folder)
+    place = len(CellIdentity.__dataclass_fields__) + 1 + list(WEIGHTS).index("return")
+    mean = float(np.mean([float(str(row[place])) for row in rows]))
+    print(json.dumps({"read": time.perf_counter() - begun, "cpu": time.process_time(), "cells": len(rows), "return": mean, "peak": peak()}))
+
+
+def main(folder: Path, kept: Path | None = None) -> None:
+    """Print as JSON: seconds to read, to make and render every table and to draw every figure, cells, episodes, bytes held at most."""
+    begun = time.perf_counter()
+    frame = read_frame(wanted(folder), kept)
     read = time.perf_counter() - begun
     makers = (main_table, ablation_table, operator_table, detail_table, threshold_table, severity_table, latency_table)
     tables = [*(make(frame) for make in makers), *comparison_tables(frame)]
     texts = [render(table) for table in tables if table is not None for render in RENDERERS.values()]
+    tabled = time.perf_counter() - begun
+    with TemporaryDirectory() as drawn:
+        figures = draw_figures(Layout(folder), frame, (), Path(drawn))
     episodes = sum(cell.count for cell in frame.cells)
-    found = {"read": read, "all": time.perf_counter() - begun, "cells": len(frame.cells), "episodes": episodes, "peak": peak()}
+    mean = float(np.mean([cell.pooled["return"] for cell in frame.cells]))
+    found = {"read": read, "tabled": tabled, "all": time.perf_counter() - begun, "cpu": time.process_time(), "figures": len(figures)}
+    found |= {"cells": len(frame.cells), "episodes": episodes, "return": mean, "peak": peak()}
     print(json.dumps({**found, "characters": sum(map(len, texts))}))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    place, how = Path(sys.argv[1]), sys.argv[2:]
+    if how == ["duckdb"]:
+        peer(place)
+    else:
+        main(place, Path(how[0]) if how else None)

@@ -114,6 +114,37 @@ def test_two_workers_do_nearly_twice_as_much_as_one(benchmark: Any, fakes: Fakes
     assert benchmark.extra_info["throughput"] > 1.9 * min(1.0, benchmark.extra_info["throughput_of_bare_processes"] / 2 + 0.02)
 
 
+GRID = """
+name: grid
+preset: smoke
+rounds: 1
+tasks: [goal1, race1]
+methods: [human, ida, wasp, expert]
+operators: {noisy: {mild: 0.2}, laggy: {moderate: 0.7}}
+seeds: [0]
+"""
+
+
+def test_a_grid_of_two_tasks_takes_little_more_than_half_of_its_time_on_one_worker(benchmark: Any, fakes: Fakes, tmp_path: Path) -> None:
+    """Chains of nodes that each keep a core busy for a third of a second, in the order of a real grid; beside them, two bare processes."""
+    spec = tmp_path / "grid.yaml"
+    spec.write_text(GRID, encoding="utf-8")
+    times, shares = {}, {}
+    for jobs in (1, 2):
+        pool = warmed(jobs, tmp_path, fakes, work=WORK)
+        loaded, layout, plan = prepared(spec, tmp_path / f"grid{jobs}")
+        runner = Runner(layout, new_run(layout, loaded, plan), pool)
+        summary = runner.run(plan) if jobs == 1 else benchmark.pedantic(runner.run, (plan,), rounds=1)
+        assert summary.complete
+        times[jobs], shares[jobs] = summary.seconds, summary.busy_share
+        pool.close(kill=True)
+    benchmark.extra_info["of_one_worker"] = times[2] / times[1]
+    benchmark.extra_info["of_one_bare_process"] = bare(2) / bare(1)
+    benchmark.extra_info["busy_share"] = shares[2]
+    assert benchmark.extra_info["of_one_worker"] < 0.55 + max(0.0, benchmark.extra_info["of_one_bare_process"] - 0.5)
+    assert benchmark.extra_info["busy_share"] > 0.92
+
+
 WORK = 1_200_000
 """Iterations of a hash: about a third of a second."""
 

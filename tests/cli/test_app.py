@@ -302,6 +302,28 @@ def test_a_second_run_computes_nothing(fakes: Fakes, small_spec: Path, tmp_path:
     assert len(fakes.executions()) == 36
 
 
+def test_ablate_says_first_what_it_will_compute(fakes: Fakes, tmp_path: Path) -> None:
+    options = [
+        "--variant",
+        "no-case2",
+        "--task",
+        "goal1",
+        "--preset",
+        "smoke",
+        "--set",
+        "seeds=[0]",
+        "--set",
+        "operators={laggy: {m: 0.7}}",
+    ]
+    planned = wasp("ablate", *options, "--results", tmp_path / "results", "--dry-run", fake=True)
+    assert planned.returncode == 0
+    assert "2 grid points, 2 cells to evaluate" in planned.stdout
+    assert not (tmp_path / "results").exists()
+    done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)
+    assert "2 grid points, 2 cells to evaluate" in done.stderr
+    assert len(list((tmp_path / "results").glob("store/evaluate/*/manifest.json"))) == 2
+
+
 def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Path) -> None:
     options = ["--variant", "no-case2", "--task", "goal1", "--preset", "smoke", "--set", "seeds=[0]", "-j", "0"]
     done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)

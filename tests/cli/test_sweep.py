@@ -11,12 +11,13 @@ import pytest
 from click.testing import Result
 
 from tests.commands import run_here
-from tests.report.swept import written
+from tests.report.invented import write_rows
+from tests.report.swept import two_episodes
 from tests.run.harness import Fakes, fakes, small_spec
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.stages.base import Job
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import CellIdentity
 
 __all__ = ["fakes", "small_spec"]
 
@@ -34,7 +35,7 @@ def cells(fakes: Fakes, monkeypatch: pytest.MonkeyPatch) -> None:
         axes = job.axes
         identity = CellIdentity(job.task, axes["method"], "full", axes["variant"], axes["value"], job.seed)
         ratio = axes["method_config"].get("ratio", 0.0)
-        written(job.out_dir, identity, round(2 + 10 * ratio), ratio, 0.0 if ratio else 1.0).path.rename(job.out_dir / CELL_FILE)
+        write_rows(job.out_dir, identity, two_episodes(identity, round(2 + 10 * ratio), ratio, 0.0 if ratio else 1.0), success_goals=3)
         return summary
 
     monkeypatch.setattr(stage, "run", run)

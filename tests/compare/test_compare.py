@@ -14,7 +14,7 @@ from wasp_cli.compare.paired import MEASURES
 from wasp_cli.compare.runs import Compared, Side, State, compare
 from wasp_cli.compare.text import as_json, cells_table, headline, page, remarks, summary_table, tables
 from wasp_cli.store.artifact import write_record
-from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_episodes
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, read_episodes
 
 
 @pytest.fixture(scope="module")
@@ -52,14 +52,17 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
     altered = CellIdentity("goal1", "wasp", "full", "laggy", 0.5, 1)
     other = write_results(tmp_path / "other", lambda identity: episodes(identity, risk=0.9 if identity == altered else 0.1))
     key = next(key for cell, key in first.cells if (cell.method, cell.operator, cell.seed) == ("wasp", "laggy", 1))
-    shutil.copy(other.layout.artifact("evaluate", key) / CELL_FILE, second.layout.artifact("evaluate", key) / CELL_FILE)
+    for name in (EPISODES_FILE, STEPS_FILE):
+        shutil.copy(other.layout.artifact("evaluate", key) / name, second.layout.artifact("evaluate", key) / name)
     compared = compare(first, second)
     assert states(compared) == NONE | {"same": 7, "differs": 1, "beyond": 1}
     (cell,) = compared.having("differs")
     assert (cell.identity, cell.keys) == (altered, (key, key))
     assert cell.beyond == ("cost", "viol")
     assert cell.paired is not None
-    costs = [sum(read_episodes([side.layout.artifact("evaluate", key) / CELL_FILE])["cost"].to_pylist()) / 8 for side in (first, second)]
+    costs = [
+        sum(read_episodes([side.layout.artifact("evaluate", key) / EPISODES_FILE])["cost"].to_pylist()) / 8 for side in (first, second)
+    ]
     assert cell.paired.differences["cost"].value == pytest.approx(costs[1] - costs[0])
     assert cell.paired.differences["return"].value == 0.0
     assert not compared.alike
@@ -72,7 +75,7 @@ def test_other_decision_times_are_no_difference(first: Side, tmp_path: Path) -> 
     """Only timing differs: the bytes are others, the rows are not."""
     second = copied(first, tmp_path / "copy")
     key = first.cells[0][1]
-    path = second.layout.artifact("evaluate", key) / CELL_FILE
+    path = second.layout.artifact("evaluate", key) / EPISODES_FILE
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -135,7 +138,7 @@ def test_cells_of_one_side_only_are_named(first: Side, tmp_path: Path) -> None:
 
 def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(first: Side, tmp_path: Path) -> None:
     second = copied(first, tmp_path / "copy")
-    paths = [second.layout.artifact("evaluate", key) / CELL_FILE for _, key in first.cells]
+    paths = [second.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in first.cells]
     paths[0].unlink()
     paths[1].write_bytes(b"PAR1 no table PAR1")
     compared = compare(first, second)

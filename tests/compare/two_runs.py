@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from tests.report.invented import invent
-from tests.report.invented import write as write_cell
+from tests.report.invented import invent, write_rows
 from tests.store.untrusted import write_run_of
 from wasp_cli.compare.runs import Side
 from wasp_cli.metrics.episode import Trajectory
@@ -19,7 +18,7 @@ from wasp_cli.run.record import read_run
 from wasp_cli.spec.model import validate
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import CellIdentity
 
 SPEC: Mapping[str, Any] = {
     "name": "tiny",
@@ -50,7 +49,7 @@ def write_results(folder: Path, make: Make = episodes, provenance: Mapping[str, 
         staging = staging_folder(layout, node.key)
         if node.key in cells:
             identity = cells[node.key]
-            write_cell(staging, identity, make(identity)).path.rename(staging / CELL_FILE)
+            write_rows(staging, identity, make(identity))
         commit(layout, node.kind, node.key, staging, manifest_of(node, provenance or {}))
     (run,) = layout.runs.iterdir()
     recorded = read_run(layout, run.name)

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from safetensors.numpy import load_file
 
-from tests.report.invented import invent, write
+from tests.report.invented import invent, write_rows
 from tests.run.harness import ROOT, SMALL, Fakes, data_of, prepared, run
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed
@@ -25,7 +25,7 @@ from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.store.artifact import commit, staging_folder
-from wasp_cli.store.tables import CELL_FILE, SCHEMA, CellIdentity
+from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity
 
 
 def fake_wasp(*arguments: str | Path | int) -> subprocess.CompletedProcess[str]:
@@ -171,11 +171,11 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path: Path, m
     cell, node = plan.grid.cells[0]
     folder = staging_folder(layout, node.key)
     identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
-    write(folder, identity, [invent(3, 2, 0.0, 0.1)]).path.rename(folder / CELL_FILE)
+    write_rows(folder, identity, [invent(3, 2, 0.0, 0.1)])
     commit(layout, node.kind, node.key, folder, {"key": node.key, "kind": node.kind})
-    path = layout.artifact(node.kind, node.key) / CELL_FILE
+    path = layout.artifact(node.kind, node.key) / EPISODES_FILE
     column = pq.read_metadata(path).row_group(0).column(SCHEMA.get_field_index("return"))
-    flip(path, column.dictionary_page_offset + column.total_compressed_size - 1)
+    flip(path, column.data_page_offset + column.total_compressed_size - 1)
     wanted, _ = wanted_cells(layout, loaded.spec, [(cell, node.key)])
     frame = read_frame(wanted)
     assert [gap.damaged for gap in frame.missing] == [True]

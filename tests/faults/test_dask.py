@@ -129,6 +129,6 @@ def test_the_smoke_grid_through_dask(tmp_path: Path) -> None:
         wasp("--results", there, "--backend", "dask", "--scheduler", cluster.address)
     wasp("--results", here, "-j", "2")
     assert payload(there) == payload(here)
-    cells = sorted((here / "store" / "evaluate").glob("*/cell.parquet"))
+    cells = sorted((here / "store" / "evaluate").glob("*/episodes.parquet"))
     assert cells
     assert all(same_rows(cell, there / cell.relative_to(here)) for cell in cells)

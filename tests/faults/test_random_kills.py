@@ -129,7 +129,7 @@ def payload(results: Path) -> dict[str, str]:
     return {
         path.relative_to(results / "store").as_posix(): file_digest(path)
         for path in sorted((results / "store").rglob("*"))
-        if path.is_file() and path.name not in {"manifest.json", "cell.parquet"}
+        if path.is_file() and path.name not in {"manifest.json", "episodes.parquet", "steps.parquet"}
     }
 
 
@@ -143,7 +143,7 @@ def test_fifty_kills_over_the_smoke_grid(tmp_path: Path) -> None:
     print(f"\nkilled {counts} in {runs} runs; {len(artifacts(stormy))} of {len(artifacts(calm))} artifacts were there then")
     assert start_real([*arguments, stormy]).wait(timeout=900) == 0
     assert payload(stormy) == payload(calm)
-    cells = sorted((calm / "store" / "evaluate").glob("*/cell.parquet"))
+    cells = sorted((calm / "store" / "evaluate").glob("*/episodes.parquet"))
     assert cells
     assert all(same_rows(cell, stormy / cell.relative_to(calm)) for cell in cells)
     assert not list(stormy.glob("tmp/*"))

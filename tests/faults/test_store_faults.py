@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from tests.run.harness import Fakes, prepared, run
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.report.provenance import last_runs
+from wasp_cli.report.summarize import report_run
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.store.layout import Layout
 
@@ -75,3 +77,32 @@ def test_a_full_disk_ends_a_node_not_the_run(fakes: Fakes, small_spec: Path, tmp
     summary = Runner(layout, run_id, InlinePool()).run(plan)
     assert [failure.node.key for failure in summary.failed] == [node.key]
     assert "No space left" in summary.failed[0].result.message
+
+
+def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    run(small_spec, results)
+    layout = Layout(results)
+    (run_id,) = last_runs(layout)[0].values()
+    before = read_run(layout, run_id)
+    spec, plan = (layout.run(run_id) / name for name in ("spec.json", "plan.json"))
+    document, planned = json.loads(spec.read_text()), json.loads(plan.read_text())
+    document["blend"] = {"share": 0.5}  # the section of a plugin
+    document["wasp"]["braveness"] = 2  # a field of another version
+    document["wasp"]["operator_model"] = "oracle"  # a value of another version
+    document["methods"] += ["blend", "mix"]
+    document["operators"]["sleepy"] = {"mild": 1.0}
+    spec.write_text(json.dumps(document))
+    cell = next(cell for cell in planned["cells"] if cell["method"] == "human")
+    planned["cells"] += [{**cell, "method": "blend", "key": "0" * 20}, {**cell, "operator": "sleepy", "key": "1" * 20}]
+    plan.write_text(json.dumps(planned))
+    after = read_run(layout, run_id)
+    assert (after.cells, after.parts) == (before.cells, before.parts)
+    assert after.spec == before.spec
+    told = "\n".join(after.unknown)
+    for name in ("`blend`", "`wasp.braveness`", "`wasp.operator_model`", "`methods: blend`", "`methods: mix`", "`operators.sleepy`"):
+        assert name in told
+    assert "Cells of 'blend' are left out" in told
+    assert "Cells of 'sleepy' are left out" in told
+    report = report_run(results, after.spec, after.cells, after.parts, unknown=after.unknown)
+    assert set(after.unknown) <= set(report.facts)

@@ -9,7 +9,7 @@ import pytest
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid, lay_out, stage_class
-from wasp_cli.plan.node import Node, waves
+from wasp_cli.plan.node import Node, levels
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec, validate
 
@@ -262,21 +262,21 @@ def test_parts_are_what_is_trained() -> None:
     assert named == {("goal1", kind, seed) for kind in kinds for seed in (0, 1)}
 
 
-def test_waves_put_what_is_needed_first() -> None:
+def test_levels_put_what_is_needed_first() -> None:
     laid_out = grid()
     nodes = list(laid_out.nodes)
     random.Random(0).shuffle(nodes)
     seen: set[str] = set()
-    for wave in waves(nodes):
-        for node in wave:
+    for level in levels(nodes):
+        for node in level:
             assert {needed.key for needed in node.needs.values()} <= seen
-        seen |= {node.key for node in wave}
+        seen |= {node.key for node in level}
     assert seen == keys(laid_out)
 
 
-def test_waves_of_a_part_start_where_the_rest_is_done() -> None:
+def test_levels_of_a_part_start_where_the_rest_is_done() -> None:
     evaluations = [node for node in grid().nodes if node.kind == "evaluate"]
-    assert waves(evaluations) == [evaluations]
+    assert levels(evaluations) == [evaluations]
 
 
 def test_what_moves_no_result_moves_no_key() -> None:

@@ -92,16 +92,15 @@ class Invented:
             "provenance": {"started_at": "2026-05-01T12:34:56+00:00"},
         }
 
-    def write(self, path: Path) -> None:
+    def write(self, folder: Path) -> Path:
         trajectory = self.trajectory()
         rows = [episode_metrics(trajectory, 7, 25.0)] * self.episodes
         cell = CellIdentity("goal1", self.method, self.variant, "laggy", 0.7, 0)
         times = [np.full(self.steps, 2.0)] * self.episodes
-        write_cell(path, cell, [trajectory] * self.episodes, rows, self.thresholds, times, range(100, 100 + self.episodes))
+        return write_cell(folder, cell, [trajectory] * self.episodes, rows, self.thresholds, times, range(100, 100 + self.episodes))
 
     def read(self, folder: Path, manifest: bool = True) -> Episode:
-        path = folder / "cell.parquet"
-        self.write(path)
+        path = self.write(folder)
         return read_episode(FoundCell(path, KEY, self.manifest()) if manifest else FoundCell(path), 0)
 
     def store(self, results: Path) -> None:
@@ -109,7 +108,7 @@ class Invented:
         layout = Layout(results)
         layout.prepare()
         staging = staging_folder(layout, KEY)
-        self.write(staging / "cell.parquet")
+        self.write(staging)
         commit(layout, "evaluate", KEY, staging, self.manifest())
 
 

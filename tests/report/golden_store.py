@@ -18,7 +18,7 @@ from wasp_cli.store.artifact import dumps
 from wasp_cli.store.layout import Layout
 
 STORE = Path(__file__).parent.parent / "golden" / "store"
-READ = ("cell.parquet", "branches.parquet", "curve.json", "curves.json", "diagnostics.json", "reinforcement.json")
+READ = ("episodes.parquet", "steps.parquet", "branches.parquet", "curve.json", "curves.json", "diagnostics.json", "reinforcement.json")
 """Files of artifacts that a report reads, beside the manifests."""
 KEPT = ("kind", "key", "label", "task", "seed", "axes", "settings", "upstream", "upstream_kinds", "summary")
 """Of a manifest."""

@@ -43,14 +43,19 @@ def invent(start: int, goals: int, intervene: float, risk: float, steps: int = 2
 
 
 def write(folder: Path, identity: CellIdentity, trajectories: list[Trajectory], success_goals: int = 7) -> Wanted:
-    """One cell on disk."""
+    """One cell on disk, in a folder of its own."""
     name = "-".join(str(part) for part in (identity.method, identity.assistant_variant, identity.variant, identity.value, identity.seed))
-    path = folder / f"{name}.parquet"
+    (folder / name).mkdir(parents=True, exist_ok=True)
+    path = write_rows(folder / name, identity, trajectories, success_goals)
+    return Wanted(identity, f"{identity.task} {name}", path, severity="severe" if identity.value in (0.6, 0.85) else "mild")
+
+
+def write_rows(folder: Path, identity: CellIdentity, trajectories: list[Trajectory], success_goals: int = 7) -> Path:
+    """The files of one cell in a folder; returns that of its episodes."""
     rows = [episode_metrics(trajectory, success_goals, 25.0) for trajectory in trajectories]
     times = [np.full(trajectory.steps, 2.0) for trajectory in trajectories]
     thresholds = Thresholds(tau_c=0.3, tau_r=0.5 + identity.seed) if identity.method == "wasp" else Thresholds()
-    write_cell(path, identity, trajectories, rows, thresholds, times, [100 + i for i in range(len(rows))])
-    return Wanted(identity, f"{identity.task} {name}", path, severity="severe" if identity.value in (0.6, 0.85) else "mild")
+    return write_cell(folder, identity, trajectories, rows, thresholds, times, [100 + i for i in range(len(rows))])
 
 
 def write_grid(folder: Path, seeds: tuple[int, ...] = (0, 1, 2), ablations: tuple[str, ...] = (), episodes: int = 4) -> list[Wanted]:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.report.invented import invent, write
+from tests.report.invented import invent, write_rows
 from wasp_cli.plan.node import Cell
 from wasp_cli.report.stats.frame import Wanted
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import CellIdentity
 
 
 def write_returns(folder: Path, cell: Cell, returns: Sequence[float]) -> Wanted:
@@ -19,6 +19,5 @@ def write_returns(folder: Path, cell: Cell, returns: Sequence[float]) -> Wanted:
     identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
     like = invent(0, 0, 0.0, 0.3)
     rewards = [np.eye(1, like.steps)[0] * value for value in returns]
-    made = write(folder, identity, [replace(like, reward=reward) for reward in rewards])
-    path = made.path.rename(folder / CELL_FILE)
-    return replace(made, path=path, label=str(cell), severity=cell.severity)
+    path = write_rows(folder, identity, [replace(like, reward=reward) for reward in rewards])
+    return Wanted(identity, str(cell), path, cell.severity)

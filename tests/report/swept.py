@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.report.invented import invent, write
+from wasp_cli.metrics.episode import Trajectory
 from wasp_cli.report.stats.frame import Wanted, read_frame
 from wasp_cli.report.tables.by_axis import Condition, Swept
 from wasp_cli.store.tables import CellIdentity
@@ -64,5 +65,9 @@ def invent_sweep(
 
 def written(folder: Path, identity: CellIdentity, goals: int, intervene: float, risk: float) -> Wanted:
     """One cell of two episodes that differ by one goal."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return write(folder, identity, [invent(12 * identity.seed + e, goals + e, intervene, risk) for e in range(2)], success_goals=3)
+    return write(folder, identity, two_episodes(identity, goals, intervene, risk), success_goals=3)
+
+
+def two_episodes(identity: CellIdentity, goals: int, intervene: float, risk: float) -> list[Trajectory]:
+    """Two episodes that differ by one goal."""
+    return [invent(12 * identity.seed + e, goals + e, intervene, risk) for e in range(2)]

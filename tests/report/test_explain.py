@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from tests.report.explained import KEY, NAN, WASP, Invented, decision_text, episode_text, text_of
+from tests.store.former import write_former
 from wasp_cli.errors import UsageError
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.collect import decision_facts, merge_runs, summarize
@@ -19,7 +18,7 @@ from wasp_cli.report.explain.episode_text import MOST_RUNS, episode_lines, strip
 from wasp_cli.report.explain.facts import as_json, exceeds
 from wasp_cli.report.explain.stored import Episode, read_episode
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.tables import VERSION_KEY, Thresholds
+from wasp_cli.store.tables import Thresholds
 
 
 @pytest.fixture
@@ -331,18 +330,7 @@ def test_half_of_the_strip_is_the_threshold(tmp_path: Path) -> None:
 def test_an_older_table_says_what_it_does_not_know(tmp_path: Path) -> None:
     made = Invented()
     made.fire(2, GATE_SAFETY)
-    path = tmp_path / "cell.parquet"
-    made.write(path)
-    table = pq.read_table(path)
-    steps = table["steps"].combine_chunks()
-    flat = steps.flatten()
-    kept = ("t", "reward", "cost", "cost_env", "env_steps", "goals", "a_h", "a", "deviation", "gate", "g_cost", "delta_g", "signal")
-    columns = {name: flat.field(name) for name in kept}
-    columns["safe"] = pa.array(np.where(np.asarray(columns["gate"]) == 1, 3, 0), pa.int16())
-    columns["case2_share"] = pa.nulls(len(flat), pa.float32())
-    older = pa.ListArray.from_arrays(steps.offsets, pa.StructArray.from_arrays(list(columns.values()), names=list(columns)))
-    table = table.set_column(table.schema.get_field_index("steps"), "steps", older).replace_schema_metadata({VERSION_KEY: b"1"})
-    pq.write_table(table, path, write_page_checksum=True)
+    path = write_former(made.write(tmp_path), tmp_path / "former", 1)
     episode = read_episode(FoundCell(path, KEY, made.manifest()), 0)
     assert episode.version == 1
     text = decision_text(episode, 2)
@@ -355,8 +343,7 @@ def test_an_older_table_says_what_it_does_not_know(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("episode", [-1, 3, 99])
 def test_episodes_that_are_not_there(episode: int, tmp_path: Path) -> None:
-    path = tmp_path / "cell.parquet"
-    Invented().write(path)
+    path = Invented().write(tmp_path)
     with pytest.raises(UsageError, match=f"there is no episode {episode}") as caught:
         read_episode(FoundCell(path), episode)
     assert caught.value.hint == "this cell has the episodes 0 to 2"

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from tests.report.branched import invent_branches
-from tests.report.invented import SKILL, invent, write
+from tests.report.invented import SKILL, invent, write_rows
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import cells_of, lay_out
 from wasp_cli.plan.keys import libraries
@@ -27,7 +27,7 @@ from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import EPISODES_FILE, CellIdentity
 
 Cells = list[tuple[Cell, str]]
 
@@ -61,7 +61,7 @@ def cells(spec: Spec, tmp_path: Path) -> Cells:
         goals, intervene, risk = SKILL.get(cell.method, (12, 0.0, 0.02))
         folder = layout.artifact("evaluate", name)
         folder.mkdir(parents=True)
-        write(folder, identity, [invent(e + cell.seed, goals, intervene, risk) for e in range(2)]).path.rename(folder / CELL_FILE)
+        write_rows(folder, identity, [invent(e + cell.seed, goals, intervene, risk) for e in range(2)])
         upstream = {"world_model": key("world_model", cell.seed)}
         if cell.method == "wasp":
             upstream["calibration"] = key("calibration", cell.seed)
@@ -165,8 +165,8 @@ def test_the_same_store_gives_the_same_files(spec: Spec, cells: Cells, tmp_path:
 
 def test_missing_cells_are_named_with_their_reason(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     layout = Layout(tmp_path)
-    (layout.artifact("evaluate", cells[0][1]) / CELL_FILE).unlink()
-    (layout.artifact("evaluate", cells[1][1]) / CELL_FILE).unlink()
+    (layout.artifact("evaluate", cells[0][1]) / EPISODES_FILE).unlink()
+    (layout.artifact("evaluate", cells[1][1]) / EPISODES_FILE).unlink()
     write_record(layout.failure(cells[1][1]), {"message": "TrainingError: no data", "log": "results/x.log"})
     report = report_run(tmp_path, spec, cells)
     page, text = report.markdown(), terminal(report)
@@ -245,7 +245,7 @@ def branched(layout: Layout, cells: Cells) -> Cells:
     judged = [(cell, own, key("counterfactual", number)) for number, (cell, own) in enumerate(cells) if cell.method == "wasp"]
     for cell, own, name in judged:
         folder = layout.artifact("counterfactual", name)
-        invent_branches(layout.artifact("evaluate", own) / CELL_FILE, identity_of(cell), folder)
+        invent_branches(layout.artifact("evaluate", own) / EPISODES_FILE, identity_of(cell), folder)
         manifest(layout, "counterfactual", name, cell.seed, {"evaluate": own}, {"method": "wasp"})
     return [(cell, name) for cell, _, name in judged]
 
@@ -287,7 +287,7 @@ def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, t
 
 def test_a_damaged_failure_is_named_and_the_report_goes_on(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     layout = Layout(tmp_path)
-    (layout.artifact("evaluate", cells[0][1]) / CELL_FILE).unlink()
+    (layout.artifact("evaluate", cells[0][1]) / EPISODES_FILE).unlink()
     layout.failures.mkdir()
     layout.failure(cells[0][1]).write_text("{")
     report = report_run(tmp_path, spec, cells)
@@ -382,7 +382,7 @@ def test_what_published_results_make_needless_is_no_gap(spec: Spec, cells: Cells
 def test_a_missing_cell_leaves_what_it_needs_a_gap(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     layout = Layout(tmp_path)
     import_artifact(layout, "evaluate", cells[0][1])
-    (layout.artifact("evaluate", cells[1][1]) / CELL_FILE).unlink()
+    (layout.artifact("evaluate", cells[1][1]) / EPISODES_FILE).unlink()
     assert "2 of 8 parts are missing" in report_run(tmp_path, spec, cells, parts(spec)).markdown()
 
 

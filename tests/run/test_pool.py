@@ -40,7 +40,7 @@ def test_a_worker_starts_with_the_signals_held_back(monkeypatch: pytest.MonkeyPa
             held.append(set(SIGNALS) <= signal.pthread_sigmask(signal.SIG_BLOCK, []))
             raise RuntimeError("no worker here")
 
-    monkeypatch.setattr("wasp_cli.run.pool._new_worker", Executor)
+    monkeypatch.setattr("wasp_cli.run.pool._new_workers", lambda count: Executor())
     with pytest.raises(RuntimeError, match="no worker here"):
-        next(LokyPool(1).run([object()]))  # type: ignore[list-item]
+        LokyPool(1).submit(object())  # type: ignore[arg-type]
     assert held == [True]

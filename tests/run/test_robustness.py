@@ -17,7 +17,7 @@ import pytest
 from tests.run.harness import ROOT, Fakes, prepared, run
 from wasp_cli.cli import doctor
 from wasp_cli.errors import StoreError, WaspError, refusal
-from wasp_cli.plan.node import waves
+from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.registry import Registry
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run, results_of
@@ -72,9 +72,12 @@ def test_doctor_looks_and_creates_nothing(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_no_more_workers_than_nodes_side_by_side(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     _, _, plan = prepared(small_spec, tmp_path / "results")
-    widest = max(len(wave) for wave in waves(plan.to_run()))
-    assert [useful_jobs(plan, jobs) for jobs in (0, 2, 64)] == [0, 2, widest]
-    assert 2 < widest < 64
+    nodes = plan.to_run()
+    lasting = durations(nodes, plan.seconds)
+    most = useful_jobs(plan, 64)
+    assert 2 < most < len(nodes) < 64
+    assert [useful_jobs(plan, jobs) for jobs in (0, 2, most)] == [0, 2, most]
+    assert simulated(nodes, lasting, most) == simulated(nodes, lasting, 64)
 
 
 class BrokenPoint:

@@ -3,14 +3,12 @@ from __future__ import annotations
 import json
 import random
 import threading
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.run.harness import Fakes, data_of, prepared, run
+from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pool import InlinePool, LokyPool
 from wasp_cli.run.record import new_run, read_run
 from wasp_cli.run.runner import Runner, failures_text
@@ -135,29 +133,21 @@ def test_workers_give_the_same_bytes_as_this_process(jobs: int, fakes: Fakes, sm
     assert all("fake goal1" in log.read_text(encoding="utf-8") for log in logs)
 
 
-class Shuffled(InlinePool):
-    """Computes the nodes of a wave in an order of its own."""
-
-    def __init__(self, seed: int) -> None:
-        self._chance = random.Random(seed)
-
-    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
-        node_jobs = list(node_jobs)
-        self._chance.shuffle(node_jobs)
-        yield from super().run(node_jobs)
-
-
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_order_of_the_work_changes_no_byte(seed: int, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+def test_the_order_of_the_work_changes_no_byte(
+    seed: int, fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run(small_spec, tmp_path / "calm")
     calm = fakes.executions()
-    run(small_spec, tmp_path / "shuffled", Shuffled(seed))
+    chance = random.Random(seed)
+    monkeypatch.setattr("wasp_cli.run.runner.durations", lambda nodes, seconds: {node.key: chance.random() for node in nodes})
+    run(small_spec, tmp_path / "shuffled")
     assert fakes.executions()[len(calm) :] != calm
     assert data_of(tmp_path / "shuffled") == data_of(tmp_path / "calm")
 
 
 def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twice(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
-    """The other one goes on for a while: meanwhile everything else of the wave is done."""
+    """The other one goes on for a while: meanwhile everything is done that does not need it."""
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     first = plan.to_run()[0]
     started, finish = threading.Event(), threading.Event()
@@ -174,7 +164,42 @@ def test_a_node_that_another_run_computes_is_left_for_later_and_not_computed_twi
     summary = Runner(layout, new_run(layout, loaded, plan), InlinePool()).run(plan)
     thread.join()
     assert summary.complete
-    wave = [node.label for node in plan.to_run() if not node.needs]
-    ran = [line.split()[:3] for line in fakes.executions()][: len(wave)]
-    assert ran[-1] == first.label.split(), "it was waited for before the others were done"
+    needing = {first.key}
+    for node in plan.to_run():  # needed ones first
+        needing |= {node.key} if any(needed.key in needing for needed in node.needs.values()) else set()
+    others = [node.label for node in plan.to_run() if node.key not in needing]
+    assert others, "there is nothing else to do"
+    ran = [line.split()[:3] for line in fakes.executions()]
+    assert ran[len(others)] == first.label.split(), "it was waited for before the others were done"
     assert len(fakes.executions()) == len(set(fakes.executions())) == summary.done
+
+
+@pytest.mark.parametrize("behaviour", ["sleep", "hang"])
+def test_a_node_that_hangs_holds_back_nobody_but_its_dependents(behaviour: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(behave={"goal1 s0 world_model": behaviour})
+    results = tmp_path / "results"
+    _, _, plan = prepared(small_spec, results)
+    needing: set[str] = set()
+    for node in plan.to_run():  # needed ones first
+        if node.label == "goal1 s0 world_model" or any(needed.key in needing for needed in node.needs.values()):
+            needing.add(node.key)
+    others = {node.key for node in plan.to_run()} - needing
+    assert {node.kind for node in plan.to_run() if node.key in others} > {"world_model", "evaluate"}
+    process = start("run", small_spec, "--results", results, "-j", "2")
+    try:
+        wait_until(lambda: {path.parent.name for path in results.glob("store/*/*/manifest.json")} == others)
+    finally:
+        process.kill()
+        process.communicate(timeout=60)
+
+
+def test_the_end_of_a_run_says_how_busy_its_workers_were(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    fakes.set(seconds=0.3)
+    pool = LokyPool(2)
+    try:
+        summary = run(small_spec, tmp_path / "results", pool)
+    finally:
+        pool.close(kill=True)
+    assert summary.workers == 2
+    assert 0.3 * 18 < summary.busy < 2 * summary.seconds
+    assert 0.0 < summary.busy_share < 1.0

@@ -73,6 +73,7 @@ def test_a_run_that_goes_on(layout: Layout) -> None:
     assert state.per_minute == pytest.approx(1.0)  # a done and a failed node in two minutes
     assert state.left_seconds == pytest.approx(0.75 * 60 + 40)  # d waits for c, however many workers there are
     assert state.unknown == 0
+    assert state.busy_share == pytest.approx((1 + 1 + 60) / (2 * 120))
 
 
 def test_workers_share_what_does_not_wait(layout: Layout) -> None:
@@ -96,6 +97,7 @@ def test_without_estimates_the_rate_tells_what_is_left(layout: Layout) -> None:
     assert state.per_minute == pytest.approx(10)  # the slow beginning is over
     assert state.left_seconds == pytest.approx(120)
     assert state.unknown == 0
+    assert state.busy_share == pytest.approx((1 + 1 + 60) / (2 * 120))
 
 
 def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from tests.run.recorded import key
 from tests.store.untrusted import LABEL, RUN, UntrustedStore, manifest_of
 from wasp_cli.store.artifact import write_record
-from wasp_cli.store.tables import CELL_FILE, SCHEMA
+from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, STEPS_FILE
 
 ESCAPE = "\x1b]0;owned\x07"
 DEEP = '{"a": ' * 300 + "1" + "}" * 300
@@ -163,7 +163,12 @@ def a_linked_manifest(it: UntrustedStore, outside: Path) -> None:
 
 @attack
 def a_linked_table(it: UntrustedStore, outside: Path) -> None:
-    link(it.artifact / CELL_FILE, outside / CELL_FILE)
+    link(it.artifact / EPISODES_FILE, outside / EPISODES_FILE)
+
+
+@attack
+def linked_steps(it: UntrustedStore, outside: Path) -> None:
+    link(it.artifact / STEPS_FILE, outside / STEPS_FILE)
 
 
 @attack
@@ -174,6 +179,13 @@ def a_linked_kind(it: UntrustedStore, outside: Path) -> None:
 @attack
 def a_linked_run(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.run(RUN), outside)
+
+
+@attack
+def a_pipe_for_steps(it: UntrustedStore, outside: Path) -> None:
+    path = it.artifact / STEPS_FILE
+    path.unlink()
+    os.mkfifo(path)
 
 
 @attack
@@ -206,6 +218,23 @@ def a_linked_spec(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
+def linked_rows(it: UntrustedStore, outside: Path) -> None:
+    it.layout.rows("tiny").parent.mkdir()
+    link(it.layout.rows("tiny"), outside / EPISODES_FILE)
+
+
+@attack
+def a_linked_folder_of_rows(it: UntrustedStore, outside: Path) -> None:
+    link(it.layout.rows("tiny").parent, outside)
+
+
+@attack
+def a_pipe_for_rows(it: UntrustedStore, outside: Path) -> None:
+    it.layout.rows("tiny").parent.mkdir()
+    os.mkfifo(it.layout.rows("tiny"))
+
+
+@attack
 def a_linked_report(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.root / "reports", outside)
 
@@ -230,7 +259,7 @@ def a_linked_store(it: UntrustedStore, outside: Path) -> None:
 
 @attack
 def pipes(it: UntrustedStore, outside: Path) -> None:
-    paths = (it.artifact / CELL_FILE, it.layout.failure(it.key), it.layout.run(RUN) / "spec.json", it.layout.log(RUN, LABEL, it.key))
+    paths = (it.artifact / EPISODES_FILE, it.layout.failure(it.key), it.layout.run(RUN) / "spec.json", it.layout.log(RUN, LABEL, it.key))
     for path in (*paths, it.layout.running(RUN, it.key), it.layout.lock(it.key), it.layout.tmp / f"{it.key}-x"):
         path.unlink(missing_ok=True)
         os.mkfifo(path)
@@ -238,18 +267,35 @@ def pipes(it: UntrustedStore, outside: Path) -> None:
 
 @attack
 def a_table_of_another_version(it: UntrustedStore, outside: Path) -> None:
-    path = it.artifact / CELL_FILE
+    path = it.artifact / EPISODES_FILE
     pq.write_table(pq.read_table(path).replace_schema_metadata({b"wasp.cell": b"evil"}), path)
 
 
 @attack
 def a_table_without_columns(it: UntrustedStore, outside: Path) -> None:
-    it.rows(cost=None, steps=None)
+    it.rows(cost=None)
 
 
 @attack
 def a_table_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
-    it.rows(cost=["x"], steps=[7], tau_c=["y"])
+    it.rows(cost=["x"], tau_c=["y"])
+
+
+@attack
+def steps_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
+    count = pq.read_metadata(it.artifact / STEPS_FILE).num_rows
+    it.rows(STEPS_FILE, cost=["x"] * count, safe=[7] * count, a=[{"b": 1}] * count, episode=["y"] * count)
+
+
+@attack
+def steps_without_columns(it: UntrustedStore, outside: Path) -> None:
+    it.rows(STEPS_FILE, a=None, episode=None)
+
+
+@attack
+def steps_of_another_version(it: UntrustedStore, outside: Path) -> None:
+    path = it.artifact / STEPS_FILE
+    pq.write_table(pq.read_table(path).replace_schema_metadata({b"wasp.steps": b"evil"}), path)
 
 
 @attack
@@ -257,7 +303,7 @@ def a_table_of_other_objects(it: UntrustedStore, outside: Path) -> None:
     """Pandas would unpickle what Parquet never does."""
     metadata = {**(SCHEMA.metadata or {}), b"pandas": b'{"columns": [{"pandas_type": "object", "numpy_type": "object"}]}'}
     np.save(it.artifact / "data.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    pq.write_table(pq.read_table(it.artifact / CELL_FILE).replace_schema_metadata(metadata), it.artifact / CELL_FILE)
+    pq.write_table(pq.read_table(it.artifact / EPISODES_FILE).replace_schema_metadata(metadata), it.artifact / EPISODES_FILE)
 
 
 @attack

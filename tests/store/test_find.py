@@ -20,7 +20,7 @@ KEYS = {
 
 def store(layout: Layout, key: str, label: str, started_at: str = "2026-05-01T12:34:56+00:00", **further: Any) -> Path:
     staging = staging_folder(layout, key)
-    (staging / "cell.parquet").write_bytes(b"rows")
+    (staging / "episodes.parquet").write_bytes(b"rows")
     manifest = {"key": key, "kind": "evaluate", "label": label, "provenance": {"started_at": started_at}, **further}
     return commit(layout, "evaluate", key, staging, manifest)
 
@@ -38,7 +38,7 @@ def layout(tmp_path: Path) -> Layout:
 def test_the_beginning_of_a_key(layout: Layout, text: str) -> None:
     found = find_cell(layout, text)
     assert found.key == "0123456789abcdef0123"
-    assert found.path == layout.store / "evaluate" / "0123456789abcdef0123" / "cell.parquet"
+    assert found.path == layout.store / "evaluate" / "0123456789abcdef0123" / "episodes.parquet"
     assert (found.label, found.date) == ("goal1 s0 wasp laggy=0.7", "2026-05-01 12:34")
 
 
@@ -86,16 +86,16 @@ def test_several_are_listed_newest_first(layout: Layout) -> None:
 
 def test_paths(layout: Layout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = layout.artifact("evaluate", "aaaa0000000000000000")
-    for path in (folder, folder / "cell.parquet", f"{folder}/"):
+    for path in (folder, folder / "episodes.parquet", f"{folder}/"):
         found = find_cell(Layout(tmp_path / "nowhere"), str(path))
-        assert (found.key, found.path) == ("aaaa0000000000000000", folder / "cell.parquet")
+        assert (found.key, found.path) == ("aaaa0000000000000000", folder / "episodes.parquet")
     copy = tmp_path / "copy of a cell.parquet"
     copy.write_bytes(b"rows")
     alone = find_cell(layout, str(copy))
     assert (alone.key, alone.label, alone.date, alone.setting("axes", "method")) == (None, None, "", None)
     monkeypatch.chdir(folder.parent.parent)
     assert find_cell(Layout(Path("nowhere")), "evaluate/bbbb0000000000000000").key == "bbbb0000000000000000"
-    with pytest.raises(UsageError, match="holds no cell"):
+    with pytest.raises(UsageError, match="holds no episodes"):
         find_cell(layout, str(tmp_path))
 
 
@@ -110,7 +110,7 @@ def test_what_names_nothing_opens_nothing(layout: Layout, text: str) -> None:
 
 def test_a_label_that_looks_like_a_path_stays_a_label(layout: Layout) -> None:
     store(layout, "eeee0000000000000000", "../../x")
-    assert find_cell(layout, "../../x").path == layout.artifact("evaluate", "eeee0000000000000000") / "cell.parquet"
+    assert find_cell(layout, "../../x").path == layout.artifact("evaluate", "eeee0000000000000000") / "episodes.parquet"
 
 
 def test_a_folder_that_is_no_key_is_no_cell(layout: Layout) -> None:

@@ -11,7 +11,7 @@ from tests.store.test_tables import CELL, invent
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.store.recorded import read_recorded
-from wasp_cli.store.tables import Thresholds, write_cell
+from wasp_cli.store.tables import STEPS_FILE, Thresholds, write_cell
 
 EPISODES = [invent(0, 5), invent(1, 1), invent(2, 9)]
 
@@ -19,8 +19,7 @@ EPISODES = [invent(0, 5), invent(1, 1), invent(2, 9)]
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     rows = [episode_metrics(trajectory, 3, 25.0) for trajectory in EPISODES]
-    write_cell(tmp_path / "cell.parquet", CELL, EPISODES, rows, Thresholds(), [np.ones(t.steps) for t in EPISODES], [11, 12, 13])
-    return tmp_path / "cell.parquet"
+    return write_cell(tmp_path, CELL, EPISODES, rows, Thresholds(), [np.ones(t.steps) for t in EPISODES], [11, 12, 13])
 
 
 def test_commands_actions_and_rewards_come_back_episode_by_episode(path: Path) -> None:
@@ -42,11 +41,9 @@ def test_rows_that_are_no_whole_episodes_are_refused(path: Path, damage: str) ->
     elif damage == "steps are missing":
         table = table.set_column(table.column_names.index("decisions"), table.schema.field("decisions"), [pa.array([5, 2, 9], pa.int32())])
     else:
-        rows = table.to_pylist()
-        for row in rows:
-            for step in row["steps"]:
-                step["a"] = []
-        table = pa.Table.from_pylist(rows, schema=table.schema)
+        steps = pq.read_table(path.with_name(STEPS_FILE))
+        rows = [step | {"a": []} for step in steps.to_pylist()]
+        pq.write_table(pa.Table.from_pylist(rows, schema=steps.schema), path.with_name(STEPS_FILE))
     pq.write_table(table, path)
     with pytest.raises(StoreError, match=r"whole episodes|'a' is missing"):
         read_recorded(path)

@@ -10,10 +10,25 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.plans import plans_of
+from tests.store.former import write_former
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
 from wasp_cli.store import tables
-from wasp_cli.store.tables import PLANNED, STEP, VERSION_KEY, CellIdentity, Thresholds, read_episodes, read_steps, same_rows, write_cell
+from wasp_cli.store.numbers import read_numbers
+from wasp_cli.store.tables import (
+    EPISODES_FILE,
+    PLANNED,
+    STEPS_FILE,
+    CellIdentity,
+    Thresholds,
+    cell_file,
+    read_episodes,
+    read_steps,
+    read_times,
+    read_version,
+    same_rows,
+    write_cell,
+)
 
 CELL = CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3)
 
@@ -42,12 +57,12 @@ def invent(seed: int, steps: int) -> Trajectory:
 
 @pytest.fixture
 def write(tmp_path: Path) -> Callable[..., Path]:
-    def make(name: str = "cell.parquet", cell: CellIdentity = CELL, seed: int = 0, slowness: float = 1.0) -> Path:
+    def make(name: str = "cell", cell: CellIdentity = CELL, seed: int = 0, slowness: float = 1.0) -> Path:
         trajectories = [invent(seed, 5), invent(seed + 1, 1), invent(seed + 2, 9)]
         rows = [episode_metrics(trajectory, 3, 25.0) for trajectory in trajectories]
         times = [slowness * np.arange(1.0, trajectory.steps + 1) for trajectory in trajectories]
-        write_cell(tmp_path / name, cell, trajectories, rows, Thresholds(tau_c=0.3, tau_r=0.41), times, [11, 12, 13])
-        return tmp_path / name
+        (tmp_path / name).mkdir()
+        return write_cell(tmp_path / name, cell, trajectories, rows, Thresholds(tau_c=0.3, tau_r=0.41), times, [11, 12, 13])
 
     return make
 
@@ -98,20 +113,38 @@ def test_the_unimpaired_operator_has_no_value(write: Callable[..., Path]) -> Non
 
 
 def test_many_cells_in_order(write: Callable[..., Path]) -> None:
-    paths = [write(f"{seed}.parquet", CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed), seed) for seed in (2, 0, 1)]
+    paths = [write(str(seed), CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed), seed) for seed in (2, 0, 1)]
     assert read_episodes(paths)["seed"].to_pylist() == [2] * 3 + [0] * 3 + [1] * 3
     assert read_episodes([]).num_rows == 0
 
 
 def test_same_input_same_bytes(write: Callable[..., Path]) -> None:
-    assert write("a.parquet").read_bytes() == write("b.parquet").read_bytes()
+    first, second = write("a"), write("b")
+    assert first.read_bytes() == second.read_bytes()
+    assert first.with_name(STEPS_FILE).read_bytes() == second.with_name(STEPS_FILE).read_bytes()
+
+
+def test_times_are_those_of_the_decisions_of_each_episode(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write()
+    for version in (path, write_former(path, tmp_path / "former")):
+        assert [times.tolist() for times in read_times(version)] == [[1, 2, 3, 4, 5], [1], [1, 2, 3, 4, 5, 6, 7, 8, 9]]
 
 
 def test_same_rows_leaves_timing_out(write: Callable[..., Path]) -> None:
-    first = write("a.parquet")
-    assert same_rows(first, write("b.parquet", slowness=2.0))
-    assert not same_rows(first, write("c.parquet", seed=1))
-    assert not same_rows(first, write("d.parquet", cell=CellIdentity("goal1", "wasp", "full", "noisy", 0.6, 3)))
+    first = write("a")
+    assert same_rows(first, write("b", slowness=2.0))
+    assert not same_rows(first, write("c", seed=1))
+    assert not same_rows(first, write("d", cell=CellIdentity("goal1", "wasp", "full", "noisy", 0.6, 3)))
+
+
+def test_other_steps_are_other_rows(write: Callable[..., Path]) -> None:
+    first, second = write("a"), write("b")
+    path = second.with_name(STEPS_FILE)
+    steps = pq.read_table(path)
+    place = steps.schema.get_field_index("reward")
+    pq.write_table(steps.set_column(place, steps.schema.field("reward"), pa.array(np.zeros(15, np.float32))), path)
+    assert first.read_bytes() == second.read_bytes()
+    assert not same_rows(first, second)
 
 
 def test_every_column_is_written_from_its_own_field() -> None:
@@ -124,29 +157,53 @@ def test_every_column_is_written_from_its_own_field() -> None:
 
 def test_truncated_file(write: Callable[..., Path]) -> None:
     path = write()
-    path.write_bytes(path.read_bytes()[:-100])
-    for read in (lambda: read_episodes([path]), lambda: read_steps(path)):
-        with pytest.raises(StoreError, match=r"cell\.parquet is damaged"):
-            read()
+    for file, reads in ((path.with_name(STEPS_FILE), (read_steps, read_times)), (path, (lambda _: read_episodes([path]), read_steps))):
+        file.write_bytes(file.read_bytes()[:-100])
+        for read in reads:
+            with pytest.raises(StoreError, match=rf"{file.name} is damaged"):
+                read(path)
+
+
+def test_steps_that_are_gone_or_a_link_are_named(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write()
+    steps = path.with_name(STEPS_FILE)
+    steps.rename(tmp_path / "elsewhere.parquet")
+    assert read_episodes([path]).num_rows == 3
+    with pytest.raises(StoreError, match=r"steps\.parquet does not exist"):
+        read_steps(path)
+    steps.symlink_to(tmp_path / "elsewhere.parquet")
+    for read in (read_steps, read_times, lambda path: same_rows(path, path)):
+        with pytest.raises(StoreError, match=r"steps\.parquet is no plain file"):
+            read(path)
+
+
+def test_the_file_of_a_version_before_is_taken_only_where_there_is_no_other(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write()
+    former = write_former(path, tmp_path / "former")
+    assert (cell_file(path.parent), cell_file(former.parent)) == (path, former)
+    assert cell_file(write_former(path, path.parent).parent) == path
+    assert cell_file(tmp_path / "nowhere") == tmp_path / "nowhere" / EPISODES_FILE
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"not a table at all, only text"])
 def test_not_parquet(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "cell.parquet"
+    path = tmp_path / EPISODES_FILE
     path.write_bytes(content)
-    with pytest.raises(StoreError, match=r"cell\.parquet is damaged"):
+    with pytest.raises(StoreError, match=r"episodes\.parquet is damaged"):
         read_episodes([path])
 
 
-def test_a_flipped_bit_never_becomes_a_number(write: Callable[..., Path]) -> None:
-    whole, path = write("whole.parquet"), write("hit.parquet")
+@pytest.mark.parametrize("file", [EPISODES_FILE, STEPS_FILE])
+def test_a_flipped_bit_never_becomes_a_number(write: Callable[..., Path], file: str) -> None:
+    whole, hit = write("whole"), write("hit")
+    path = hit.with_name(file)
     content = path.read_bytes()
     footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")  # has no checksum; the pages before it have
     noticed = 0
     for place in range(0, footer, 13):
         path.write_bytes(content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :])
         try:
-            assert same_rows(path, whole)
+            assert same_rows(hit, whole)
         except StoreError:
             noticed += 1
     assert noticed > 100
@@ -158,9 +215,9 @@ def test_missing_file(tmp_path: Path) -> None:
 
 
 def test_newer_version_is_refused(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"3"}))
+    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"4"}))
     path = write()
-    with pytest.raises(StoreError, match="table version 3, this wasp reads up to 2") as caught:
+    with pytest.raises(StoreError, match="table version 4, this wasp reads up to 3") as caught:
         read_episodes([path])
     assert caught.value.hint is not None
     assert "upgrade" in caught.value.hint
@@ -180,34 +237,42 @@ def test_no_partial_file(write: Callable[..., Path], tmp_path: Path, monkeypatch
     monkeypatch.setattr("wasp_cli.store.parquet.pq.write_table", fail)
     with pytest.raises(StoreError, match="No space left on device"):
         write()
-    assert not (tmp_path / "cell.parquet").exists()
+    assert not list((tmp_path / "cell").iterdir())
 
 
 def test_lengths_must_agree(tmp_path: Path) -> None:
     trajectory = invent(0, 3)
     with pytest.raises(ValueError, match="1 trajectories, 0 rows"):
-        write_cell(tmp_path / "x.parquet", CELL, [trajectory], [], Thresholds(), [np.ones(3)], [0])
+        write_cell(tmp_path, CELL, [trajectory], [], Thresholds(), [np.ones(3)], [0])
 
 
-def test_duckdb_unnests_the_steps(write: Callable[..., Path]) -> None:
-    import duckdb
+@pytest.mark.parametrize("reader", ["duckdb", "pyarrow", "pandas"])
+def test_other_readers_see_all_cells_as_one_table(write: Callable[..., Path], tmp_path: Path, reader: str) -> None:
+    for seed in range(3):
+        write(str(seed), CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed), seed)
+    for file, count in ((EPISODES_FILE, 9), (STEPS_FILE, 45)):
+        paths = [str(path) for path in sorted(tmp_path.glob(f"*/{file}"))]
+        if reader == "duckdb":
+            import duckdb
 
-    found = duckdb.sql(f"select episode, unnest(steps, recursive := true) from '{write()}'").fetchall()
-    assert len(found) == 15
+            found = duckdb.sql(f"select seed, count(*) from '{tmp_path}/*/{file}' where method = 'ida' group by seed").fetchall()
+            assert sorted(found) == [(seed, count // 3) for seed in range(3)]
+        elif reader == "pyarrow":
+            assert pq.read_table(paths).num_rows == count
+        else:
+            assert len(pytest.importorskip("pandas").read_parquet(paths)) == count
 
 
-def test_a_table_of_the_first_version_reads_with_nulls(write: Callable[..., Path], tmp_path: Path) -> None:
-    """Version 1 had `safe` as one number, `case2_share`, and nothing else of a plan."""
-    whole = pq.read_table(write())
-    steps = whole["steps"].combine_chunks()
-    flat = steps.flatten()
-    kept = {field.name: flat.field(field.name) for field in STEP if field.name not in (*PLANNED, "g_return")}
-    kept |= {"safe": pa.array([3] * len(flat), pa.int16()), "case2_share": pa.array([0.5] * len(flat), pa.float32())}
-    old = pa.ListArray.from_arrays(steps.offsets, pa.StructArray.from_arrays(list(kept.values()), names=list(kept)))
-    table = whole.set_column(whole.schema.get_field_index("steps"), "steps", old).replace_schema_metadata({VERSION_KEY: b"1"})
-    path = tmp_path / "old.parquet"
-    pq.write_table(table, path)
-    assert read_episodes([path]).num_rows == 3
-    again = read_steps(path)
-    assert again["reward"].equals(read_steps(write("new.parquet"))["reward"])
-    assert all(again[name].null_count == again.num_rows for name in (*PLANNED, "g_return"))
+@pytest.mark.parametrize("version", [1, 2])
+def test_tables_of_earlier_versions_are_read(write: Callable[..., Path], tmp_path: Path, version: int) -> None:
+    path = write()
+    former = write_former(path, tmp_path / "former", version)
+    assert (read_version(former), read_version(path)) == (version, 3)
+    assert read_episodes([former]).equals(read_episodes([path]))
+    numbers = read_numbers(former, ("return",))
+    assert (numbers is None) == (version == 1)
+    assert same_rows(former, path) == (version == 2)
+    if version == 1:
+        again = read_steps(former)
+        assert again["reward"].equals(read_steps(path)["reward"])
+        assert all(again[name].null_count == again.num_rows for name in (*PLANNED, "g_return"))

@@ -13,7 +13,7 @@ from tests.commands import run_here
 from tests.store.attacks import ATTACKS
 from tests.store.attacks_on_pictures import SCRIPT
 from tests.store.untrusted import LABEL, UntrustedStore
-from wasp_cli.store.tables import CELL_FILE
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
 
 SECRET = "the-secret-of-the-reader"
 COMMANDS: tuple[tuple[str, ...], ...] = (
@@ -42,7 +42,7 @@ def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """What belongs to the reader, and a module that tells when it is imported."""
     folder = tmp_path / "outside"
     (folder / "inner").mkdir(parents=True)
-    for name in ("secret.json", "inner/secret.json", "manifest.json", "report.md", CELL_FILE):
+    for name in ("secret.json", "inner/secret.json", "manifest.json", "report.md", EPISODES_FILE, STEPS_FILE):
         (folder / name).write_text(json.dumps({"label": SECRET, "message": SECRET, "spec": SECRET}))
     (folder / "evil_module.py").write_text(f"open({str(folder / 'imported')!r}, 'w').close()\n")
     monkeypatch.syspath_prepend(str(folder))

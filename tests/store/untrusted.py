@@ -9,8 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tests.report.invented import invent
-from tests.report.invented import write as write_cell
+from tests.report.invented import invent, write_rows
 from tests.run.recorded import at
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
@@ -18,7 +17,7 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.spec.model import validate
 from wasp_cli.store.artifact import commit, staging_folder, write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity
 
 RUN = "20260501-120000-tiny-0000"
 LABEL = "goal1 s0 human noisy=0.2"
@@ -48,7 +47,7 @@ class UntrustedStore:
             staging = staging_folder(self.layout, each.key)
             if each.kind == "evaluate":
                 identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
-                write_cell(staging, identity, [invent(0, 3, 0.2, 0.1)]).path.rename(staging / CELL_FILE)
+                write_rows(staging, identity, [invent(0, 3, 0.2, 0.1)])
             commit(self.layout, each.kind, each.key, staging, manifest_of(each.kind, each.key, each.label, upstream_of(each)))
         self.layout.log(RUN, LABEL, self.key).write_text("log\n")
 
@@ -82,9 +81,9 @@ class UntrustedStore:
         expert = next(node["key"] for node in self.nodes() if node["kind"] == "expert")
         write_record(self.layout.failure(expert), {"kind": "expert", "label": "goal1 s0 expert", "message": "x", **facts})
 
-    def rows(self, **columns: Any) -> None:
-        """Rewrite the table of the cell with other columns."""
-        path = self.artifact / CELL_FILE
+    def rows(self, file: str = EPISODES_FILE, **columns: Any) -> None:
+        """Rewrite a table of the cell with other columns."""
+        path = self.artifact / file
         table = pq.read_table(path)
         for name, values in columns.items():
             index = table.schema.get_field_index(name)
@@ -101,8 +100,9 @@ class UntrustedStore:
 
     def steps(self, **numbers: Any) -> None:
         """Rewrite fields of every decision of the cell."""
-        steps = pq.read_table(self.artifact / CELL_FILE)["steps"]
-        self.rows(steps=pa.array([[step | numbers for step in episode] for episode in steps.to_pylist()], steps.type))
+        table = pq.read_table(self.artifact / STEPS_FILE)
+        columns = {name: pa.array([value] * table.num_rows, table.schema.field(name).type) for name, value in numbers.items()}
+        self.rows(STEPS_FILE, **columns)
 
 
 def upstream_of(node: Node) -> dict[str, tuple[str, str]]:

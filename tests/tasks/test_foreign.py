@@ -127,6 +127,26 @@ def test_several_cost_sources_are_counted_one_by_one() -> None:
     assert (step.cost_env[0], step.sources["wet"][0], step.sources["cold"][0]) == (3, 3, 2)
 
 
+@pytest.mark.parametrize(
+    ("costs", "sources"),
+    [
+        ({"cost_sum": 1.0, "cost_wet": 1.0, "cost_cold": 0.0}, ("wet", "cold")),  # as in Safety-Gymnasium
+        ({"cost_sum": 1.0}, ("cost",)),
+        ({"cost_limit": 25.0}, ("cost",)),  # a number like another
+    ],
+)
+def test_costs_may_be_told_flat(costs: dict[str, float], sources: tuple[str, ...]) -> None:
+    class Flat(Lights):
+        def info(self):
+            return {"cost": 1.0, **costs}
+
+    task = GymTask(registered(Flat), 1)
+    task.reset([0])
+    step = task.step(np.zeros((1, 2)))
+    assert task.cost_sources == sources
+    assert {name: int(count[0]) for name, count in step.sources.items()} == {name: 4 * (name != "cold") for name in sources}
+
+
 # -- observations -----------------------------------------------------------------------------------------------------------------------
 
 BOX = gymnasium.spaces.Box

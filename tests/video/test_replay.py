@@ -204,8 +204,9 @@ def test_wrong_usage_ends_with_2_before_anything_is_played(
 
 
 def test_a_cell_without_a_manifest_says_what_is_missing(results: Path, tmp_path: Path) -> None:
-    shutil.copy(results / "store" / "evaluate" / CELL / "cell.parquet", tmp_path / "cell.parquet")
-    done = replayed(results, tmp_path / "cell.parquet", "-e", "0", "-o", tmp_path / "a.gif")
+    for name in ("episodes.parquet", "steps.parquet"):
+        shutil.copy(results / "store" / "evaluate" / CELL / name, tmp_path / name)
+    done = replayed(results, tmp_path / "episodes.parquet", "-e", "0", "-o", tmp_path / "a.gif")
     assert done.exit_code == 2
     assert "does not say how it was evaluated" in done.stderr
     assert "--results" in done.stderr

@@ -66,6 +66,28 @@ def planner(
         say(*notes(name, bench))
 
 
+@bench_app.command(epilog="[bold]wasp bench times results/ > wasp_cli/plan/times.json[/]\n\nCompute the results on an idle machine first.")
+@expected_errors
+def times(folders: Annotated[list[Path], argument(metavar="DIR...", help="Results folders that this machine computed.")]) -> None:
+    """Print what nodes took in results folders, as `wasp plan` estimates from it."""
+    from wasp_cli.plan.recorded import planned_runs
+    from wasp_cli.plan.times import figures_of
+    from wasp_cli.run.record import read_run, results_of
+    from wasp_cli.store.artifact import exists, read_manifest
+
+    found = {}
+    for folder in folders:
+        layout = results_of(folder)
+        for run in planned_runs(layout):
+            preset = read_run(layout, run.run_id).spec.preset
+            for node in run.nodes.values():
+                if exists(layout, node.kind, node.key):
+                    manifest = read_manifest(layout, node.kind, node.key)
+                    if manifest["provenance"].get("run") == run.run_id:
+                        found[node.key] = (preset, manifest)
+    print_json(figures_of(found.values()))
+
+
 @bench_app.command("ceiling", hidden=True)  # the name of earlier versions
 @bench_app.command(
     epilog="[bold]wasp bench oracle specs/quickstart.yaml --operator laggy=0.7[/]   ·   "

@@ -56,6 +56,56 @@ def status(folder: ResultsArgument = Path("results"), run: RunOption = None, jso
         show_status(states, out())
 
 
+@inspect_app.command(rich_help_panel=NODES, epilog="[bold]wasp pause[/]   ·   [bold]wasp pause results --run 1a2b[/]")
+@expected_errors
+def pause(folder: ResultsArgument = Path("results"), run: RunOption = None) -> None:
+    """Let active runs begin nothing new. Running nodes finish; wasp resume goes on."""
+    from wasp_cli.console import say
+    from wasp_cli.plan.recorded import planned_runs
+    from wasp_cli.run import control
+    from wasp_cli.run.record import results_of
+
+    layout = results_of(folder)
+    for each in control.live_runs(layout, planned_runs(layout), run):
+        control.pause(layout, each)
+        say(f"{each.spec}: paused; running nodes finish (run {each.run_id})")
+
+
+@inspect_app.command(rich_help_panel=NODES, epilog="[bold]wasp resume[/]   ·   [bold]wasp resume results --run 1a2b[/]")
+@expected_errors
+def resume(folder: ResultsArgument = Path("results"), run: RunOption = None) -> None:
+    """Let paused runs go on. A run that is over is continued by wasp run."""
+    from wasp_cli.console import say
+    from wasp_cli.plan.recorded import planned_runs
+    from wasp_cli.run import control
+    from wasp_cli.run.record import results_of
+
+    layout = results_of(folder)
+    for each in control.live_runs(layout, planned_runs(layout), run):
+        was = control.resume(layout, each)
+        say(f"{each.spec}: {'goes on' if was else 'was not paused'} (run {each.run_id})")
+
+
+@inspect_app.command(
+    rich_help_panel=NODES,
+    epilog="[bold]wasp cancel 'goal1 s0 world_model'[/]   ·   [bold]wasp cancel 611a4993[/]\n\n"
+    "Exit codes: 0 done, 1 the results cannot be read, 2 no such node runs or waits.",
+)
+@expected_errors
+def cancel(node: NodeArgument, run: RunOption = None, results: ResultsOption = Path("results")) -> None:
+    """Take a node back from an active run, and what needs it. Everything else goes on; the next run computes it."""
+    from wasp_cli.console import say
+    from wasp_cli.plan.recorded import planned_runs
+    from wasp_cli.run import control
+    from wasp_cli.run.record import results_of
+
+    layout = results_of(results)
+    for taken in control.cancel(layout, control.live_runs(layout, planned_runs(layout), run), node):
+        count = len(taken.dependents)
+        also = f", and {count} that {'need' if count > 1 else 'needs'} it" if count else ""
+        say(f"{taken.node.label} is taken back{also} (run {taken.run.run_id})")
+
+
 @inspect_app.command(
     rich_help_panel=NODES,
     epilog="[bold]wasp logs 'goal1 s0 world_model'[/]   ·   [bold]tail -f $(wasp logs 611a4993 --path)[/]\n\n"

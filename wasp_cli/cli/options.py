@@ -47,7 +47,7 @@ ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=
 ResultsArgument = Annotated[Path, typer.Argument(metavar="DIR", parser=parse_folder, help="The results folder.")]
 NodeArgument = Annotated[str, argument(metavar="NODE", help="A label ('goal1 s0 world_model'), or the beginning of a key.")]
 StoredCellArgument = Annotated[
-    str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or a cell.parquet.")
+    str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
 ]
 EpisodeOption = Annotated[int, option("--episode", "-e", metavar="E", help="The episode, counted from 0.")]
 TaskOption = Annotated[
@@ -72,6 +72,10 @@ SetOption = Annotated[
     list[str] | None,
     option("--set", metavar="KEY=VALUE", help="Override a value of the spec (repeatable).", autocompletion=complete.settings),
 ]
+LimitOption = Annotated[
+    int | None,
+    option("--limit", min=1, metavar="N", help="Only the first N episodes of each cell: a look before the whole, which computes the rest."),
+]
 SelectOption = Annotated[
     list[str] | None,
     option(
@@ -88,6 +92,7 @@ ReuseOption = Annotated[
         help="Published results to use instead of computing: none, results/published, or a folder. (default: what the spec says)",
     ),
 ]
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")]
 FailedOption = Annotated[bool, typer.Option("--failed", help="Only nodes that failed before, and nodes that wait for them.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 

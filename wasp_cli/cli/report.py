@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -59,7 +60,15 @@ def report(
             try:
                 recorded = read_run(layout, run_id)
                 shown = show_report(
-                    layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, claimed, films=films, trained=trained
+                    layout,
+                    recorded.spec,
+                    recorded.cells,
+                    recorded.parts,
+                    recorded.branched,
+                    claimed,
+                    recorded.unknown,
+                    films=films,
+                    trained=trained,
                 )
                 damaged += shown.damaged
                 gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
@@ -81,6 +90,7 @@ def show_report(
     parts: list[tuple[Part, str]],
     branched: list[tuple[Cell, str]],
     paper: Paper,
+    unknown: Sequence[str] = (),
     *,
     films: bool = False,
     trained: bool = False,
@@ -94,13 +104,14 @@ def show_report(
         parts: its trained parts, each with its key.
         branched: the cells whose interventions were tested, each with the key of its branches.
         paper: numbers and claims to compare with.
+        unknown: what the record of the run has that this version does not know.
         films: whether the HTML report has films of episodes.
         trained: whether each trained part is drawn.
     """
     from wasp_cli.console import err, out, say
     from wasp_cli.report.summarize import report_run
 
-    report = report_run(layout.root, spec, cells, parts, paper, branched)
+    report = report_run(layout.root, spec, cells, parts, paper, branched, unknown)
     # Written first: a terminal that goes away costs no file.
     with err().status("report") as status:
         draw = _film_drawing() if films else None

@@ -11,9 +11,11 @@ import typer
 from wasp_cli.cli import completion as complete
 from wasp_cli.cli.options import (
     BackendOption,
+    DryRunOption,
     FailedOption,
     JobsOption,
     JsonOption,
+    LimitOption,
     ResultsOption,
     RetriesOption,
     ReuseOption,
@@ -53,9 +55,13 @@ def run(
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
     select: SelectOption = None,
+    limit: LimitOption = None,
     failed: FailedOption = False,
     reuse: ReuseOption = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")] = False,
+    dry_run: DryRunOption = False,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="Go on without this terminal. One line of JSON says where; wasp status shows progress.")
+    ] = False,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
     backend: BackendOption = "loky",
@@ -67,13 +73,15 @@ def run(
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C lets running nodes finish, the
     second stops at once. Finished nodes are kept either way.
     """
-    from wasp_cli.run.session import Selection, restricted
+    from wasp_cli.run.session import Selection, limited, restricted
     from wasp_cli.spec.load import load
 
-    loaded, selection = restricted(load(spec, set_ or ()), task), Selection(select or (), failed)
+    loaded, selection = limited(restricted(load(spec, set_ or ()), task), limit), Selection(select or (), failed)
     options = run_options(jobs, timeout, retries, backend, scheduler)
     if dry_run:
         show_plan(loaded.spec, results, selection, options.jobs, reuse)
+    elif detach:
+        run_detached()
     else:
         run_and_report(loaded, results, options, selection, reuse)
 
@@ -88,6 +96,7 @@ def plan(
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
     select: SelectOption = None,
+    limit: LimitOption = None,
     failed: FailedOption = False,
     reuse: ReuseOption = None,
     every: Annotated[bool, typer.Option("--all", help="List every node with its state and reason.")] = False,
@@ -95,10 +104,10 @@ def plan(
     json: JsonOption = False,
 ) -> None:
     """Show what a run would compute, why, and for how long."""
-    from wasp_cli.run.session import Selection, cores, restricted
+    from wasp_cli.run.session import Selection, cores, limited, restricted
     from wasp_cli.spec.load import load
 
-    loaded = restricted(load(spec, set_ or ()), task)
+    loaded = limited(restricted(load(spec, set_ or ()), task), limit)
     show_plan(loaded.spec, results, Selection(select or (), failed), cores() if jobs is None else jobs, reuse, every=every, json=json)
 
 
@@ -120,6 +129,7 @@ def ablate(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     reuse: ReuseOption = None,
+    dry_run: DryRunOption = False,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
     backend: BackendOption = "loky",
@@ -128,12 +138,16 @@ def ablate(
 ) -> None:
     """Compare a method with one of its ablations.
 
-    Operators, seeds and episodes are those of the spec. With many of them this takes long: --set changes them.
+    Operators, seeds and episodes are those of the spec. With many of them this takes long: --dry-run says how long, --set changes them.
     """
+    from wasp_cli.run.session import WHOLE
     from wasp_cli.spec.derived import ablation
 
     options = run_options(jobs, timeout, retries, backend, scheduler)
-    run_and_report(ablation(spec, variant, task, preset, set_ or ()), results, options, reuse=reuse)
+    loaded = ablation(spec, variant, task, preset, set_ or ())
+    show_plan(loaded.spec, results, WHOLE, options.jobs, reuse, aside=not dry_run)
+    if not dry_run:
+        run_and_report(loaded, results, options, reuse=reuse)
 
 
 @run_app.command(
@@ -263,10 +277,18 @@ def run_options(jobs: int | None, timeout: float | None, retries: int, backend: 
 
 
 def show_plan(
-    spec: Spec, results: Path, selection: Selection, jobs: int, reuse: str | None, *, every: bool = False, json: bool = False
+    spec: Spec,
+    results: Path,
+    selection: Selection,
+    jobs: int,
+    reuse: str | None,
+    *,
+    every: bool = False,
+    json: bool = False,
+    aside: bool = False,
 ) -> None:
-    """Print the plan of a spec against a results folder."""
-    from wasp_cli.console import out
+    """Print the plan of a spec against a results folder; `aside`, to stderr, where the run itself follows."""
+    from wasp_cli.console import err, out
     from wasp_cli.plan.plan import plan_against
     from wasp_cli.plan.reuse import lay_out_over
     from wasp_cli.plan.select import select
@@ -279,7 +301,21 @@ def show_plan(
     if json:
         print_json({"spec": spec.name, **laid_out.as_json()})
     else:
-        show(laid_out, out(), max(jobs, 1), every=every)
+        show(laid_out, err() if aside else out(), max(jobs, 1), every=every)
+
+
+def run_detached() -> None:
+    """Start this command again without a terminal, and print where its run is."""
+    import json
+    import sys
+
+    from wasp_cli.run.detach import detached
+
+    said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
+    if said is None:
+        sys.stderr.write(printed)
+        raise typer.Exit(code or 1)
+    print(json.dumps(said))
 
 
 def run_and_report(

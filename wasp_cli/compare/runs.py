@@ -8,7 +8,6 @@ Causes are found from the manifests alone, which may be untrusted; nothing is im
 
 from __future__ import annotations
 
-import filecmp
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -141,8 +140,7 @@ def _cell(identity: CellIdentity, first: _Read, second: _Read, causes: Causes) -
     if not reasons:
         try:
             with odd_tables_refused(paths[0]), odd_tables_refused(paths[1]):
-                # Copies are the common case, and comparing bytes is cheaper than comparing rows.
-                same = filecmp.cmp(*paths, shallow=False) or same_rows(*paths)
+                same = same_rows(*paths)
         except (StoreError, OSError) as error:
             reasons = [str(error)]
     if reasons:

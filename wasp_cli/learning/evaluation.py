@@ -15,6 +15,17 @@ from wasp_cli.metrics.episode import Plans, Trajectory
 Array = NDArray[Any]
 
 
+def batches(begin: int, episodes: int, size: int) -> list[range]:
+    """Return which episodes of a cell meet side by side: `size` at a time, the last batch with what is left.
+
+    Args:
+        begin: how many are there already, in whole batches.
+        episodes: of the cell.
+        size: of a batch.
+    """
+    return [range(first, min(first + size, episodes)) for first in range(begin, episodes, size)]
+
+
 def trajectories(loop: Loop) -> tuple[list[Trajectory], list[Array]]:
     """Return one trajectory and the decision times [T] in milliseconds of each episode, without the rows after its end."""
     batch = loop.alive.shape[1]

@@ -5,7 +5,7 @@
         task.snapshot(), operator.snapshot()  # the state in which it was made, after the operator's command
 
 A task gives the same for the same actions, the filter draws nothing, and what an operator draws depends on the episode and the decision
-alone, so that the executed actions bring every state back. All episodes of a cell run side by side as they were evaluated, since the
+alone, so that the executed actions bring every state back. The episodes of a batch run side by side as they were evaluated, since the
 products of matrices may round by their number of rows. T_e = decisions of episode e, B = episodes, A = action size.
 """
 
@@ -38,6 +38,11 @@ class Recorded(NamedTuple):
     """[T_e, A] per episode: executed actions"""
     reward: Sequence[Floats32]
     """[T_e] per episode"""
+
+    def of(self, episodes: range) -> Recorded:
+        """Return what brings some of the episodes back, which were evaluated side by side."""
+        part = slice(episodes.start, episodes.stop)
+        return Recorded(self.layouts[part], self.a_h[part], self.a[part], self.reward[part])
 
 
 class Moment(NamedTuple):

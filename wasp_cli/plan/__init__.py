@@ -1,1 +1,1 @@
-"""A model to what has to be done: cells, nodes, keys, waves. Pure; imports no torch."""
+"""A model to what has to be done: cells, nodes, keys, schedule. Pure; imports no torch."""

@@ -51,6 +51,8 @@ class Grid:
     """Published results that cannot be used, each with the reason."""
     branched: tuple[tuple[Cell, Node], ...] = ()
     """The cells whose interventions are to be judged, each with the node of its counterfactual branches."""
+    preset: str = "cpu"
+    """Of the spec: for estimates, and in no key."""
 
     @property
     def targets(self) -> frozenset[str]:
@@ -91,7 +93,7 @@ def _lay_out(spec: Spec, builder: _Builder) -> Grid:
     branched = tuple([(cell, builder.branches(cell, node)) for cell, node in judged])
     nodes = with_upstream([*(node for _, node in cells), *named, *(node for _, node in branched)])
     points = len(spec.tasks) * len(spec.seeds) * per_seed
-    return Grid(cells, tuple(nodes), named, points, builder.recipes, branched=branched)
+    return Grid(cells, tuple(nodes), named, points, builder.recipes, branched=branched, preset=spec.preset)
 
 
 @contextmanager
@@ -121,6 +123,7 @@ def together(grids: Sequence[Grid]) -> Grid:
         {key: reused for grid in grids for key, reused in grid.reused.items()},
         tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
         tuple(branched.values()),
+        grids[0].preset if grids else "cpu",
     )
 
 

@@ -1,4 +1,4 @@
-"""What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and the waves in which nodes can run."""
+"""What a plan is made of: cells of the grid, trained parts, the nodes that compute both, and the levels on which nodes stand."""
 
 from __future__ import annotations
 
@@ -114,21 +114,21 @@ def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, 
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def waves(nodes: Iterable[Node]) -> list[list[Node]]:
+def levels(nodes: Iterable[Node]) -> list[list[Node]]:
     """Split nodes into levels, so that what a node needs lies in an earlier one. Stable: within a level, input order stays.
 
     Only needs among `nodes` count: what is already computed is left out by the caller, and moves its dependents forward.
     """
     members = {node.key: node for node in nodes}
-    levels: dict[str, int] = {}
+    known: dict[str, int] = {}
 
     def place(node: Node) -> int:
         level = 0
         for needed in node.needs.values():
             if needed.key in members:
-                known = levels.get(needed.key)
-                level = max(level, 1 + (place(members[needed.key]) if known is None else known))
-        levels[node.key] = level
+                below = known.get(needed.key)
+                level = max(level, 1 + (place(members[needed.key]) if below is None else below))
+        known[node.key] = level
         return level
 
     result: list[list[Node]] = []

@@ -10,8 +10,10 @@ from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import Grid, uncollected
-from wasp_cli.plan.node import Cell, Node, Part, waves
+from wasp_cli.plan.node import Cell, Node, Part, levels
 from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
+from wasp_cli.plan.schedule import simulated
+from wasp_cli.plan.times import estimated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.index import scan
 from wasp_cli.store.layout import Layout
@@ -42,9 +44,13 @@ class Plan:
     grid: Grid
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """Median time of each sort of node, where the store has some."""
+    """Median time of each sort of node, where the store has some, else an estimate."""
     wanted: frozenset[str] | None = None
     """Keys of the targets that were selected; None when all are wanted."""
+    begun: Mapping[str, str] = field(default_factory=dict)
+    """Keys of cells of which the store has the first episodes, each with the key of the cell that has them."""
+    guessed: frozenset[str] = frozenset()
+    """The sorts whose time is an estimate from figures of another machine."""
 
     def to_run(self) -> list[Node]:
         """Return the nodes that a run computes, needed ones first."""
@@ -59,17 +65,15 @@ class Plan:
         found: dict[str, Counter[State]] = {}
         for step in self.steps:
             found.setdefault(step.node.kind, Counter())[step.state] += 1
-        order = dict.fromkeys(node.kind for wave in waves(step.node for step in self.steps) for node in wave)
+        order = dict.fromkeys(node.kind for level in levels(step.node for step in self.steps) for node in level)
         return {kind: found[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
-        """Return the seconds for the nodes that are to run, and how many of them have no measured time."""
-        total, unknown = 0.0, 0
-        for wave in waves(self.to_run()):
-            known = [self.seconds[node.sort] for node in wave if node.sort in self.seconds]
-            unknown += len(wave) - len(known)
-            total += max(sum(known) / workers, max(known, default=0.0))
-        return total, unknown
+        """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
+        nodes = self.to_run()
+        known = {node.key: self.seconds.get(node.sort) for node in nodes}
+        total, _ = simulated(nodes, {key: seconds or 0.0 for key, seconds in known.items()}, workers)
+        return total, sum(seconds is None for seconds in known.values())
 
     def critical_path(self) -> tuple[float, list[Node]]:
         """Return the chain of nodes that takes longest, each waiting for the one before: no number of workers is faster."""
@@ -206,7 +210,15 @@ def plan_against(
         if failed_only:
             wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
         reasons = Reasons(layout, index, kinds)
-        return make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
+        plan = make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
+        begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
+        guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset)
+        return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
+
+
+def _may_begin(step: Step) -> bool:
+    """Whether a cell is to run of which another version is there."""
+    return step.runs and step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")
 
 
 def _touched_by(failures: Container[str], grid: Grid, wanted: Iterable[str]) -> frozenset[str]:

@@ -19,7 +19,7 @@ from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.index import ArtifactIndex, Entry
 from wasp_cli.store.layout import Layout
 
-VERSION = 1
+VERSION = 2
 """Raised when `facts_of` changes."""
 
 
@@ -36,7 +36,8 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "who": who(str(manifest["kind"]), str(manifest["task"]), int(manifest["seed"]), axes),
         "sort": sort_of(manifest["kind"], manifest["task"], manifest["config"], axes),
         "signature": _digest([*differing, axes.get("method_config"), provenance.get("versions")]),
-        "seconds": float(provenance["seconds"]),
+        # What took rows over says nothing of how long its like takes.
+        **({} if "earlier" in provenance else {"seconds": float(provenance["seconds"])}),
         "at": str(provenance.get("started_at", "")),
     }
 
@@ -102,6 +103,19 @@ class Reasons:
         found = [difference for key, entry in candidates if (difference := self._difference(node, key, entry)) is not None]
         return min(found, key=lambda item: item[0])[1] if found else None
 
+    def beginning(self, node: Node) -> str | None:
+        """Return the key of the stored cell with which this one begins: it has fewer episodes, and nothing else is different."""
+        found = [(episodes, key) for key, _ in self._versions().get(who_is(node), []) if (episodes := self._begun(node, key))]
+        return max(found)[1] if found else None
+
+    def _begun(self, node: Node, key: str) -> int:
+        """The episodes of a stored cell, where this one begins with them; else 0."""
+        try:
+            manifest = read_manifest(self._layout, node.kind, key)
+            return _episodes_of_beginning(node, manifest)
+        except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
+            return 0
+
     def _difference(self, node: Node, key: str, entry: Entry) -> tuple[int, str] | None:
         method = node.axes.get("method_config")
         # Identity is enough: the grid builds each of these once.
@@ -112,6 +126,18 @@ class Reasons:
             except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
                 return None
         return self._known[pair]
+
+
+def _episodes_of_beginning(node: Node, manifest: Mapping[str, Any]) -> int:
+    episodes = manifest["config"]["episodes"]
+    upstream = {name: needed.key for name, needed in node.needs.items()}
+    same = (
+        0 < episodes < node.config["episodes"]
+        and canonical({**manifest["config"], "episodes": 0}) == canonical({**node.config, "episodes": 0})
+        and canonical([manifest[name] for name in ("settings", "axes", "upstream")]) == canonical([node.settings, node.axes, upstream])
+        and not moved_on(node, manifest)
+    )
+    return int(episodes) if same else 0
 
 
 def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:

@@ -88,13 +88,18 @@ def _time(plan: Plan, workers: int) -> list[str]:
         return ["nothing to run"]
     seconds, unknown = plan.estimate(workers)
     if not seconds:
-        return ["no time estimate: no node of these sizes has been measured yet"]
+        return ["no time estimate: neither here nor elsewhere was a node like these measured"]
     rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
     longest, path = plan.critical_path()
     names = [node.label for node in path]
     if len(names) > SHOWN:
         names[SHOWN // 2 : -SHOWN // 2] = ["..."]
+    guessed = sum(node.sort in plan.guessed for node in plan.to_run())
+    if plan.begun:
+        count = len(plan.begun)
+        rest += f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there and are taken over"
+    source = f"; for {guessed} nodes an estimate, from another machine's times and the speed of this one" if guessed else ""
     return [
-        f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}",
+        f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",
         f"critical path {duration(longest)}: {' > '.join(names)}",
     ]

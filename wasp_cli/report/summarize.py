@@ -31,7 +31,7 @@ from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CELL_FILE, CellIdentity
+from wasp_cli.store.tables import CellIdentity, cell_file
 
 
 def report_run(
@@ -41,6 +41,7 @@ def report_run(
     parts: Sequence[tuple[Part, str]] = (),
     paper: Paper | None = None,
     branched: Sequence[tuple[Cell, str]] = (),
+    unknown: Sequence[str] = (),
 ) -> Report:
     """Summarise the cells and the trained parts of a run.
 
@@ -51,11 +52,12 @@ def report_run(
         parts: what it trains, each with the key of its artifact.
         paper: whose numbers and claims the cells are held against; None: against none.
         branched: the cells whose interventions are judged, each with the key of its counterfactual branches.
+        unknown: what the record of the run has that this version does not know.
     """
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = with_branches(read_frame(wanted), wanted)
+    frame = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
     roots = [
         *(("evaluate", key) for _, key in cells),
         *((COUNTERFACTUAL, key) for _, key in branched),
@@ -94,7 +96,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*_facts(spec, frame), *published, *damaged),
+        facts=(*_facts(spec, frame), *published, *unknown, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
@@ -115,6 +117,14 @@ def _severity_check(spec: Spec, frame: Frame) -> Table | None:
     return judged(check_table(checks, frame), checks)
 
 
+def _kept(layout: Layout, spec: str) -> Path | None:
+    """Where the rows of large grids are kept; None where that would be somewhere else."""
+    try:
+        return layout.within(layout.rows(spec))
+    except StoreError:
+        return None
+
+
 def wanted_cells(
     layout: Layout, spec: Spec, cells: Sequence[tuple[Cell, str]], branched: Sequence[tuple[Cell, str]] = ()
 ) -> tuple[list[Wanted], list[str]]:
@@ -129,8 +139,9 @@ def wanted_cells(
     damaged: list[str] = []
     failed, blocked = _failed(layout), _blocked(layout, spec, damaged)
 
-    def wanted(cell: Cell, key: str, kind: str, file: str, branches: Wanted | None = None) -> Wanted:
-        path, refused = layout.artifact(kind, key) / file, None
+    def wanted(cell: Cell, key: str, kind: str, branches: Wanted | None = None) -> Wanted:
+        folder, refused = layout.artifact(kind, key), None
+        path = cell_file(folder) if kind == KIND else folder / BRANCHES_FILE
         try:
             layout.within(path)
         except StoreError as error:
@@ -139,8 +150,8 @@ def wanted_cells(
         label = str(cell) if kind == KIND else f"{kind} of {cell}"
         return Wanted(identity_of(cell), label, path, cell.severity, failure, blocked.get(key), refused, branches)
 
-    judged = {cell: wanted(cell, key, COUNTERFACTUAL, BRANCHES_FILE) for cell, key in branched}
-    return [wanted(cell, key, KIND, CELL_FILE, judged.get(cell)) for cell, key in cells], damaged
+    judged = {cell: wanted(cell, key, COUNTERFACTUAL) for cell, key in branched}
+    return [wanted(cell, key, KIND, judged.get(cell)) for cell, key in cells], damaged
 
 
 def _failed(layout: Layout) -> set[str]:

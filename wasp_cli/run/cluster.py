@@ -1,4 +1,7 @@
-"""Workers on other machines, through joblib's own backends: dask and ray. Only node_jobs travel, which are keys, paths and plain values.
+"""Workers on other machines: of a dask scheduler, of a ray cluster. Only jobs travel, which are keys, paths and plain values.
+
+Each node is a task of its own, as in joblib's backends for both: `joblib.Parallel` takes a list, and through ray it gives results when
+the last one is there.
 
 The results folder has to be seen by every machine under the same path, and every worker has to run the same source: a worker that does not
 refuses to publish. The machines' own schedulers decide where a node runs.
@@ -6,23 +9,18 @@ refuses to publish. The machines' own schedulers decide where a node runs.
 
 from __future__ import annotations
 
-import queue
 import re
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
-from dataclasses import asdict
 from importlib.util import find_spec
-from pathlib import Path
+from itertools import count
 from typing import Any
 
-from wasp_cli.errors import ArtifactError, UsageError, WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.worker import execute
-from wasp_cli.store.artifact import read_record, write_record
-from wasp_cli.store.layout import Layout
 
 CONNECT_SECONDS = 20
 CLOSE_SECONDS = 5
@@ -63,7 +61,7 @@ def execute_here(job: NodeJob) -> NodeResult:
 
 
 class DaskPool:
-    """The workers of a dask scheduler, through joblib's dask backend."""
+    """The workers of a dask scheduler, one task for each node."""
 
     name = "dask"
 
@@ -84,44 +82,47 @@ class DaskPool:
                 "a dask worker has several threads; nodes set threads, logs and memory of their whole process", "start it with --nthreads 1"
             )
         self.jobs = sum(threads.values())
+        self._pending: set[Future[NodeResult]] = set()
+        self._number = count()
+        self._closed = threading.Event()
+        threading.Thread(target=self._watch, daemon=True, name="dask-watch").start()
 
-    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
         from distributed import KilledWorker
 
-        # In a thread of its own: joblib waits for ever for a scheduler that is gone, and Ctrl-C has to come through.
-        sent: queue.SimpleQueue[NodeResult | Exception | None] = queue.SimpleQueue()
-        threading.Thread(target=self._send, args=(node_jobs, sent), daemon=True, name="dask-sender").start()
-        while True:
-            try:
-                found = sent.get(timeout=POLL_SECONDS)
-            except queue.Empty:
-                if self._client.status not in ("running", "connecting"):
-                    raise _lost(self.name, self._client.status) from None
-                continue
-            if found is None:
+        found: Future[NodeResult] = Future()
+        self._pending.add(found)
+
+        def told(ended: Any) -> None:
+            if found.done():  # the scheduler was given up meanwhile
                 return
-            if isinstance(found, KilledWorker):
-                raise WorkersDied(str(found)) from found
-            if isinstance(found, Exception):
-                raise _lost(self.name, f"{type(found).__name__}: {found}") from found
-            yield found
+            self._pending.discard(found)
+            error = ended.exception() if ended.status == "error" else None
+            if isinstance(error, KilledWorker):
+                found.set_exception(WorkersDied(str(error)))
+            elif error is not None or ended.status != "finished":
+                found.set_exception(_lost(self.name, f"{type(error).__name__}: {error}" if error else ended.status))
+            else:
+                found.set_result(ended.result())
 
-    def _send(self, node_jobs: Iterable[NodeJob], sent: queue.SimpleQueue[NodeResult | Exception | None]) -> None:
-        from joblib import Parallel, delayed, parallel_config
+        self._client.submit(execute_here, job, key=f"{job.run_id}-{job.key}-{next(self._number)}", pure=False).add_done_callback(told)
+        return found
 
-        try:
-            with parallel_config(backend="dask", client=self._client, pure=False):
-                parallel = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-                for result in parallel(delayed(execute_here)(job) for job in node_jobs):
-                    sent.put(result)
-            sent.put(None)
-        except Exception as error:  # whatever it is, it is told where results are waited for
-            sent.put(error)
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        return self.submit(job)
 
-    def alone(self, job: NodeJob) -> NodeResult:
-        return next(self.run([job]))
+    def _watch(self) -> None:
+        """Give up what is pending where the scheduler is gone: its futures would wait for ever."""
+        while not self._closed.wait(POLL_SECONDS):
+            if self._client.status in ("running", "connecting"):
+                continue
+            for found in list(self._pending):
+                self._pending.discard(found)
+                with suppress(InvalidStateError):
+                    found.set_exception(_lost(self.name, self._client.status))
 
     def close(self, *, kill: bool = False) -> None:
+        self._closed.set()
         with suppress(OSError, TimeoutError):
             self._client.close(timeout=CLOSE_SECONDS)
 
@@ -147,86 +148,39 @@ def _no_answer(backend: str, address: str, error: Exception) -> UsageError:
 
 
 class RayPool:
-    """The workers of a ray cluster, through joblib's ray backend.
-
-    That backend gives results when the last one is there; so workers leave each result in a file, as soon as there is one.
-    """
+    """The workers of a ray cluster, one task for each node."""
 
     name = "ray"
 
     def __init__(self, scheduler: str | None) -> None:
         import ray
-        from ray.util.joblib import register_ray
 
         try:
             ray.init(address=scheduler, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise _no_answer(self.name, str(scheduler), error) from error
-        register_ray()
         self._ray = ray
+        # The runner asks what a killed node did; ray would run it again by itself.
+        self._execute = ray.remote(num_cpus=1, max_retries=0)(execute_here)
         self.jobs = max(int(ray.cluster_resources().get("CPU", 1)), 1)
 
-    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
-        node_jobs = list(node_jobs)
-        if not node_jobs:
-            return
-        folder = _results(node_jobs[0])
-        folder.mkdir(exist_ok=True)
-        left = {job.key: job for job in node_jobs}
-        errors: list[Exception] = []
-        sender = threading.Thread(target=_reported(self._send, errors), args=(node_jobs,), daemon=True, name="ray-sender")
-        sender.start()
-        while left:
-            last = not sender.is_alive()  # asked first: what it left before its end is still read
-            for result in _taken(folder, left):
-                del left[result.key]
-                yield result
-            if last and left:
-                raise WorkersDied(str(errors[0]) if errors else "ray lost workers") from (errors[0] if errors else None)
-            time.sleep(POLL_SECONDS)
-        sender.join()
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        found: Future[NodeResult] = Future()
 
-    def _send(self, node_jobs: list[NodeJob]) -> None:
-        from joblib import Parallel, delayed, parallel_config
+        def told(ended: Future[NodeResult]) -> None:
+            error = ended.exception()
+            if error is None:
+                found.set_result(ended.result())
+            elif isinstance(error, self._ray.exceptions.RayTaskError):
+                found.set_exception(error)
+            else:  # ray has many ways to say that a worker or its machine is gone
+                found.set_exception(WorkersDied(str(error)))
 
-        with parallel_config(backend="ray"):
-            Parallel(n_jobs=self.jobs, batch_size=1)(delayed(execute_and_tell)(job) for job in node_jobs)
+        self._execute.remote(job).future().add_done_callback(told)
+        return found
 
-    def alone(self, job: NodeJob) -> NodeResult:
-        return next(self.run([job]))
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        return self.submit(job)
 
     def close(self, *, kill: bool = False) -> None:
         self._ray.shutdown()
-
-
-def execute_and_tell(job: NodeJob) -> None:
-    """Compute a node, and leave its result where the run looks for it."""
-    result = execute_here(job)
-    write_record(_results(job) / f"{job.key}.json", asdict(result))
-
-
-def _results(job: NodeJob) -> Path:
-    return Layout(Path(job.root)).run(job.run_id) / "outcomes"
-
-
-def _taken(folder: Path, left: dict[str, NodeJob]) -> Iterator[NodeResult]:
-    for path in sorted(folder.glob("*.json")):
-        if path.stem not in left:
-            continue
-        try:
-            record = read_record(path)
-        except ArtifactError:
-            record = None
-        if record is not None:
-            path.unlink()
-            yield NodeResult(**record)
-
-
-def _reported(work: Callable[..., None], errors: list[Exception]) -> Callable[..., None]:
-    def run(*arguments: Any) -> None:
-        try:
-            work(*arguments)
-        except Exception as error:  # ray has many; whichever it is, what is left runs again or is named
-            errors.append(error)
-
-    return run

@@ -1,9 +1,10 @@
-"""How a run and its nodes are ended early: Ctrl-C and SIGTERM for the run, a time limit for each node."""
+"""How a run and its nodes are ended early: Ctrl-C and SIGTERM for the run; a time limit, and being taken back, for each node."""
 
 from __future__ import annotations
 
 import ctypes
 import faulthandler
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -132,6 +133,57 @@ class _Rung(Exception):
 
 
 HINT = "allow more time with --timeout; the log shows where it was"
+
+
+LOOK_SECONDS = 0.5
+"""Between two looks for a file that takes a node back."""
+
+
+class Cancelled(BaseException):
+    """Its node was taken back. No `Exception`: what a stage catches must not keep it going."""
+
+
+@contextmanager
+def cancellable(path: Path, own_process: bool) -> Iterator[None]:
+    """Raise Cancelled in the block soon after a file appears.
+
+    Code that never comes back to Python is ended with its process, where that is ours.
+
+    Args:
+        path: the file.
+        own_process: whether this process does nothing else.
+    """
+    over = threading.Event()
+    main = threading.current_thread() is threading.main_thread()
+    ident = threading.get_ident()
+
+    def look() -> None:
+        while not path.exists():
+            if over.wait(LOOK_SECONDS):
+                return
+        if main:
+            signal.pthread_kill(ident, signal.SIGUSR1)
+        else:
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(Cancelled))
+        if not over.wait(GRACE) and own_process:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def ring(number: int, frame: object) -> None:
+        if not over.is_set():
+            raise Cancelled
+
+    before = signal.signal(signal.SIGUSR1, ring) if main else None
+    watcher = threading.Thread(target=look, daemon=True, name="cancel-watch")
+    watcher.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watcher.join()
+        if main:
+            signal.signal(signal.SIGUSR1, before)
+        else:
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), None)
 
 
 def was_ended(marker: Path) -> bool:

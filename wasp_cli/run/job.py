@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -28,6 +29,8 @@ class NodeJob:
     """Kind and key of the upstream artifacts, by the name under which the stage reads them."""
     sources: Mapping[str, str]
     """Hash by module of the code that decides the result."""
+    earlier: str | None = None
+    """Key of the same artifact with fewer episodes, whose rows may be taken over."""
     attempt: int = 1
     threads: int = 1
     limit: float | None = None
@@ -37,12 +40,16 @@ class NodeJob:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-State = Literal["done", "shared", "failed", "busy", "skipped"]
+State = Literal["done", "shared", "failed", "cancelled", "busy", "skipped"]
 
 
 @dataclass(frozen=True)
 class NodeResult:
-    """How a node ended. `shared`: another run computed it meanwhile; `busy`: another run computes it now; `skipped`: the run is to end."""
+    """How a node ended.
+
+    `shared`: another run computed it meanwhile; `busy`: another run computes it now; `cancelled`: it was taken back; `skipped`: the run is
+    to end.
+    """
 
     key: str
     state: State
@@ -61,26 +68,22 @@ class WorkersDied(Exception):
 
 
 class Pool(Protocol):
-    """Computes the nodes of one wave, side by side."""
+    """Computes nodes side by side."""
 
     jobs: int
+    """Nodes at once; 0 is counted as 1, in this process."""
     name: str
     """As the journal has it."""
 
-    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
-        """Give the results as nodes end. Jobs are taken as workers come free, not all at once.
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node; nobody submits more than `jobs` at a time.
 
-        Raises:
-            WorkersDied: a worker was killed. The pool can be used again.
+        The future ends with WorkersDied where a worker was killed, perhaps that of another node. The pool can be used again.
         """
         ...
 
-    def alone(self, job: NodeJob) -> NodeResult:
-        """Compute one node in a process of its own.
-
-        Raises:
-            WorkersDied: that process was killed.
-        """
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node in a process of its own. The future ends with WorkersDied where that process was killed."""
         ...
 
     def close(self, *, kill: bool = False) -> None:

@@ -7,8 +7,8 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Iterable, Iterator
-from concurrent.futures import BrokenExecutor
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor, Future
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,81 +24,80 @@ class InlinePool:
     jobs = 1
     name = "inline"
 
-    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
-        for job in node_jobs:
-            yield execute(job, own_process=False)
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        done: Future[NodeResult] = Future()
+        done.set_result(execute(job, own_process=False))
+        return done
 
-    def alone(self, job: NodeJob) -> NodeResult:
-        return execute(job, own_process=False)
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        return self.submit(job)
 
     def close(self, *, kill: bool = False) -> None:
         pass
 
 
 class LokyPool:
-    """joblib's loky workers: started on first use, reused from wave to wave, so that torch is imported once in each."""
+    """joblib's loky workers: started on first use, so that torch is imported once in each.
+
+    Its executor, and not `joblib.Parallel`, which takes a list: what a node needs is only known to be there when another one ends.
+    """
 
     name = "loky"
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
-        self._single: Any = None
+        self._workers: Any = None
+        self._single: list[Any] = []
+        """Executors of nodes alone."""
+        # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
+        warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
 
-    def run(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
+    def submit(self, job: NodeJob) -> Future[NodeResult]:
+        if self._workers is None:
+            self._workers = _new_workers(self.jobs)
         try:
-            # joblib takes n_jobs=1 as "in this process", where a killed node would take the run along.
-            yield from self._one_by_one(node_jobs) if self.jobs == 1 else self._side_by_side(node_jobs)
+            return self._begun(self._workers, job)
         except BrokenExecutor as error:
-            self._single = None
-            raise WorkersDied(str(error)) from error
+            self._workers = None
+            return _died(error)
 
-    def _side_by_side(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
-        from joblib import Parallel, delayed
+    def alone(self, job: NodeJob) -> Future[NodeResult]:
+        worker = _new_workers(1)
+        self._single.append(worker)
+        found = self._begun(worker, job)
+        found.add_done_callback(lambda _: worker.shutdown(wait=False, kill_workers=True))
+        return found
 
-        workers = Parallel(
-            n_jobs=self.jobs,
-            backend="loky",
-            return_as="generator_unordered",
-            batch_size=1,  # "auto" would bundle short nodes, and report them late
-            initializer=start_worker,
-            initargs=(os.getpid(),),
-        )
-        with warnings.catch_warnings():
-            # loky takes a loaded world model for a memory leak, replaces the worker and says so; nothing is lost.
-            warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
-            with _signals_wait():
-                results = workers(delayed(execute)(job) for job in node_jobs)
-            yield from results
+    def _begun(self, workers: Any, job: NodeJob) -> Future[NodeResult]:
+        with _signals_wait():
+            running: Future[NodeResult] = workers.submit(execute, job)
+        result: Future[NodeResult] = Future()
 
-    def _one_by_one(self, node_jobs: Iterable[NodeJob]) -> Iterator[NodeResult]:
-        if self._single is None:
-            self._single = _new_worker()
-        for job in node_jobs:
-            with _signals_wait():
-                running = self._single.submit(execute, job)
-            result: NodeResult = running.result()
-            yield result
+        def told(ended: Future[NodeResult]) -> None:
+            error = ended.exception()
+            if isinstance(error, BrokenExecutor):
+                if workers is self._workers:
+                    self._workers = None  # the next node starts new ones
+                result.set_exception(WorkersDied(str(error)))
+            elif error is not None:
+                result.set_exception(error)
+            else:
+                result.set_result(ended.result())
 
-    def alone(self, job: NodeJob) -> NodeResult:
-        worker = _new_worker()
-        try:
-            with _signals_wait():
-                running = worker.submit(execute, job)
-            result: NodeResult = running.result()
-        except BrokenExecutor as error:
-            raise WorkersDied(str(error)) from error
-        finally:
-            worker.shutdown(wait=False, kill_workers=True)
+        running.add_done_callback(told)
         return result
 
     def close(self, *, kill: bool = False) -> None:
-        from joblib.externals.loky import reusable_executor
+        for workers in (self._workers, *self._single):
+            if workers is not None:
+                workers.shutdown(wait=not kill, kill_workers=kill)
+        self._workers, self._single = None, []
 
-        shared = reusable_executor._executor  # get_reusable_executor() would start one
-        for executor in (self._single, shared):
-            if executor is not None:
-                executor.shutdown(wait=not kill, kill_workers=kill)
-        self._single = None
+
+def _died(error: BaseException) -> Future[NodeResult]:
+    lost: Future[NodeResult] = Future()
+    lost.set_exception(WorkersDied(str(error)))
+    return lost
 
 
 BACKENDS = ("loky", "dask", "ray")
@@ -136,10 +135,10 @@ def pool_of(backend: str, jobs: int, scheduler: str | None = None) -> Pool:
     return LokyPool(jobs) if jobs else InlinePool()
 
 
-def _new_worker() -> Any:
+def _new_workers(count: int) -> Any:
     from joblib.externals.loky import ProcessPoolExecutor
 
-    return ProcessPoolExecutor(max_workers=1, initializer=start_worker, initargs=(os.getpid(),))
+    return ProcessPoolExecutor(max_workers=count, initializer=start_worker, initargs=(os.getpid(),))
 
 
 @contextmanager

@@ -66,6 +66,11 @@ class Lines:
             plain(f"{self._counter()} {what} {name}  {duration(float(event['seconds']))}" + (f"  {detail}" if detail else ""))
         elif kind == "blocked":
             plain(f"{self._counter()} blocked {name}  (needs {self._names.get(str(event['by']), str(event['by_label']))})")
+        elif kind == "cancelled":
+            self._shown.add(key)
+            plain(f"{self._counter()} cancelled {name}")
+        elif kind in ("paused", "resumed"):
+            self._note("paused: running nodes finish, nothing new begins; wasp resume goes on" if kind == "paused" else "resumed")
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":

@@ -15,6 +15,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan
@@ -22,6 +24,7 @@ from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED
+from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import read_plain
@@ -42,6 +45,8 @@ class Recorded:
     """Each trained part with the key of its artifact."""
     branched: list[tuple[Cell, str]] = field(default_factory=list)
     """Each cell whose interventions were to be judged with the key of its counterfactual branches."""
+    unknown: tuple[str, ...] = ()
+    """What its record has that this version does not know, each as a sentence; it stays in the record, and is in no table."""
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
@@ -90,8 +95,7 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
     """
     folder = layout.within(layout.run(run_id))
     try:
-        text = read_plain(folder / "spec.json")
-        spec = spec_type().model_validate_json(text, strict=True, context={RECORDED: True})
+        spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
     except (OSError, ValueError) as error:  # a ValidationError is a ValueError
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
     record: dict[str, Any] = {"branched": (), **(read_record(folder / "plan.json") or {})}  # older runs name none
@@ -101,7 +105,58 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
     except (KeyError, TypeError, AttributeError, ValidationError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
-    return Recorded(run_id, spec, cells, parts, branched)
+    there = [[(cell, key) for cell, key in part if _is_known(cell)] for part in (cells, branched)]
+    left_out = sorted({cell.method for cell, _ in cells if cell.method not in METHODS})
+    left_out += sorted({cell.operator for cell, _ in cells if cell.operator not in (*OPERATORS, UNIMPAIRED)})
+    unknown += [f"Cells of '{name}' are left out: it is not known here." for name in left_out]
+    parts = [(part, key) for part, key in parts if part.kind in STAGES]
+    return Recorded(run_id, spec, there[0], parts, there[1], tuple(unknown))
+
+
+def _is_known(cell: Cell) -> bool:
+    return cell.method in METHODS and cell.operator in (*OPERATORS, UNIMPAIRED)
+
+
+def _known_part(document: Any) -> tuple[Spec, list[str]]:
+    """The spec without what is not known here (another version wrote it, or a plugin that is absent now), and what that was.
+
+    Raises:
+        ValidationError: what is left is no spec.
+    """
+    unknown: list[str] = []
+    while True:
+        try:
+            return spec_type().model_validate_json(json.dumps(document), strict=True, context={RECORDED: True}), unknown
+        except ValidationError as error:
+            # One at a time: taking an entry out of a list moves those behind it.
+            found = (_taken_out(document, each["loc"]) for each in error.errors(include_url=False))
+            name = next((name for name in found if name is not None), None)
+            if name is None or len(unknown) > UNKNOWN_MOST:
+                raise
+            unknown.append(f"The spec has `{name}`, which is not known here: an absent plugin's, or another version's.")
+
+
+def _taken_out(document: Any, loc: Sequence[str | int]) -> str | None:
+    """Take the deepest thing out of a document that a place names; return its dotted name, or None where nothing may be taken out."""
+    node: Any = document
+    way: list[tuple[Any, Any]] = []
+    for part in loc:
+        if (isinstance(node, dict) and part in node) or (isinstance(node, list) and isinstance(part, int) and part < len(node)):
+            way.append((node, part))
+            node = node[part]  # type: ignore[index]
+    if not way or (len(way) == 1 and way[0][1] in REQUIRED):
+        return None
+    parent, name = way[-1]
+    shown = ".".join(str(part) for _, part in way[:-1])
+    value = parent.pop(name)
+    if isinstance(parent, list):
+        return f"{shown}: {value}"
+    return f"{shown}.{name}" if shown else str(name)
+
+
+REQUIRED = ("name", "tasks", "seeds")
+"""Without one of them there is nothing to report."""
+UNKNOWN_MOST = 200
 
 
 def _cells(entries: Sequence[Mapping[str, Any]]) -> list[tuple[Cell, str]]:

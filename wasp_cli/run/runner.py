@@ -1,18 +1,20 @@
-"""Carries out a plan: wave after wave, each node once, and what failed takes only its dependents along."""
+"""Carries out a plan: each node once, as soon as what it needs is there; what failed takes only its dependents along."""
 
 from __future__ import annotations
 
 import os
 import platform
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.closure import source_hashes
-from wasp_cli.plan.node import Node, waves
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
+from wasp_cli.plan.schedule import Schedule, durations
 from wasp_cli.run.interrupt import HINT, Stop, was_ended
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
@@ -25,6 +27,25 @@ from wasp_cli.store.provenance import boot_id, provenance
 
 UNEXPLAINED = 5
 """Deaths of idle workers that a run lives with."""
+DEATH_SECONDS = 2.0
+"""Within which the whole pool learns that one of its workers was killed."""
+LOOK_SECONDS = 0.5
+"""Between two looks at what was asked from elsewhere."""
+ASK_SECONDS = 2.0
+"""Between two looks at a node that another run computes."""
+POLL_SECONDS = 0.1
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A node that a worker computes now."""
+
+    node: Node
+    job: NodeJob
+    alone: bool = False
+    """In a process of its own."""
+    memory: float | None = None
+    """What it held when its worker was killed before, in MB."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +64,23 @@ class Summary:
     shared: int = 0
     failed: list[Failure] = field(default_factory=list)
     blocked: list[tuple[Node, Node]] = field(default_factory=list)
-    """Nodes that could not run, each with the failed node that it needs."""
+    """Nodes that could not run, each with the failed or cancelled node that it needs."""
+    cancelled: list[Node] = field(default_factory=list)
+    """Nodes that were taken back."""
     seconds: float = 0.0
+    busy: float = 0.0
+    """Seconds that workers spent on nodes, all together."""
+    workers: int = 1
+
+    @property
+    def busy_share(self) -> float:
+        """Return the share of the workers' time that went to nodes."""
+        return self.busy / (self.workers * self.seconds) if self.seconds else 0.0
 
     @property
     def complete(self) -> bool:
         """Whether every node ended well."""
-        return not self.failed and not self.blocked
+        return not self.failed and not self.blocked and not self.cancelled
 
 
 class Runner:
@@ -62,7 +93,7 @@ class Runner:
             layout: the results folder.
             run_id: the run, whose folder is there.
             pool: who computes.
-            cores: of this machine; what a wave leaves free goes to physics and cameras.
+            cores: of this machine; what nodes side by side leave free goes to physics and cameras.
             limit: seconds that a node may take; None for no limit.
             retries: further attempts at a node that fails by chance.
         """
@@ -71,8 +102,23 @@ class Runner:
         self._journal = Journal(layout.journal(run_id))
         self._unexplained = 0
         """Deaths of workers that computed nothing."""
-        self._broken: dict[str, Node] = {}
-        """Failed node by key of itself and of everything that needs it."""
+        self._flying: dict[Future[NodeResult], Flight] = {}
+        """What workers compute now, in the order in which it began."""
+        self._elsewhere: dict[str, tuple[float, Flight]] = {}
+        """By key what another run computes, and when that was last seen."""
+        self._suspects: list[tuple[NodeJob, Node, float | None]] = []
+        """What ran when a worker was killed, and what it held then, in MB."""
+        self._jobs: dict[str, NodeJob] = {}
+        """What runs again, by key."""
+        self._tries: dict[str, int] = {}
+        """Further attempts that are left, by key."""
+        self._deaths: list[tuple[NodeJob, bool, float | None]] = []
+        """What was lost with killed workers and is not in the journal yet: whether it ran, and what it held."""
+        self._nodes: dict[str, Node] = {}
+        self._begun: Mapping[str, str] = {}
+        """By key of a cell the key of another one that has its first episodes."""
+        self._paused = False
+        self._cancelling = layout.cancelled(run_id)
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
 
@@ -83,13 +129,16 @@ class Runner:
             KeyboardInterrupt: it was asked to stop; what was finished is kept.
         """
         started = time.monotonic()
+        nodes = plan.to_run()
+        self._nodes = {node.key: node for node in nodes}
+        self._begun = plan.begun
+        self.summary.workers = max(self._pool.jobs, 1)
         facts = {"pid": os.getpid(), "host": platform.node(), "boot": boot_id(), "jobs": self._pool.jobs, "backend": self._pool.name}
-        self._journal.write("run started", nodes=len(plan.to_run()), **facts)
+        self._journal.write("run started", nodes=len(nodes), **facts)
         try:
-            for wave in waves(plan.to_run()):
-                self._wave(wave, plan)
-                if self.stop.asked:
-                    raise KeyboardInterrupt
+            self._carry_out(Schedule(nodes, durations(nodes, plan.seconds)))
+            if self.stop.asked:
+                raise KeyboardInterrupt
             self._journal.write("run ended", done=self.summary.done, failed=len(self.summary.failed), blocked=len(self.summary.blocked))
         except BaseException as error:
             self._journal.write("run interrupted", cause=type(error).__name__, done=self.summary.done)
@@ -99,97 +148,146 @@ class Runner:
             self._journal.close()
         return self.summary
 
-    def _wave(self, wave: list[Node], plan: Plan) -> None:
-        ready = [node for node in wave if not self._blocked(node)]
-        ready.sort(key=lambda node: _rank(node, plan))
-        threads = max(1, self._cores // max(1, min(self._pool.jobs, len(ready))))
-        nodes = {node.key: node for node in ready}
-        for result in self._results([self._job(node, threads) for node in ready]):
-            self._ended(nodes[result.key], result)
+    def _carry_out(self, schedule: Schedule) -> None:
+        """Keep every worker busy until nothing is left: what ends makes room, and makes ready what has waited for it."""
+        while True:
+            self._obey(schedule)
+            self._begin(schedule)
+            if not self._flying and (self.stop.asked or not (self._elsewhere or len(schedule))):
+                return
+            for flight, result in self._landed():
+                self._handle(schedule, flight, result)
+            self._tell_deaths()
 
-    def _results(self, node_jobs: list[NodeJob]) -> Iterator[NodeResult]:
-        """Give the results of all nodes, over busy ones, further attempts and the deaths of workers.
+    def _obey(self, schedule: Schedule) -> None:
+        """Do what was asked from another terminal: pause, go on, take nodes back. A running node hears of it from its worker."""
+        paused = self._layout.pause(self._run_id).exists()
+        if paused != self._paused:
+            self._paused = paused
+            self._journal.write("paused" if paused else "resumed")
+        flying = {flight.node.key for flight in self._flying.values()}
+        for path in self._cancelling.glob("*"):
+            node = self._nodes.get(path.name)
+            if node is not None and node.key not in flying and schedule.waits(node):
+                self._elsewhere.pop(node.key, None)
+                self._give_up(schedule, node)
 
-        A killed worker takes its pool along. What was in flight then runs again, each node alone in a process, so that the one
-        that kills is named and the others finish.
+    def _give_up(self, schedule: Schedule, node: Node) -> None:
+        self.summary.cancelled.append(node)
+        self._journal.write("cancelled", key=node.key, label=node.label)
+        self._block(schedule.failed(node), node)
+
+    def _begin(self, schedule: Schedule) -> None:
+        """Give ready nodes to idle workers."""
+        jobs = max(self._pool.jobs, 1)
+        while len(self._flying) < jobs and not self.stop.asked and not self._paused:
+            if self._suspects:
+                job, node, memory = self._suspects.pop(0)
+                self._send(self._pool.alone(replace(job, wait=True)), Flight(node, job, alone=True, memory=memory))
+            elif len(schedule):
+                node = schedule.pop()
+                together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
+                job = self._jobs.pop(node.key) if node.key in self._jobs else self._job(node, max(1, self._cores // together))
+                self._send(self._pool.submit(job), Flight(node, job))
+            elif (waited := self._waited()) is not None:
+                self._send(self._pool.submit(waited.job), waited)
+            else:
+                return
+
+    def _waited(self) -> Flight | None:
+        """A node that another run computes: asked about from time to time, and waited for where nothing else is left to do."""
+        due = [key for key, (since, _) in self._elsewhere.items() if time.monotonic() - since > ASK_SECONDS or not self._flying]
+        if not due:
+            return None
+        _, flight = self._elsewhere.pop(due[0])
+        return replace(flight, job=replace(flight.job, wait=not self._flying))
+
+    def _send(self, future: Future[NodeResult], flight: Flight) -> None:
+        self._flying[future] = flight
+
+    def _landed(self) -> list[tuple[Flight, NodeResult | None]]:
+        """Wait until a node ends. The result is None where its worker was killed."""
+        if not self._flying:
+            time.sleep(POLL_SECONDS)
+            return []
+        done, _ = wait(self._flying, LOOK_SECONDS, FIRST_COMPLETED)
+        if any(_killed(future) for future in done):
+            # A worker that is killed takes its pool along: what else was in flight there is lost in the same moment.
+            done, _ = wait(self._flying, DEATH_SECONDS)
+        # In the order in which they began, so that one machine's luck does not order a journal.
+        ended = [future for future in self._flying if future in done]
+        return [(self._flying.pop(future), None if _killed(future) else future.result()) for future in ended]
+
+    def _handle(self, schedule: Schedule, flight: Flight, result: NodeResult | None) -> None:
+        node, job = flight.node, flight.job
+        if result is None:
+            result = self._after_death(schedule, flight)
+        if result is None or result.state == "skipped":
+            return
+        if result.state == "cancelled":
+            self.summary.busy += result.seconds
+            self._give_up(schedule, node)
+        elif result.state == "busy":
+            self._elsewhere[node.key] = (time.monotonic(), flight)
+        elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
+            self._tries[node.key] -= 1
+            self._jobs[node.key] = self._another(job, result)
+            schedule.put(node)
+        else:
+            self._ended(node, result)
+            if result.state == "failed":
+                self._block(schedule.failed(node), node)
+            else:
+                schedule.ended(node)
+
+    def _after_death(self, schedule: Schedule, flight: Flight) -> NodeResult | None:
+        """What became of a node whose worker was killed; None where it runs again.
+
+        One that said that it ran is a suspect. It runs again in a process of its own, so that the one that kills is named and the others
+        finish.
         """
-        left = {job.key: job for job in node_jobs}
-        tries = dict.fromkeys(left, self._retries)
-        while left and not self.stop.asked:
-            again: dict[str, NodeJob] = {}
-            try:
-                for result in self._pool.run(self._until_stopped(list(left.values()))):
-                    job = left.pop(result.key)
-                    if result.state == "busy":
-                        # Another run computes it. It is waited for when nothing else of the wave is left to do.
-                        again[job.key] = replace(job, wait=True)
-                    elif result.state == "failed" and result.by_chance and tries[job.key]:
-                        tries[job.key] -= 1
-                        again[job.key] = self._another(job, result)
-                    elif result.state != "skipped":
-                        yield result
-            except WorkersDied:
-                if not self.stop.asked:
-                    yield from self._after_death(left)
-            left |= again
-
-    def _until_stopped(self, node_jobs: list[NodeJob]) -> Iterator[NodeJob]:
-        for job in node_jobs:
-            if self.stop.asked:
-                return
-            yield job
-
-    def _after_death(self, left: dict[str, NodeJob]) -> Iterator[NodeResult]:
-        """The results of what was in flight when a worker died; taken out of `left`."""
-        # Asked before anything else runs: a killed worker leaves its running file behind.
-        in_flight = self._in_flight()
-        for job in [job for job in left.values() if exists(self._layout, job.kind, job.key)]:
-            del left[job.key]
-            yield self._stored(job)
-        suspects = [job for job in left.values() if job.key in in_flight]
-        if not suspects:
-            # It died between two nodes. Where that goes on, the one that kills before it can say that it runs is found one by one.
-            self._unexplained += 1
-            if self._unexplained > UNEXPLAINED:
-                suspects = list(left.values())
-        self._journal.write(
-            "worker killed", suspects=[job.key for job in suspects], labels=[job.label for job in suspects], memory_mb=in_flight
-        )
-        for job in suspects:
-            if self.stop.asked:
-                return
-            del left[job.key]
-            yield self._alone(job, in_flight.get(job.key))
-
-    def _alone(self, job: NodeJob, memory: float | None) -> NodeResult:
-        """The result of a node that may have killed its worker."""
-        started = time.monotonic()
-        log = str(self._layout.log(job.run_id, job.label, job.key))
+        job = flight.job
+        running = self._layout.running(self._run_id, job.key)
+        was_running, memory = running.exists(), _memory(running)
+        running.unlink(missing_ok=True)
+        if exists(self._layout, job.kind, job.key):
+            return self._stored(job)
+        if self._layout.cancel(self._run_id, job.key).exists():
+            return NodeResult(job.key, "cancelled", 0.0)
         overdue = self._layout.overdue(self._run_id, job.key)
-        try:
-            if not was_ended(overdue):
-                return self._pool.alone(replace(job, wait=True))
-            message, hint = "it exceeded its time limit and did not stop, so its process was ended", HINT
-        except WorkersDied:
-            if exists(self._layout, job.kind, job.key):
-                return self._stored(job)
-            memory = self._in_flight().get(job.key, memory)
-            message, hint = KILLED + (f"; it last held {memory:.0f} MB" if memory else ""), None
-        result = NodeResult(job.key, "failed", time.monotonic() - started, message=message, hint=hint, log=log)
+        if was_ended(overdue):
+            return self._killed(job, "it exceeded its time limit and did not stop, so its process was ended", HINT)
+        if flight.alone:
+            memory = memory or flight.memory
+            return self._killed(job, KILLED + (f"; it last held {memory:.0f} MB" if memory else ""), None)
+        self._unexplained += not was_running
+        # Where workers die again and again before a node can say that it runs, the one that kills is found one by one.
+        if was_running or self._unexplained > UNEXPLAINED * max(self._pool.jobs, 1):
+            self._suspects.append((job, flight.node, memory))
+        else:
+            self._jobs[job.key] = job
+            schedule.put(flight.node)
+        self._deaths.append((job, was_running, memory))
+        return None
+
+    def _tell_deaths(self) -> None:
+        if self._deaths:
+            suspects = [(job, memory) for job, was_running, memory in self._deaths if was_running]
+            held = {job.key: memory for job, memory in suspects}
+            keys, labels = [job.key for job, _ in suspects], [job.label for job, _ in suspects]
+            self._journal.write("worker killed", suspects=keys, labels=labels, memory_mb=held)
+            self._deaths = []
+
+    def _killed(self, job: NodeJob, message: str, hint: str | None) -> NodeResult:
+        log = str(self._layout.log(job.run_id, job.label, job.key))
+        result = NodeResult(job.key, "failed", 0.0, message=message, hint=hint, log=log)
         record_failure(self._layout, job, result)
-        overdue.unlink(missing_ok=True)
+        self._layout.overdue(self._run_id, job.key).unlink(missing_ok=True)
         return result
 
     def _another(self, job: NodeJob, result: NodeResult) -> NodeJob:
         self._journal.write("retry", key=job.key, label=job.label, message=result.message, attempt=job.attempt + 1)
         return replace(job, attempt=job.attempt + 1)
-
-    def _in_flight(self) -> dict[str, float | None]:
-        """The memory that each node last held which was running when its worker died, in MB."""
-        found = {path.stem: _memory(path) for path in self._layout.run(self._run_id).glob("running/*.json")}
-        for key in found:
-            self._layout.running(self._run_id, key).unlink(missing_ok=True)
-        return found
 
     def _stored(self, job: NodeJob) -> NodeResult:
         manifest = read_manifest(self._layout, job.kind, job.key)
@@ -198,8 +296,8 @@ class Runner:
 
     def _ended(self, node: Node, result: NodeResult) -> None:
         facts = {"key": node.key, "label": node.label, "seconds": round(result.seconds, 3)}
+        self.summary.busy += result.seconds
         if result.state == "failed":
-            self._broken[node.key] = node
             self.summary.failed.append(Failure(node, result))
             self._journal.write("failed", **facts, message=result.message, log=result.log)
         else:
@@ -207,14 +305,10 @@ class Runner:
             self.summary.shared += result.state == "shared"
             self._journal.write(result.state, **facts, numbers=numbers(result.summary))
 
-    def _blocked(self, node: Node) -> bool:
-        cause = next((self._broken[needed.key] for needed in node.needs.values() if needed.key in self._broken), None)
-        if cause is None:
-            return False
-        self._broken[node.key] = cause
-        self.summary.blocked.append((node, cause))
-        self._journal.write("blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label)
-        return True
+    def _block(self, lost: Iterable[Node], cause: Node) -> None:
+        for node in lost:
+            self.summary.blocked.append((node, cause))
+            self._journal.write("blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label)
 
     def _job(self, node: Node, threads: int) -> NodeJob:
         return NodeJob(
@@ -231,6 +325,7 @@ class Runner:
             settings=node.settings,
             inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
             sources=source_hashes(node.modules),
+            earlier=self._begun.get(node.key),
             attempt=attempts(self._layout, node.key) + 1,
             threads=threads,
             limit=self._limit,
@@ -246,10 +341,8 @@ def _memory(path: Path) -> float | None:
     return float(memory) if isinstance(memory, int | float) else None
 
 
-def _rank(node: Node, plan: Plan) -> tuple[float, int]:
-    """Longest first, so that a wave does not end with one busy worker."""
-    measured = plan.seconds.get(node.sort)
-    return (-measured if measured is not None else 0.0), -STAGES[node.kind].weight
+def _killed(future: Future[NodeResult]) -> bool:
+    return future.done() and isinstance(future.exception(), WorkersDied)
 
 
 def failures_text(failures: Iterable[Failure], names: Mapping[str, str] = NAMES) -> str:

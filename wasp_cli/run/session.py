@@ -15,11 +15,12 @@ from pathlib import Path
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName, UsageError
 from wasp_cli.plan.grid import Grid, together
-from wasp_cli.plan.node import waves
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
+from wasp_cli.run.detach import announce
 from wasp_cli.run.interrupt import SIGNALS, listening
 from wasp_cli.run.job import Pool
 from wasp_cli.run.pool import pool_of, require_backend
@@ -43,7 +44,8 @@ def cores() -> int:
 
 def useful_jobs(plan: Plan, jobs: int) -> int:
     """Return the number of workers: no more than nodes can run side by side, since an idle worker costs memory too."""
-    return min(jobs, max((len(wave) for wave in waves(plan.to_run())), default=jobs))
+    nodes = plan.to_run()
+    return min(jobs, simulated(nodes, durations(nodes, plan.seconds), None)[1]) if nodes else jobs
 
 
 def restricted(loaded: Loaded, task: str | None) -> Loaded:
@@ -59,6 +61,15 @@ def restricted(loaded: Loaded, task: str | None) -> Loaded:
     return replace(loaded, spec=loaded.spec.model_copy(update={"tasks": (task,)}))
 
 
+def limited(loaded: Loaded, episodes: int | None) -> Loaded:
+    """Return the spec with so many episodes in each cell at most (or as it is). These are the first ones of the whole cell."""
+    if episodes is None:
+        return loaded
+    count = min(episodes, loaded.spec.episodes)
+    evaluate = loaded.spec.stage("evaluate").model_copy(update={"episodes": count})
+    return replace(loaded, spec=loaded.spec.model_copy(update={"episodes": count, "evaluate": evaluate}))
+
+
 @dataclass(frozen=True)
 class Session:
     """A run that is over."""
@@ -72,7 +83,10 @@ class Session:
     def require_complete(self) -> None:
         """Raise CellsFailed when a node failed."""
         if not self.summary.complete:
-            raise CellsFailed(_failure_message(self.summary, self.names), "run the same command again to retry what failed")
+            raise CellsFailed(
+                _failure_message(self.summary, self.names),
+                "run the same command again to retry what failed" if self.summary.failed else "run the same command again to compute it",
+            )
 
 
 @dataclass(frozen=True)
@@ -125,6 +139,7 @@ def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Sele
     with planning(layout):
         plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
         run_id = new_run(layout, loaded, plan)
+    announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options)
 
 
@@ -201,9 +216,12 @@ def _summary_line(plan: Plan, summary: Summary) -> str:
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
     if summary.failed:
         parts.append(f"{len(summary.failed)} failed")
+    if summary.cancelled:
+        parts.append(f"{len(summary.cancelled)} cancelled")
     if summary.blocked:
         parts.append(f"{len(summary.blocked)} blocked")
-    return f"{', '.join(parts)} in {duration(summary.seconds)}"
+    busy = f", workers busy {summary.busy_share:.0%} of it" if summary.done and summary.workers > 1 else ""
+    return f"{', '.join(parts)} in {duration(summary.seconds)}{busy}"
 
 
 def _idle(plan: Plan, shared: int = 0) -> list[str]:
@@ -213,7 +231,9 @@ def _idle(plan: Plan, shared: int = 0) -> list[str]:
 
 
 def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
-    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed, names)]
+    lines = [f"{len(summary.failed)} failed:", failures_text(summary.failed, names)] if summary.failed else []
+    if summary.cancelled:
+        lines += [f"{len(summary.cancelled)} cancelled:", *(f"  {names.get(node.key, node.label)}" for node in summary.cancelled)]
     if summary.blocked:
         lines.append(f"{len(summary.blocked)} blocked by them:")
         lines += [

@@ -89,11 +89,15 @@ def _life(state: RunState, now: datetime) -> str:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        ending = "finishing running nodes" if state.draining else ""
+        ending = "finishing running nodes" if state.draining else "paused" if state.paused else ""
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
-    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "")
+    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "") + _busy(state)
+
+
+def _busy(state: RunState) -> str:
+    return f"; workers busy {state.busy_share:.0%} of it" if state.busy_share and state.finished else ""
 
 
 def _span(start: datetime | None, end: datetime | None) -> str:
@@ -112,6 +116,7 @@ def _progress(state: RunState) -> Text:
         counts.append(f"{state.running} running")
     counts += [f"{len(state.failed)} failed"] if state.failed else []
     counts += [f"{state.blocked} blocked"] if state.blocked else []
+    counts += [f"{state.cancelled} cancelled"] if state.cancelled else []
     counts += [f"{state.retried} retried"] if state.retried else []
     if state.waiting:
         counts.append(f"{state.waiting} {'waiting' if state.state == 'running' else 'not computed'}")
@@ -127,6 +132,8 @@ def _pace(state: RunState) -> str:
     if state.left_seconds is not None:
         known = f", not counting {state.unknown} nodes whose time is unknown" if state.unknown else ""
         parts.append(f"about {duration(state.left_seconds)} left{known}")
+    if state.busy_share is not None:
+        parts.append(f"workers busy {state.busy_share:.0%} so far")
     return "; ".join(parts)
 
 

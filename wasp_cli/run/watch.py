@@ -23,6 +23,8 @@ State = Literal["running", "ended", "interrupted", "died", "not started"]
 LATELY = 10
 """Finished nodes behind the rate."""
 SILENT = timedelta(days=1)
+ENDS = ("done", "shared", "failed", "blocked", "cancelled")
+"""Events after which a node does not run any more."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +71,12 @@ class RunState:
     """Nodes that another run computed meanwhile."""
     failed: tuple[Failed, ...]
     blocked: int
+    cancelled: int
     retried: int
     draining: bool
     """It was asked to end, and finishes what runs."""
+    paused: bool
+    """It begins nothing new until it is told to."""
     active: tuple[Active, ...]
     per_minute: float | None
     """Nodes that finished lately; None before the first."""
@@ -79,11 +84,13 @@ class RunState:
     """What remains, by the estimates of the plan; by the rate where it has none. None of a run that does not go on, or when unknown."""
     unknown: int
     """Nodes to come without an estimate: what remains takes longer by them."""
+    busy_share: float | None
+    """Share of the workers' time that went to nodes; None before there is any."""
 
     @property
     def finished(self) -> int:
         """Nodes that will not run any more."""
-        return self.done + self.shared + len(self.failed) + self.blocked
+        return self.done + self.shared + len(self.failed) + self.blocked + self.cancelled
 
     @property
     def running(self) -> int:
@@ -105,14 +112,14 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         now: when it is asked.
     """
     now = now or datetime.now(UTC)
-    events = _events(layout, run.run_id)
+    events = events_of(layout, run.run_id)
     by_event: dict[str, list[Mapping[str, Any]]] = {}
     for event in events:
         by_event.setdefault(str(event.get("event")), []).append(event)
     start = next(iter(by_event.get("run started", ())), {})
     state, ended = _life(run, events, start, now)
     # A node that died with its worker and runs again ends twice; the last time counts.
-    ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ("done", "shared", "failed", "blocked")}
+    ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS}
     failed = {str(event.get("key")): event for event in by_event.get("failed", ())}
     active = _active(layout, run.run_id, ends) if events else ()
     started = moment(start.get("at"))
@@ -121,7 +128,8 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     counted = number(start, "nodes")
     left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
     total = sum(node.runs for node in run.nodes.values()) or int(counted or 0)
-    seconds, unknown = _left(left, active, int(number(start, "jobs") or 1), now) if state == "running" else (None, 0)
+    workers = max(int(number(start, "jobs") or 1), 1)
+    seconds, unknown = _left(left, active, workers, now) if state == "running" else (None, 0)
     if state == "running" and seconds is None and rate and len(finished) > 1:
         seconds, unknown = (total - len(ends)) / rate * 60, 0
     return RunState(
@@ -135,12 +143,15 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         shared=sum(how == "shared" for how in ends.values()),
         failed=tuple(_failed(event) for key, event in failed.items() if ends[key] == "failed"),
         blocked=sum(how == "blocked" for how in ends.values()),
+        cancelled=sum(how == "cancelled" for how in ends.values()),
         retried=len(by_event.get("retry", ())),
         draining=bool(by_event.get("draining")) and state == "running",
+        paused=layout.pause(run.run_id).exists() and state == "running",
         active=active,
         per_minute=rate,
         left_seconds=seconds,
         unknown=unknown,
+        busy_share=_busy_share(events, active if state == "running" else (), workers, started, ended or now),
     )
 
 
@@ -184,7 +195,8 @@ def moment(text: object) -> datetime | None:
         return None
 
 
-def _events(layout: Layout, run_id: str) -> list[dict[str, Any]]:
+def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
+    """Return the journal of a run; nothing where it cannot be read."""
     try:
         return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
     except (OSError, StoreError):
@@ -242,6 +254,18 @@ def _failed(event: Mapping[str, Any]) -> Failed:
 
 def _line(value: object, otherwise: str) -> str:
     return " ".join(value.split()) if isinstance(value, str) else otherwise
+
+
+def _busy_share(
+    events: Sequence[Mapping[str, Any]], active: Sequence[Active], workers: int, started: datetime | None, until: datetime
+) -> float | None:
+    """What workers spent on nodes that ended and on those that run, over the time that they were there."""
+    there = workers * (until - started).total_seconds() if started else 0.0
+    if there <= 0:
+        return None
+    spent = sum(max(number(event, "seconds") or 0.0, 0.0) for event in events if event.get("event") in ("done", "shared", "failed"))
+    spent += sum(max((until - node.started).total_seconds(), 0.0) for node in active if node.started and not node.gone)
+    return min(spent / there, 1.0)
 
 
 def _rate(started: datetime | None, finished: Sequence[datetime], until: datetime | None) -> float | None:

@@ -19,7 +19,7 @@ from wasp_cli.memory import keep_memory
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.registry import load_target
 from wasp_cli.run.heartbeat import Heartbeat
-from wasp_cli.run.interrupt import limited
+from wasp_cli.run.interrupt import Cancelled, cancellable, limited
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
@@ -93,7 +93,10 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
     started_at = datetime.now(UTC).isoformat(timespec="seconds")
     began = time.monotonic()
     try:
-        with limited(job.limit, layout.overdue(job.run_id, job.key), own_process):
+        with (
+            limited(job.limit, layout.overdue(job.run_id, job.key), own_process),
+            cancellable(layout.cancel(job.run_id, job.key), own_process),
+        ):
             _require_inputs(job, layout)
             stage: Stage = load_target(job.stage)()
             keep_memory()
@@ -105,6 +108,9 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
     except (Exception, SystemExit) as error:
         discard(staging)
         return _recorded_failure(job, layout, log, started, _cause_in_source(job, error) or error)
+    except Cancelled:
+        discard(staging)
+        return NodeResult(job.key, "cancelled", time.monotonic() - started, log=str(log))
     except BaseException:  # Ctrl-C in the process that runs nodes itself
         discard(staging)
         raise
@@ -156,8 +162,16 @@ def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progre
         out_dir=staging,
         work_dir=work,
         progress=progress,
+        earlier=_earlier(job, layout),
         threads=job.threads,
     )
+
+
+def _earlier(job: NodeJob, layout: Layout) -> Path | None:
+    """Where the first episodes of a cell are; nowhere where they have been removed or damaged since the plan."""
+    if job.earlier is None or corruption(layout, job.kind, job.earlier) is not None:
+        return None
+    return layout.artifact(job.kind, job.earlier)
 
 
 def _settings(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -188,6 +202,7 @@ def _manifest(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_
             **job.provenance,
             **({"cuda": devices} if (devices := cuda_devices()) else {}),
             "run": job.run_id,
+            **({"earlier": job.earlier} if job.earlier else {}),
             "attempt": job.attempt,
             "threads": job.threads,
             "started_at": started_at,

@@ -93,6 +93,11 @@ class Spec(Config):
     )
     rounds: int = assumed(2, "rounds of data; from the second on, WASP's own rollouts are added and all models trained again", ge=1, le=9)
     episodes: int = assumed(30, "episodes per cell and seed", ge=1)
+    side_by_side: int = assumed(
+        10,
+        "episodes of a cell in one batch; rounding may depend on their number, so that only whole batches are taken over",
+        ge=1,
+    )
     action_repeat: int = assumed(4, "env steps per decision step", ge=1)
     returns: ReturnsConfig = ReturnsConfig()
     by_task: dict[TaskName, dict[str, dict[str, Any]]] = Field(

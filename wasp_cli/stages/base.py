@@ -38,6 +38,8 @@ class Job:
     work_dir: Path
     """Survives an interruption; resumable stages keep their checkpoint here."""
     progress: Progress = field(default=no_progress)
+    earlier: Path | None = None
+    """Folder of the same artifact with fewer episodes, whose rows may be taken over; what comes out is the same with and without it."""
     threads: int = 1
     """For physics and cameras, whose results do not depend on it: it varies with how many nodes run side by side."""
 

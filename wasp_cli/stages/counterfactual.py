@@ -18,7 +18,7 @@ class CounterfactualStage:
 
     kind = "counterfactual"
     config = CounterfactualConfig
-    settings = ("action_repeat",)
+    settings = ("action_repeat", "side_by_side")
     needs: tuple[str, ...] = ("world_model", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
@@ -27,7 +27,8 @@ class CounterfactualStage:
 
         from wasp_cli import seeds
         from wasp_cli.errors import TrainingError
-        from wasp_cli.learning.counterfactual import branches, least_gain, sampled
+        from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampled
+        from wasp_cli.learning.evaluation import batches
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.rerun import Recorded, Rerun
         from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
@@ -36,7 +37,7 @@ class CounterfactualStage:
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
         from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, read_branches, write_branches
         from wasp_cli.store.recorded import read_recorded
-        from wasp_cli.store.tables import CELL_FILE, CellIdentity, read_steps
+        from wasp_cli.store.tables import CellIdentity, cell_file, read_steps
         from wasp_cli.tasks.make import make_task
 
         config = cast(CounterfactualConfig, job.config)
@@ -47,29 +48,38 @@ class CounterfactualStage:
                 f"no held-out episode of the expert has {config.window} decisions, so there is no tau_R",
                 "set a smaller counterfactual.window",
             )
-        path = job.inputs["evaluate"] / CELL_FILE
+        path = cell_file(job.inputs["evaluate"])
         recorded = Recorded(**read_recorded(path))
-        batch = len(recorded.a)
-        task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
-        context = OperatorContext(load_skills(job.inputs["policies"]).at, task.action_size, task.decision_seconds)
-        mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in range(batch)])
-        operator = build_operator(variant, value, context, mistakes, batch)
-        rerun = Rerun(task, load_world_model(job.inputs["world_model"]), operator, recorded)
-
-        ends = np.cumsum(rerun.lengths)[:-1]
+        count = len(recorded.a)
+        ends = np.cumsum([len(actions) for actions in recorded.a])[:-1]
         steps = read_steps(path)
         deviation, gate = (np.split(np.asarray(steps[name]), ends) for name in ("deviation", "gate"))
         intervened = [norms > 0.0 for norms in deviation]
         interventions = int(sum(steps.sum() for steps in intervened))
         stride = config.stride if config.most is None else max(config.stride, math.ceil(interventions / config.most))
-        found = branches(rerun, sampled(intervened, stride), config.window, job.progress)
+        chosen = sampled(intervened, stride)
+        model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
+        found: list[Branch] = []
+        for episodes in batches(0, count, job.settings["side_by_side"]):  # as they were evaluated
+
+            def during(share: float, text: str, episodes: range = episodes) -> None:
+                done = (episodes.start + share * len(episodes)) / count
+                job.progress(done, f"episodes {episodes.start}-{episodes[-1]}: {text}")
+
+            batch = len(episodes)
+            task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
+            context = OperatorContext(skills.at, task.action_size, task.decision_seconds)
+            mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
+            rerun = Rerun(task, model, build_operator(variant, value, context, mistakes, batch), recorded.of(episodes))
+            begun = branches(rerun, [chosen[e] for e in episodes], config.window, during)
+            found += [branch._replace(episode=episodes[branch.episode]) for branch in begun]
 
         identity = CellIdentity(job.task, job.axes["method"], job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
         rows = [
             BranchRow(b.episode, b.t, b.name, b.cost, b.cost_env, b.reward, float(deviation[b.episode][b.t]), int(gate[b.episode][b.t]))
             for b in found
         ]
-        write_branches(job.out_dir / BRANCHES_FILE, BranchedCell(identity, config.window, stride, tau_R, batch), rows)
+        write_branches(job.out_dir / BRANCHES_FILE, BranchedCell(identity, config.window, stride, tau_R, count), rows)
         stored = read_branches(job.out_dir / BRANCHES_FILE)  # reports see the rewards as they are stored
         judged = necessity(stored.cost[ALONE], stored.cost[ASSISTED], stored.reward[ALONE], stored.reward[ASSISTED], tau_R)
         shown = {"uir": judged.unnecessary, "rho": judged.rho, "delta_c": judged.delta_c, "delta_r": judged.delta_r}

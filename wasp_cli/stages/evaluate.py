@@ -1,6 +1,6 @@
 """Evaluation of one cell of the grid: a method under one operator and one seed.
 
-Artifact: `cell.parquet` (see `store.tables`).
+Artifact: `episodes.parquet` and `steps.parquet` (see `store.tables`).
 """
 
 from __future__ import annotations
@@ -17,47 +17,57 @@ class EvaluateStage:
 
     kind = "evaluate"
     config = EvaluateConfig
-    settings = ("action_repeat", "returns")
+    settings = ("action_repeat", "returns", "side_by_side")
     needs: tuple[str, ...] = ("world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Run all episodes side by side and write their rows."""
+        """Run the episodes, so many side by side, and write their rows; those of whole batches that are there are taken over."""
         import numpy as np
 
         from wasp_cli import seeds
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.closed_loop import run_episodes
         from wasp_cli.learning.device import training_device
-        from wasp_cli.learning.evaluation import trajectories
+        from wasp_cli.learning.evaluation import batches, trajectories
         from wasp_cli.metrics.episode import episode_metrics
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
-        from wasp_cli.store.tables import CellIdentity, write_cell
+        from wasp_cli.store.tables import CellIdentity, first_rows, read_episodes, write_cell
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(EvaluateConfig, job.config)
         method, variant, value = job.axes["method"], job.axes["variant"], job.axes["value"]
-        task = make_task(job.task, config.episodes, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
         device = training_device()
         parts = load_parts(job.inputs, job.settings["returns"], device)
-        assistant = build_assistant(method, job.axes["method_config"], parts)
-        episodes = range(config.episodes)
-        layouts = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
-        mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
-        own = [seeds.method_seed(job.task, variant, job.seed, e, method) for e in episodes]
-        context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
-        operator = build_operator(variant, value, context, mistakes, config.episodes).to(device)
-        loop = run_episodes(task, parts.world_model, operator, assistant, layouts, own, progress=job.progress)
-
-        found, times = trajectories(loop)
         goals = config.success_goals or TASKS[job.task].success_goals
-        rows = [episode_metrics(trajectory, goals, config.safe_cost) for trajectory in found]
+        batch: int = job.settings["side_by_side"]
+        earlier = None if job.earlier is None else first_rows(job.earlier, batch)
+        begin = 0 if earlier is None else len(earlier.episodes)
+        found, rows, times, layouts = [], [], [], [seeds.layout_seed(job.task, job.seed, e) for e in range(begin, config.episodes)]
+        for episodes in batches(begin, config.episodes, batch):
+
+            def during(share: float, text: str, episodes: range = episodes) -> None:
+                done = (episodes.start + share * len(episodes)) / config.episodes
+                job.progress(done, f"episodes {episodes.start}-{episodes[-1]}: {text}")
+
+            # Each batch begins anew: what an assistant remembers must not depend on what came before.
+            assistant = build_assistant(method, job.axes["method_config"], parts)
+            task = make_task(job.task, len(episodes), action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
+            worlds = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
+            mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
+            own = [seeds.method_seed(job.task, variant, job.seed, e, method) for e in episodes]
+            context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
+            operator = build_operator(variant, value, context, mistakes, len(episodes)).to(device)
+            loop = run_episodes(task, parts.world_model, operator, assistant, worlds, own, progress=during)
+            new, new_times = trajectories(loop)
+            found += new
+            times += new_times
+            rows += [episode_metrics(trajectory, goals, config.safe_cost) for trajectory in new]
         identity = CellIdentity(job.task, method, job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
-        write_cell(job.out_dir / "cell.parquet", identity, found, rows, thresholds_of(assistant), times, layouts)
-        return {
-            "return": round(float(np.mean([row.return_ for row in rows])), 2), "cost": round(float(np.mean([row.cost for row in rows])), 1),
-            "int": round(float(np.mean([row.int_rate for row in rows])), 3),
-        }  # fmt: skip
+        path = write_cell(job.out_dir, identity, found, rows, thresholds_of(assistant), times, layouts, earlier)
+        numbers = read_episodes([path])
+        shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
+        return {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
 
 
 def thresholds_of(assistant: object) -> Any:

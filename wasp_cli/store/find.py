@@ -2,7 +2,7 @@
 
     find_cell(Layout(Path("results")), "611a4993")                       the beginning of a key
     find_cell(Layout(Path("results")), "goal1 s0 wasp/no-case2 laggy=0.7")   a label, as `wasp run` and the report print it
-    find_cell(Layout(Path("results")), "copied/cell.parquet")            a file, or the folder of an artifact
+    find_cell(Layout(Path("results")), "copied/episodes.parquet")        a file, or the folder of an artifact
     find_node(Layout(Path("results")), "goal1 s0 world_model")           a node of any kind, also one that failed
 
 Keys and labels are compared with what is there; neither ever becomes a path.
@@ -21,7 +21,7 @@ from typing import Any
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
-from wasp_cli.store.tables import CELL_FILE
+from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
 KIND = "evaluate"
 """The kind of node whose artifact is a cell."""
@@ -183,7 +183,7 @@ def _as_run(label: str) -> str:
 
 def _of_key(layout: Layout, key: str) -> FoundCell:
     manifest = read_manifest(layout, KIND, key)
-    return FoundCell(layout.within(layout.artifact(KIND, key) / CELL_FILE), key, manifest)
+    return FoundCell(layout.within(cell_file(layout.artifact(KIND, key))), key, manifest)
 
 
 def _readable(layout: Layout, keys: Sequence[str]) -> Iterator[FoundCell]:
@@ -197,9 +197,12 @@ def _by_path(layout: Layout, text: str, wanted: str, labels: Sequence[str]) -> F
     """The cell of an existing file or folder."""
     path = Path(text)
     if os.path.isdir(text) and wanted:
-        path = path / CELL_FILE
+        path = cell_file(path)
         if not os.path.isfile(path):
-            raise UsageError(f"the folder '{text}' holds no {CELL_FILE}", f"give a key, a label, or a folder below {layout.kind(KIND)}")
+            raise UsageError(
+                f"the folder '{text}' holds no {EPISODES_FILE}",
+                f"give a key, a label, or a folder below {layout.kind(KIND)}",
+            )
     elif not os.path.isfile(text):
         raise _unknown(layout, wanted, labels)
     manifest = read_record(path.with_name(MANIFEST)) or {}
@@ -216,7 +219,7 @@ def _unknown(layout: Layout, wanted: str, labels: Sequence[str]) -> UsageError:
     if not labels:
         hint = "wasp run SPEC --results DIR writes them; --results chooses where to look"
         return UsageError(f"no evaluation '{wanted}': '{layout.root}' holds none", hint)
-    how = "give a key (a folder name in store/evaluate), a label such as " + f"'{labels[0]}', or the path of a {CELL_FILE}"
+    how = "give a key (a folder name in store/evaluate), a label such as " + f"'{labels[0]}', or the path of an {EPISODES_FILE}"
     return UnknownName("evaluation", wanted, set(labels), f"no evaluation '{wanted}' in '{layout.root}'", otherwise=how)
 
 

@@ -9,6 +9,7 @@ results/
   runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
   index.json               what plans know of the artifacts; can be removed
+  rows/<spec>.parquet      what reports know of the cells of large grids; can be removed
   published/               results that lie in git: store/ and reports/ as above, and nothing else
 """
 
@@ -115,6 +116,18 @@ class Layout:
         """Return the file that is there when a run was asked to end."""
         return self.run(run_id) / "stop"
 
+    def pause(self, run_id: str) -> Path:
+        """Return the file that is there while a run begins nothing new."""
+        return self.run(run_id) / "pause"
+
+    def cancelled(self, run_id: str) -> Path:
+        """Return the folder of what of a run was taken back."""
+        return self.run(run_id) / "cancelled"
+
+    def cancel(self, run_id: str, key: str) -> Path:
+        """Return the file that is there when a node of a run was taken back."""
+        return self.cancelled(run_id) / _key(key)
+
     def overdue(self, run_id: str, key: str) -> Path:
         """Return the file that has text when a node's process was ended because it did not react to its time limit."""
         return self.run(run_id) / "running" / f"{_key(key)}.overdue"
@@ -122,6 +135,10 @@ class Layout:
     def reports(self, spec: str) -> Path:
         """Return the folder of a spec's tables and figures."""
         return self.root / "reports" / _name(spec)
+
+    def rows(self, spec: str) -> Path:
+        """Return what reports of a spec know of its cells."""
+        return self.root / "rows" / f"{_name(spec)}.parquet"
 
     def needed(self) -> tuple[Path, ...]:
         """Return the folders that every run writes to."""

@@ -15,7 +15,10 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from wasp_cli.store.tables import SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds
+from wasp_cli.store.tables import LAST_NESTED, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds
+
+ALIKE = tuple(str(version).encode() for version in (LAST_NESTED, VERSION))
+"""Versions whose episode columns are those of `tables.SCHEMA`, at the same places."""
 
 SHARED = tuple(name for kind in (CellIdentity, Thresholds) for name in kind.__dataclass_fields__)
 """Columns with one value in all rows of a cell."""
@@ -39,7 +42,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
     """
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            if (file.schema_arrow.metadata or {}).get(VERSION_KEY) != str(VERSION).encode() or file.num_row_groups != 1:
+            if (file.schema_arrow.metadata or {}).get(VERSION_KEY) not in ALIKE or file.num_row_groups != 1:
                 return None
             shared = _shared(file.metadata.row_group(0))
             table = file.read(columns=list(columns), use_threads=False)

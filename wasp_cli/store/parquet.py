@@ -15,8 +15,14 @@ from wasp_cli.errors import StoreError
 AGAIN = "run the spec again: what is damaged is computed again"
 
 
-def write_table(table: pa.Table, path: Path) -> None:
+def write_table(table: pa.Table, path: Path, compression: str = "zstd", *, use_dictionary: bool = True) -> None:
     """Write a table. The file appears complete or not at all; the same table gives the same bytes.
+
+    Args:
+        table: the rows.
+        path: the file to be.
+        compression: `zstd` for what is large, `snappy` for what is read often.
+        use_dictionary: whether columns become indices into their values where that is shorter.
 
     Raises:
         StoreError: the file cannot be written.
@@ -24,7 +30,10 @@ def write_table(table: pa.Table, path: Path) -> None:
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:
-            pq.write_table(table, file, compression="zstd", compression_level=3, write_page_checksum=True)
+            level = 3 if compression == "zstd" else None
+            pq.write_table(
+                table, file, compression=compression, compression_level=level, use_dictionary=use_dictionary, write_page_checksum=True
+            )
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)

@@ -1,41 +1,50 @@
-"""The one Parquet file of a cell: a row per episode, its steps nested inside.
+"""The two Parquet files of a cell: `episodes.parquet` has a row per episode, `steps.parquet` a row per decision.
 
     thresholds = Thresholds(tau_c=0.3, tau_r=0.41)
     rows = [episode_metrics(trajectory, success_goals, safe_cost) for trajectory in trajectories]
     cell = CellIdentity("goal1", "wasp", "full", "noisy", 0.4, seed=0)
-    write_cell(path, cell, trajectories, rows, thresholds, decision_ms, episode_seeds)
+    path = write_cell(folder, cell, trajectories, rows, thresholds, decision_ms, episode_seeds)
 
-    read_episodes(paths)   the episode columns of many cells, in the order of `paths`; steps are not read from disk
-    read_steps(path)       the steps of one cell, flat: `episode`, then the fields of STEP
+    cell_file(folder)      the table of a cell in its folder; the functions below are given its path
+    read_episodes(paths)   the episode columns of many cells, in the order of `paths`
+    read_steps(path)       the steps of one cell: `episode`, then the fields of STEP
     read_times(path)       the decision times of its episodes;  read_version(path)   the table version it was written with
-    same_rows(a, b)        whether two files hold the same rows, timing aside
+    same_rows(a, b)        whether two cells hold the same rows, timing aside
 
-A cell is one atomic file, and other tools read it, such as DuckDB:
-`select episode, unnest(steps, recursive := true) from 'cell.parquet'`.
-Undefined numbers are null. Everything but the TIMING columns is a function of the cell's key.
+A report opens thousands of cells and reads no step, so that episodes lie in a small file of their own. Both files name their cell in every
+row: `select * from 'store/evaluate/*/steps.parquet' where method = 'wasp'` needs no other file. Undefined numbers are null. Everything but
+the TIMING columns is a function of the cell's key. Until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows.
 """
 
 from __future__ import annotations
 
+import filecmp
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
 from wasp_cli.store.parquet import opened_table, write_table
 
-CELL_FILE = "cell.parquet"
-"""Name of the table inside the artifact of a cell."""
+EPISODES_FILE, STEPS_FILE = "episodes.parquet", "steps.parquet"
+"""Names of the tables inside the artifact of a cell."""
+FORMER_FILE = "cell.parquet"
+"""Name of the one table until version 2."""
 
-VERSION = 2
-"""Grows with every change of SCHEMA; a file of a newer version is refused."""
+VERSION = 3
+"""Grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused."""
 
-VERSION_KEY = b"wasp.cell"
+VERSION_KEY, STEPS_KEY = b"wasp.cell", b"wasp.steps"
+LAST_NESTED = 2
+"""The last version with the steps inside the rows of episodes."""
 
 STEP = pa.struct(
     [
@@ -107,17 +116,15 @@ THRESHOLDS = (pa.field("tau_c", pa.float64()), pa.field("tau_r", pa.float64()), 
 TIMES = (
     pa.field("decision_p50_ms", pa.float32()),
     pa.field("decision_p95_ms", pa.float32()),
-    pa.field("decision_ms", pa.list_(pa.float32()), nullable=False),
 )
+STEP_TIME = pa.field("decision_ms", pa.float32(), nullable=False)
 
-SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES, pa.field("steps", pa.list_(STEP), nullable=False)]).with_metadata(
-    {VERSION_KEY: str(VERSION).encode()}
-)
+SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES], {VERSION_KEY: str(VERSION).encode()})
+"""Of the episodes."""
+STEPS_SCHEMA = pa.schema([*IDENTITY, *STEP, STEP_TIME], {STEPS_KEY: str(VERSION).encode()})
 
-TIMING = tuple(field.name for field in TIMES)
+TIMING = (*(field.name for field in TIMES), STEP_TIME.name)
 """Columns that differ between two computations of one cell."""
-
-EPISODE_COLUMNS = tuple(name for name in SCHEMA.names if name not in ("decision_ms", "steps"))
 
 
 @dataclass(frozen=True)
@@ -143,62 +150,90 @@ class Thresholds:
     tau_q: float | None = None
 
 
+class Rows(NamedTuple):
+    """The rows of a cell."""
+
+    episodes: pa.Table
+    """of SCHEMA"""
+    steps: pa.Table
+    """of STEPS_SCHEMA"""
+
+
 def write_cell(
-    path: Path,
+    folder: Path,
     identity: CellIdentity,
     trajectories: Sequence[Trajectory],
     metrics: Sequence[EpisodeMetrics],
     thresholds: Thresholds,
     decision_ms: Sequence[NDArray[np.floating]],
     episode_seeds: Sequence[int],
-) -> None:
-    """Write the table of a cell. The file appears complete or not at all; the same input gives the same bytes.
+    earlier: Rows | None = None,
+) -> Path:
+    """Write the tables of a cell; returns the path of its episodes. Each file appears complete or not at all, the episodes last.
+
+    The same input gives the same bytes.
 
     Args:
-        path: the file to be.
+        folder: where the files are to be.
         identity: what all rows share.
         trajectories: E episodes.
         metrics: their rows, from `metrics.episode.episode_metrics`.
         thresholds: in force for all rows.
         decision_ms: per episode [T], wall time of each decision in milliseconds.
         episode_seeds: the seed of each episode's world; operator and method have streams of their own.
+        earlier: rows of the cell that come before these (`first_rows`).
+
+    Raises:
+        StoreError: a file cannot be written.
+    """
+    first = 0 if earlier is None else len(earlier.episodes)
+    new = cell_tables(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds, first)
+    pieces = [new] if earlier is None else [earlier, new]
+    episodes, steps = (pa.concat_tables(tables).combine_chunks() for tables in zip(*pieces, strict=True))
+    write_table(steps, folder / STEPS_FILE)
+    write_episodes(episodes, folder / EPISODES_FILE)
+    return folder / EPISODES_FILE
+
+
+def write_episodes(episodes: pa.Table, path: Path) -> None:
+    """Write the first table of `cell_tables`.
 
     Raises:
         StoreError: the file cannot be written.
     """
-    write_table(cell_table(identity, trajectories, metrics, thresholds, decision_ms, episode_seeds), path)
+    # Reports open thousands of these: pages without dictionaries that unpack fast take half the time and no more space.
+    write_table(episodes, path, compression="snappy", use_dictionary=False)
 
 
-def cell_table(
+def cell_tables(
     identity: CellIdentity,
     trajectories: Sequence[Trajectory],
     metrics: Sequence[EpisodeMetrics],
     thresholds: Thresholds,
     decision_ms: Sequence[NDArray[np.floating]],
     episode_seeds: Sequence[int],
-) -> pa.Table:
-    """Build the table of a cell in memory; see `write_cell`."""
+    first: int = 0,
+) -> Rows:
+    """Build the tables of a cell in memory, or of its episodes from `first` on; see `write_cell`."""
     episodes = len(trajectories)
     if not episodes == len(metrics) == len(decision_ms) == len(episode_seeds):
         raise ValueError(f"{episodes} trajectories, {len(metrics)} rows, {len(decision_ms)} timings, {len(episode_seeds)} seeds")
     columns: dict[str, Any] = {name: [value] * episodes for name, value in (asdict(identity) | asdict(thresholds)).items()}
-    columns |= {"episode": list(range(episodes)), "episode_seed": [int(seed) for seed in episode_seeds]}
+    columns |= {"episode": list(range(first, first + episodes)), "episode_seed": [int(seed) for seed in episode_seeds]}
     for field in METRICS:
         attribute = "return_" if field.name == "return" else field.name
         columns[field.name] = [getattr(row, attribute) for row in metrics]
     for name, share in (("decision_p50_ms", 50), ("decision_p95_ms", 95)):
         columns[name] = [float(np.percentile(times, share)) if len(times) else None for times in decision_ms]
-    columns["decision_ms"] = [np.asarray(times, np.float32) for times in decision_ms]
-    columns["steps"] = _steps(trajectories)
-    return pa.table([_array(columns[field.name], field.type) for field in SCHEMA], schema=SCHEMA)
+    table = pa.table([pa.array(columns[field.name], field.type) for field in SCHEMA], schema=SCHEMA)
+    episode = np.repeat(np.arange(episodes), [trajectory.steps for trajectory in trajectories])
+    names = [table[field.name].take(episode) for field in IDENTITY]
+    times = pa.array(np.concatenate([np.asarray(times, np.float32) for times in decision_ms]), STEP_TIME.type)
+    return Rows(table, pa.table([*names, *_steps(trajectories), times], schema=STEPS_SCHEMA))
 
 
-def _array(values: Any, kind: pa.DataType) -> pa.Array:
-    return values if isinstance(values, pa.Array) else pa.array(values, kind)
-
-
-def _steps(trajectories: Sequence[Trajectory]) -> pa.Array:
-    """list<STEP> with one entry per episode, built from flat columns."""
+def _steps(trajectories: Sequence[Trajectory]) -> list[pa.Array]:
+    """The columns of STEP over the steps of all episodes."""
 
     def flat(name: str) -> NDArray[Any]:
         return np.concatenate([np.asarray(getattr(trajectory, name)) for trajectory in trajectories])
@@ -211,8 +246,7 @@ def _steps(trajectories: Sequence[Trajectory]) -> pa.Array:
             columns[field.name] = pa.nulls(sum(lengths), field.type) if planned is None else _array_of(planned[field.name], field.type)
             continue
         columns[field.name] = _array_of(flat(field.name), field.type)
-    steps = pa.StructArray.from_arrays(list(columns.values()), fields=list(STEP))
-    return pa.ListArray.from_arrays(np.cumsum([0, *lengths], dtype=np.int32), steps, type=pa.list_(STEP))
+    return list(columns.values())
 
 
 def _planned(trajectories: Sequence[Trajectory]) -> dict[str, NDArray[Any]] | None:
@@ -242,23 +276,45 @@ def _array_of(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
     return pa.array(data, mask=mask).cast(kind)
 
 
+def cell_file(folder: Path) -> Path:
+    """Return where the rows of a cell are in the folder of its artifact: in the file of an earlier version where there is only that."""
+    path, former = folder / EPISODES_FILE, folder / FORMER_FILE
+    return path if os.path.lexists(path) or not os.path.lexists(former) else former
+
+
 def read_episodes(paths: Iterable[Path]) -> pa.Table:
     """Read the episode columns of many cells, one below the other in the order of `paths`.
 
     Raises:
         StoreError: a file is missing, damaged, of a newer version, or no cell table.
     """
-    schema = pa.schema([SCHEMA.field(name) for name in EPISODE_COLUMNS])
-    tables = [_read(path, EPISODE_COLUMNS).cast(schema) for path in paths]
+    schema = SCHEMA.remove_metadata()
+    tables = [_read(path, SCHEMA.names).cast(schema) for path in paths]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
 
 
-def read_steps(path: Path) -> pa.Table:
-    """Read the steps of a cell, flat: `episode`, then the fields of STEP.
+def first_rows(folder: Path, batch: int) -> Rows:
+    """Read the rows of a cell of this version, to write them again before others: as many as whole batches of `batch` episodes have.
 
     Raises:
-        StoreError: as `read_episodes`.
+        StoreError: as `read_episodes`, also of the file of the steps.
     """
+    episodes = _read(folder / EPISODES_FILE, SCHEMA.names).cast(SCHEMA)
+    whole = len(episodes) // batch * batch
+    steps = _read_steps(folder / EPISODES_FILE, STEPS_SCHEMA.names).cast(STEPS_SCHEMA)
+    return Rows(episodes.slice(0, whole), steps.filter(pc.less(steps["episode"], whole)))
+
+
+def read_steps(path: Path) -> pa.Table:
+    """Read the steps of a cell: `episode`, then the fields of STEP.
+
+    Raises:
+        StoreError: as `read_episodes`, also of the file of the steps.
+    """
+    names = ["episode", *(field.name for field in STEP)]
+    if read_version(path) > LAST_NESTED:
+        table = _read_steps(path, names)
+        return pa.table([table[name] for name in names], names=names)
     table = _read(path, ("episode", "steps"))
     nested = table["steps"].combine_chunks()
     lengths = np.asarray(nested.value_lengths())
@@ -271,16 +327,20 @@ def read_steps(path: Path) -> pa.Table:
         else pa.nulls(len(flat), field.type)
         for field in STEP
     ]  # fmt: skip
-    return pa.table([episode, *fields], names=["episode", *(field.name for field in STEP)])
+    return pa.table([episode, *fields], names=names)
 
 
 def read_times(path: Path) -> list[NDArray[np.float64]]:
     """Read [T] per episode: wall time of each decision in milliseconds, divided by the episodes that were decided side by side.
 
     Raises:
-        StoreError: as `read_episodes`.
+        StoreError: as `read_steps`.
     """
-    return [np.asarray(times, np.float64) for times in _read(path, ("decision_ms",))["decision_ms"].to_pylist()]
+    if read_version(path) <= LAST_NESTED:
+        return [np.asarray(times, np.float64) for times in _read(path, ("decision_ms",))["decision_ms"].to_pylist()]
+    table = _read_steps(path, ("episode", "decision_ms"))
+    episode, times = np.asarray(table["episode"]), np.asarray(table["decision_ms"], np.float64)
+    return [times[episode == number] for number in _read(path, ("episode",))["episode"].to_pylist()]
 
 
 def read_version(path: Path) -> int:
@@ -289,16 +349,49 @@ def read_version(path: Path) -> int:
     Raises:
         StoreError: as `read_episodes`.
     """
-    return int(_read(path, ("episode",)).schema.metadata[VERSION_KEY])
+    with opened_table(path, VERSION_KEY, VERSION, "the table of a cell") as file:
+        return int(file.schema_arrow.metadata[VERSION_KEY])
 
 
 def same_rows(a: Path, b: Path) -> bool:
-    """Return whether two cell files hold the same rows when the TIMING columns are left out."""
-    names = tuple(name for name in SCHEMA.names if name not in TIMING)
-    return bool(_read(a, names).equals(_read(b, names)))
+    """Return whether two cells hold the same rows when the TIMING columns are left out, whatever versions wrote them."""
+    files = _files(a), _files(b)
+    # Copies are the common case, and comparing bytes is cheaper than comparing rows.
+    if len(files[0]) == len(files[1]) and all(filecmp.cmp(*pair, shallow=False) for pair in zip(*files, strict=True)):
+        return True
+    timing = [field.name for field in TIMES]
+    first, second = (read_episodes([path]).drop_columns(timing) for path in (a, b))
+    return bool(first.equals(second) and read_steps(a).equals(read_steps(b)))
 
 
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:
     """Return some columns of a cell file, after its version was checked."""
     with opened_table(path, VERSION_KEY, VERSION, "the table of a cell") as file:
         return file.read(columns=list(columns), use_threads=False)  # a cell is too small for threads
+
+
+def _read_steps(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Return some columns of the steps that lie beside the episodes at `path`."""
+    with opened_table(_steps_file(path), STEPS_KEY, VERSION, "the steps of a cell") as file:
+        table = file.read(columns=list(columns), use_threads=False)
+        for name in table.column_names:
+            # How many values a page has is the one number of Parquet without a checksum: where it is wrong, the last lists are cut off.
+            lengths = pc.unique(pc.list_value_length(table[name])).drop_null() if pa.types.is_list(table[name].type) else ()
+            if len(lengths) > 1:
+                raise ValueError(f"the lists of '{name}' do not have one length")
+        return table
+
+
+def _files(path: Path) -> list[Path]:
+    """Return the files of the cell at `path`."""
+    return [path, _steps_file(path)] if read_version(path) > LAST_NESTED else [path]
+
+
+def _steps_file(path: Path) -> Path:
+    """Return where the steps of the cell at `path` lie. Who reads a cell has seen that `path` is a plain file; nobody has of this one."""
+    beside = path.with_name(STEPS_FILE)
+    if not os.path.lexists(beside):
+        raise StoreError(f"{beside} does not exist", "it belongs to the cell: copy both files, or run the spec again")
+    if beside.is_symlink() or not beside.is_file():
+        raise StoreError(f"{beside} is no plain file")
+    return beside

@@ -18,6 +18,8 @@ Pixels = NDArray[np.uint8]
 
 CAMERA_SIZE = 64
 """Side of each camera image in pixels; an observation stacks two RGB images to 6 channels."""
+MAP_SIZE = 256
+"""Side of a map for people in pixels, where nothing else is asked for."""
 
 
 class Observation(NamedTuple):
@@ -88,6 +90,9 @@ class VectorTask(Protocol):
 
         The first dimension of every array is B, so that rows can be taken from one snapshot and put into another (or into one of another
         batch); `ended` [B] is among them.
+
+        Raises:
+            TaskError: no episode was started in one of the rows.
         """
         ...
 

@@ -68,6 +68,17 @@ def running_rows(ended: Bools) -> NDArray[np.intp]:
     return rows
 
 
+def check_begun(begun: Bools) -> None:
+    """Refuse a snapshot of rows (`begun` [B]) in which no episode was started.
+
+    Raises:
+        TaskError: there is one.
+    """
+    if not begun.all():
+        rows = ", ".join(map(str, np.flatnonzero(~begun)))
+        raise TaskError(f"a snapshot before the first reset: no episode has begun in row {rows}", "call reset first")
+
+
 @dataclass(frozen=True)
 class Totals:
     """Sums over one decision step, one entry per row; see `Step`."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
-from wasp_cli.tasks.batch import Totals, check_options, checked_action, chosen_rows, running_rows
+from wasp_cli.tasks.batch import Totals, check_begun, check_options, checked_action, chosen_rows, running_rows
 from wasp_cli.tasks.camera.appearance import Appearance, Scene
 from wasp_cli.tasks.camera.camera import Camera
 from wasp_cli.tasks.frames import distance, wrapped
@@ -130,6 +130,8 @@ class Navigation(ABC):
         self._env_steps = np.zeros(batch, np.int64)
         self._ended = np.ones(batch, np.bool_)
         self._terminated = np.zeros(batch, np.bool_)
+        self._begun = np.zeros(batch, np.bool_)
+        """An episode was started here: before that a row's arrays describe no world."""
         self._streams = Streams(batch)
         self._camera = Camera(self.appearance(), threads) if "pixels" in self.observe else None
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
@@ -144,6 +146,7 @@ class Navigation(ABC):
             self._qvel[row], self._speeds[row] = 0.0, 0.0
             self._start(row, self._streams.start(row, seed))
         started = np.array([row for row, _ in chosen], np.intp)
+        self._begun[started] = True
         self._refresh(started)
         return self._observe(started)
 
@@ -262,10 +265,11 @@ class Navigation(ABC):
         }
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
+        check_begun(self._begun)
         return {name: array.copy() for name, array in self._arrays().items()} | self._streams.snapshot()
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> Observation:
-        for name, array in self.snapshot().items():
+        for name, array in (self._arrays() | self._streams.snapshot()).items():
             if name not in snapshot or snapshot[name].shape != array.shape:
                 what = f"{self.name}{self.level} with batch {self.batch}"
                 raise TaskError(f"the snapshot is not one of {what}: '{name}' is missing or has another shape")
@@ -274,5 +278,6 @@ class Navigation(ABC):
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
         self._streams.restore(snapshot["stream_key"], snapshot["stream_position"], snapshot["stream_owed"])
+        self._begun[:] = True
         self._refresh(np.arange(self.batch))
         return self._observe(np.arange(self.batch))

@@ -149,6 +149,10 @@ class LocalPhysics:
         model = self._of(0, 0, True).model
         self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
 
+    def __reduce__(self) -> tuple[type[LocalPhysics], tuple[ModelBuilder, int]]:
+        # MuJoCo's pool of threads cannot be copied, and nothing of a model outlives a call: a copy builds its own.
+        return LocalPhysics, (self._build, self._threads)
+
     def advance(self, state: State, control: Floats, around: Surroundings, steps: int) -> State:
         """Advance states by `steps` physics steps under a held control [n, nu]. Bodies that are not active stay as they are."""
         after = State(*(array.copy() for array in state))

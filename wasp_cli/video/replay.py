@@ -67,11 +67,11 @@ def replay(
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
-    source = source_of(layout, cell)
+    source = source_of(layout, cell, episode)
     made = film_episode(
         source,
         episode_trace(stored),
-        episode,
+        episode - source.first,
         correction(stored),
         stored.constants.horizon or HORIZON,
         every or -(-stored.decisions // FRAMES),
@@ -95,7 +95,7 @@ def title_of(stored: Episode) -> str:
     return f"{printable(stored.cell.label or row['task'] + ' ' + row['method'])}, episode {row['episode']}"
 
 
-def source_of(layout: Layout, cell: FoundCell) -> Source:
+def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     """Find the rows of a cell and the models that it was evaluated with.
 
     Raises:
@@ -126,9 +126,14 @@ def source_of(layout: Layout, cell: FoundCell) -> Source:
                 "run the spec of the cell again on this results folder: what is missing or damaged is computed again",
             )
     recorded = Recorded(**read_recorded(cell.path))
+    # Cells of earlier versions were evaluated as one batch.
+    size = cell.setting("settings", "side_by_side")
+    size = size if isinstance(size, int) and size > 0 else len(recorded.a)
+    first = episode // size * size
     threads = cell.setting("provenance", "threads")
     return Source(
-        **known, recorded=recorded, world_model=layout.artifact("world_model", upstream["world_model"]),
+        **known, recorded=recorded.of(range(first, first + size)), first=first,
+        world_model=layout.artifact("world_model", upstream["world_model"]),
         policies=layout.artifact("policies", upstream["policies"]),
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
     )  # fmt: skip

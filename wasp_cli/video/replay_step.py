@@ -111,7 +111,8 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
     default = default_name(stored, f"_s{step}.gif")
     path = checked(default if out is None else out, STILL)
     criterion = criterion_of(layout, cell)
-    pair = BranchPair(source_of(layout, cell), episode, step, criterion.window, progress)
+    source = source_of(layout, cell, episode)
+    pair = BranchPair(source, episode - source.first, step, criterion.window, progress)
     verdict = judge(stored, step, criterion, {name: trace._asdict() for name, trace in pair.traces.items()})
     pair.film(f"{title_of(stored)}, decision {step}", verdict.lines(), path)
     return path, verdict

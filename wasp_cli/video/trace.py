@@ -1,6 +1,6 @@
 """What a video of a stored episode shows, gathered while its cell is played again: scenes, images, latents, and starts of rollouts.
 
-B = episodes of the cell, T = decisions of the episode, A = action size, F = features, L = residual steps.
+B = episodes side by side, T = decisions of the episode, A = action size, F = features, L = residual steps.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Source:
-    """A stored cell and the models that it was evaluated with."""
+    """The episodes of a stored cell that met side by side, and the models that they were evaluated with."""
 
     task: str
     action_repeat: int
@@ -44,6 +44,8 @@ class Source:
     policies: Path
     threads: int = 1
     """of matrix products when it was evaluated: rounding may depend on them"""
+    first: int = 0
+    """number of the first of the episodes within their cell"""
 
     def world(self) -> VectorTask:
         """Build the task as the cell was evaluated in."""
@@ -52,7 +54,7 @@ class Source:
     def operator(self, world: VectorTask) -> Operator:
         """Build the operator of the cell, fresh."""
         batch = len(self.recorded.a)
-        mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, e) for e in range(batch)]
+        mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, self.first + row) for row in range(batch)]
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
         return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
 
@@ -110,8 +112,8 @@ def play_episode(
     """Play a cell again and keep what is needed of one episode.
 
     Args:
-        source: the cell.
-        episode: the row to show.
+        source: the episodes.
+        episode: the row of theirs to show.
         residuals: T corrections [L, A], or None where the command stood.
         shown: the decisions to show.
         horizon: imagined steps.

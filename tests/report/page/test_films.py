@@ -53,9 +53,9 @@ def store(folder: Path, costs: dict[tuple[str, str, float | None], tuple[int, ..
             object.__setattr__(row, "cost", cost)
         identity = CellIdentity("goal1", method, "full", operator, value, 0)
         staging = staging_folder(layout, key)
-        write_cell(staging / "cell.parquet", identity, trajectories, rows, Thresholds(), [np.ones(10)] * len(own), list(range(len(own))))
+        write_cell(staging, identity, trajectories, rows, Thresholds(), [np.ones(10)] * len(own), list(range(len(own))))
         commit(layout, "evaluate", key, staging, {"kind": "evaluate", "key": key, "settings": {"action_repeat": REPEAT}})
-        path = layout.artifact("evaluate", key) / "cell.parquet"
+        path = layout.artifact("evaluate", key) / "episodes.parquet"
         wanted.append(Wanted(identity, key, path, severity="moderate" if value == 0.4 else "mild"))
         keys[identity] = key
     return layout, read_frame(wanted), keys

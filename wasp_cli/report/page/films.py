@@ -30,7 +30,7 @@ from wasp_cli.report.tables.titles import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CellIdentity
+from wasp_cli.store.tables import CellIdentity, cell_file
 from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _median_episode(costs: Any) -> int:
 def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw) -> MethodFilm | None:
     """None where the rows cannot be read again."""
     try:
-        path: Path = layout.within(layout.artifact(KIND, key) / "cell.parquet")
+        path: Path = layout.within(cell_file(layout.artifact(KIND, key)))
         episode = read_episode(FoundCell(path, key, read_manifest(layout, KIND, key)), number)
     except WaspError:
         return None

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
 from wasp_cli.metrics.necessity import Necessity
+from wasp_cli.report.stats.kept import Kept, place_of, read_kept, stamp_of, write_kept
 from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.parquet import AGAIN
 from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes
@@ -35,6 +36,9 @@ THREADS = 4
 """That read cells side by side: a disk answers several, and unpacking a column holds up no other thread."""
 TOGETHER = 50
 """Cells that a thread reads in one go: handing them over one by one would cost half as much as reading them."""
+
+LEAST_GAIN = 50
+"""Cells that have to be read anew before their rows are kept."""
 
 JUDGED = ("uir", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, in the cells that have one (`report.stats.branches`)."""
@@ -168,18 +172,26 @@ def row_of(identity: CellIdentity) -> tuple[str, str, str]:
     return identity.task, identity.method, identity.assistant_variant
 
 
-def read_frame(wanted: Iterable[Wanted]) -> Frame:
-    """Read the cells that exist; name those that do not, or that cannot be read."""
+def read_frame(wanted: Iterable[Wanted], kept: Path | None = None) -> Frame:
+    """Read the cells that exist; name those that do not, or that cannot be read.
+
+    Args:
+        wanted: the cells.
+        kept: a file for their rows (`stats.kept`): what it has of them is not read again, and it is written where that spares enough.
+    """
     wanted = tuple(wanted)
     parts = [wanted[i : i + TOGETHER] for i in range(0, len(wanted), TOGETHER)]
+    known = {} if kept is None else read_kept(kept, COLUMNS)
     with ThreadPoolExecutor(THREADS) as threads:
-        found = [each for part in threads.map(lambda part: [_read(cell) for cell in part], parts) for each in part]
+        found = [each for part in threads.map(lambda part: [_read(cell, known) for cell in part], parts) for each in part]
     read = [(cell, each) for cell, each in zip(wanted, found, strict=True) if not isinstance(each, Missing)]
     missing = tuple(each for each in found if isinstance(each, Missing))
-    return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
+    if kept is not None and sum(known.get(each.place) is not each for _, each in read) >= LEAST_GAIN:
+        write_kept(kept, [each for _, each in read])
+    return Frame(tuple(pool_cells([(cell, each.numbers) for cell, each in read])), missing, tuple(cell.identity for cell in wanted))
 
 
-def _read(cell: Wanted) -> Numbers | Missing:
+def _read(cell: Wanted, known: Mapping[str, Kept]) -> Kept | Missing:
     """The rows of a cell, or why there are none."""
     if cell.refused is not None:
         return Missing(cell.identity, cell.label, cell.refused)
@@ -187,6 +199,10 @@ def _read(cell: Wanted) -> Numbers | Missing:
         return Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name)
     try:
         with odd_tables_refused(cell.path):
+            place, stamp = place_of(cell.path), stamp_of(cell.path)
+            before = known.get(place)
+            if before is not None and before.stamp == stamp and before.numbers.identity == cell.identity:
+                return before
             numbers = read_numbers(cell.path, COLUMNS) or _read_closely(cell.path)
             if numbers.identity != cell.identity:
                 raise StoreError(f"{cell.path} holds another cell: {numbers.identity}")
@@ -195,7 +211,7 @@ def _read(cell: Wanted) -> Numbers | Missing:
         # A report names a damaged cell and goes on; it never averages without it in silence.
         reason = error.message + (f" ({error.hint})" if error.hint else "")
         return Missing(cell.identity, cell.label, reason, cell.path.parent.name, damaged=True)
-    return numbers
+    return Kept(place, stamp, numbers)
 
 
 def _read_closely(path: Path) -> Numbers:

@@ -171,6 +171,7 @@ class Camera:
     """Renders scenes of one appearance; never touches the task's physics."""
 
     def __init__(self, appearance: Appearance, threads: int = 1) -> None:
+        self._appearance, self._threads = appearance, threads
         self._height = appearance.camera_height
         self._view = make_view(appearance)
         self._backdrop = Backdrop(appearance, self._view)
@@ -179,6 +180,10 @@ class Camera:
         self._kinds = sorted(solid, key=lambda kind: kind.alpha < 1.0)
         self._solids = [{kind.name: Solids(kind) for kind in self._kinds} for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="camera") if threads > 1 else None
+
+    def __reduce__(self) -> tuple[type[Camera], tuple[Appearance, int]]:
+        # Threads cannot be copied, and no picture depends on an earlier one.
+        return Camera, (self._appearance, self._threads)
 
     def render(self, scene: Scene) -> Pixels:
         """Draw uint8 [n, 6, 64, 64]: front RGB, then rear RGB. A row's bytes depend on its own scene only."""

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import Bools, Floats, Pixels
+from wasp_cli.tasks.base import MAP_SIZE, Bools, Floats, Pixels
 from wasp_cli.tasks.camera.appearance import Appearance, Colour, HasScene, Scene
 from wasp_cli.tasks.camera.raster import around as window_around
 from wasp_cli.tasks.camera.raster import filled, near_sides
@@ -17,8 +17,6 @@ from wasp_cli.tasks.outline import segments
 
 # On a map of a whole track things are smaller than a pixel: as shares of the map's half side, what they are drawn as at least.
 LEAST_ROBOT, LEAST_GOAL, LEAST_THING = 0.045, 0.02, 0.005
-MAP_SIZE = 256
-"""Side of a map in pixels, where nothing else is asked for."""
 _MARGIN = 0.2
 """How close in m the robot may come to the border of a map that follows it."""
 _HEADING_COLOUR = (1.0, 1.0, 1.0)

@@ -21,6 +21,7 @@ GymEnv = gymnasium.Env[Any, Any]
 COST_HINT = "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
 LONE_SOURCE = "cost"
 """The cost source of an environment that names none."""
+_SUM = "cost_sum"
 
 
 class EnvStep(NamedTuple):
@@ -129,7 +130,7 @@ def _cost(info: Mapping[str, Any]) -> float:
 
 
 def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
-    sources = info.get("cost_sources", {LONE_SOURCE: cost})
+    sources: Any = info.get("cost_sources", _flat_sources(info) or {LONE_SOURCE: cost})
     named = isinstance(sources, Mapping) and bool(sources) and all(isinstance(source, str) for source in sources)
     if not named:
         raise TaskError(f"info['cost_sources'] is {_shown(sources)}", "a dictionary from names to costs, with every source in every step")
@@ -138,6 +139,13 @@ def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
         if value is None or not math.isfinite(value):
             raise TaskError(f"info['cost_sources']['{source}'] is {_shown(sources[source])}", "a cost is a finite number of at least 0")
     return {source: value for source, value in costs.items() if value is not None}
+
+
+def _flat_sources(info: Mapping[str, Any]) -> dict[str, Any]:
+    """The costs of an environment that tells them as Safety-Gymnasium does: `cost_<source>` beside `cost_sum`."""
+    if _SUM not in info:
+        return {}
+    return {key.removeprefix("cost_"): value for key, value in info.items() if str(key).startswith("cost_") and key != _SUM}
 
 
 def _goals(info: Mapping[str, Any]) -> int | None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats, Observation, Pixels, Step
-from wasp_cli.tasks.batch import Totals, check_options, checked_action, chosen_rows, running_rows
+from wasp_cli.tasks.batch import Totals, check_begun, check_options, checked_action, chosen_rows, running_rows
 from wasp_cli.tasks.foreign import calls
 from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environment
 from wasp_cli.tasks.foreign.examine import examine, make_env
@@ -64,6 +64,7 @@ class GymTask:
         self._goals = np.zeros(batch, np.int64)
         self._ended = np.ones(batch, np.bool_)
         self._terminated = np.zeros(batch, np.bool_)
+        self._begun = np.zeros(batch, np.bool_)
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
         self._state = np.zeros((batch, self.state_size))
         self._privileged = np.zeros((batch, self.privileged_size), np.float32)
@@ -76,6 +77,7 @@ class GymTask:
                 seen = calls.reset(self._envs[row], seed)
                 for zeroed in (self._env_steps, self._goals, self._ended, self._terminated):
                     zeroed[row] = 0
+                self._begun[row] = True
                 self._observe_row(row, seen, first=True)
         return self._observation()
 
@@ -162,8 +164,9 @@ class GymTask:
         """Return what `VectorTask` says; the environment's own part are the arrays of its `snapshot()`.
 
         Raises:
-            TaskError: the environment has no `snapshot`.
+            TaskError: the environment has no `snapshot`, or a row has not begun.
         """
+        check_begun(self._begun)
         methods = [self._method(env, "snapshot") for env in self._envs]
         with of_environment(self._name), calling("snapshot"):
             own = [method() for method in methods]
@@ -186,6 +189,7 @@ class GymTask:
                 method({name: array[row].copy() for name, array in theirs.items()})
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
+        self._begun[:] = True
         return self._observation()
 
     def _method(self, env: GymEnv, name: str) -> Any:

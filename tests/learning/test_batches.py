@@ -1,0 +1,79 @@
+"""Cells in batches of episodes: what a cell of fewer has is taken over, and nothing comes out differently."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from tests.cells import SETTINGS, Evaluated, evaluated
+from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
+from wasp_cli.learning.evaluation import batches
+from wasp_cli.metrics.necessity import ASSISTED
+from wasp_cli.stages.base import Job
+from wasp_cli.stages.counterfactual import CounterfactualStage
+from wasp_cli.stages.heldout import HeldoutStage
+from wasp_cli.store.branches import BRANCHES_FILE
+from wasp_cli.store.tables import TIMING, read_steps, read_times, same_rows
+
+EAGER = {"vote": 0.0}
+"""IDA that intervenes at some decisions, and not at others, although nothing is trained."""
+
+
+def test_batches_have_one_size_but_for_the_last() -> None:
+    assert batches(0, 7, 3) == [range(3), range(3, 6), range(6, 7)]
+    assert batches(3, 6, 3) == [range(3, 6)]
+    assert batches(0, 2, 10) == [range(2)]
+
+
+@pytest.fixture(scope="module")
+def whole(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
+    return evaluated(inputs, tmp_path_factory.mktemp("whole"), "ida", EAGER, episodes=5, side_by_side=2)
+
+
+@pytest.mark.parametrize(("episodes", "kept"), [(3, 2), (4, 4)])
+def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
+    episodes: int, kept: int, whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=episodes, side_by_side=2)
+    begun: list[int] = []
+    monkeypatch.setattr("wasp_cli.seeds.layout_seed", counted(begun))
+    resumed = evaluated(inputs, tmp_path / "resumed", "ida", EAGER, episodes=5, side_by_side=2, earlier=fewer.path.parent)
+    assert set(begun) == set(range(kept, 5))
+    assert same_rows(whole.path, resumed.path)
+    names = [name for name in pq.read_schema(whole.path).names if name not in TIMING]
+    assert pq.read_table(whole.path, columns=names).equals(pq.read_table(resumed.path, columns=names))
+    for e in range(kept):  # their times are those of the first time
+        assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
+
+
+def counted(begun: list[int]) -> object:
+    from wasp_cli.seeds import layout_seed
+
+    def seed(task: str, number: int, episode: int) -> int:
+        begun.append(episode)
+        return layout_seed(task, number, episode)
+
+    return seed
+
+
+def test_the_branches_of_every_batch_come_back_in_it(whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    """What the recorded action earns is what it earned: bit for bit, in all batches."""
+    cell = whole
+    heldout, out = tmp_path / "heldout", tmp_path / "out"
+    for folder in (heldout, out):
+        folder.mkdir()
+    HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, inputs, heldout, heldout))
+    settings = {**SETTINGS, "side_by_side": 2}
+    axes = {"method": "ida", "method_config": {}, "variant": cell.variant, "value": cell.value}
+    read = {**inputs, "evaluate": cell.path.parent, "heldout": heldout}
+    config = CounterfactualConfig(window=1)
+    summary = CounterfactualStage().run(Job("counterfactual", "race1", 0, config, settings, axes, read, out, out))
+    steps = {(step["episode"], step["t"]): step for step in read_steps(cell.path).to_pylist()}
+    rows = [row for row in pq.read_table(out / BRANCHES_FILE).to_pylist() if row["branch"] == ASSISTED]
+    assert {row["episode"] for row in rows} == set(range(5))
+    assert len(rows) == summary["interventions"]
+    for row in rows:
+        assert row["rewards"] == [steps[row["episode"], row["t"]]["reward"]]

@@ -1,0 +1,81 @@
+"""Times of what was never measured here: from the shipped figures, the size of a node, and the speed of this machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from wasp_cli.plan import times
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.show import show
+from wasp_cli.spec.load import load
+from wasp_cli.store.layout import Layout
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def same_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(times, "speed", lambda: times.shipped()["speed"])
+
+
+def planned(spec: str, tmp_path: Path, *settings: str) -> Plan:
+    return plan_against(lay_out(load(ROOT / "specs" / spec, settings).spec), Layout(tmp_path / "absent"))
+
+
+def manifest(kind: str, seconds: float, axes: dict[str, Any] | None = None, **config: int) -> dict[str, Any]:
+    return {"kind": kind, "task": "goal1", "axes": axes or {}, "config": config, "provenance": {"seconds": seconds}}
+
+
+def test_the_quickstart_has_a_figure_for_every_node_and_the_plan_says_that_it_is_an_estimate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from rich.console import Console
+
+    plan = planned("quickstart.yaml", tmp_path)
+    seconds, unknown = plan.estimate(2)
+    assert unknown == 0
+    assert plan.guessed == {node.sort for node in plan.to_run()}
+    show(plan, Console(width=200), 2)
+    text = capsys.readouterr().out
+    assert f"for {len(plan.to_run())} nodes an estimate, from another machine's times and the speed of this one" in text
+    work = sum(plan.seconds[node.sort] for node in plan.to_run())
+    assert max(work / 2, plan.critical_path()[0]) <= seconds < work
+
+
+def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def of(kind: str, *settings: str) -> float:
+        plan = planned("quickstart.yaml", tmp_path, *settings)
+        return next(plan.seconds[node.sort] for node in plan.to_run() if node.kind == kind)
+
+    before = {kind: of(kind) for kind in ("evaluate", "world_model", "policies")}
+    assert of("evaluate", "episodes=20") == pytest.approx(2 * before["evaluate"])
+    assert of("world_model", "world_model.updates=3000") == pytest.approx(2 * before["world_model"])
+    monkeypatch.setattr(times, "speed", lambda: 2 * times.shipped()["speed"])
+    assert of("policies") == pytest.approx(before["policies"] / 2)
+
+
+def test_a_later_round_of_the_world_model_has_updates_of_its_own(tmp_path: Path) -> None:
+    plan = planned("worldmodel.yaml", tmp_path, "tasks=[goal1]")
+    first, later = (node for node in plan.to_run() if node.kind == "world_model")
+    ratio = later.config["later_updates"] / later.config["updates"]
+    assert ratio < 1
+    assert plan.seconds[later.sort] == pytest.approx(ratio * plan.seconds[first.sort])
+
+
+def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do() -> None:
+    full, printed = ({"method": "wasp", "method_config": {"variant": variant}} for variant in ("full", "as-printed"))
+    cells = [manifest("evaluate", seconds, full, episodes=10) for seconds in (100.0, 120.0, 900.0)]
+    part = manifest("evaluate", 1.0, full, episodes=30)
+    part["provenance"]["earlier"] = "a" * 20
+    cells += [
+        part,
+        manifest("evaluate", 50.0, printed, episodes=10),
+        manifest("world_model", 30.0, {"round": 2}, updates=40, later_updates=10),
+    ]
+    found = times.figures_of([("cpu", each) for each in cells])
+    assert found["seconds"] == {"cpu": {"evaluate goal1 wasp": 12.0, "evaluate goal1 wasp/as-printed": 5.0, "world_model goal1": 3.0}}
+    assert found["speed"] == times.shipped()["speed"]

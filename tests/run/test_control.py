@@ -1,0 +1,137 @@
+"""A live run from another terminal: paused, resumed, parts of it taken back; and a run without a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.run.harness import Fakes, data_of, prepared, run, start, wait_until
+from wasp_cli.store.plain import read_json_lines
+
+NODES = 36
+"""Of the small spec."""
+
+
+def finished(results: Path) -> set[str]:
+    return {path.parent.name for path in results.glob("store/*/*/manifest.json")}
+
+
+def events(results: Path) -> list[str]:
+    (journal,) = results.glob("runs/*/journal.jsonl")
+    return [str(event["event"]) for event in read_json_lines(journal)]
+
+
+def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    process = start(*arguments)
+    out, errors = process.communicate(timeout=60)
+    return subprocess.CompletedProcess(arguments, process.returncode, out, errors)
+
+
+@contextmanager
+def going(spec: Path, results: Path, jobs: int = 2) -> Iterator[subprocess.Popen[str]]:
+    process = start("run", spec, "--results", results, "-j", str(jobs))
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=60)
+
+
+def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.3)
+    with going(small_spec, results) as process:
+        wait_until(lambda: len(finished(results)) >= 2)
+        assert "small: paused; running nodes finish" in wasp("pause", results).stdout
+        wait_until(lambda: "paused" in events(results) and not list(results.glob("runs/*/running/*.json")))
+        begun = len(fakes.executions())
+        assert begun == len(finished(results)) < NODES
+        assert ", paused" in wasp("status", results).stdout
+        assert len(fakes.executions()) == begun
+        assert "small: goes on" in wasp("resume", results).stdout
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 0, errors
+    assert "nothing new begins" in errors
+    assert len(finished(results)) == NODES
+    refused = wasp("pause", results)
+    assert (refused.returncode, "no run goes on" in refused.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("behaviour", ["sleep", pytest.param("hang", marks=pytest.mark.slow)])
+def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(
+    behaviour: str, fakes: Fakes, small_spec: Path, tmp_path: Path
+) -> None:
+    results = tmp_path / "results"
+    fakes.set(behave={"goal1 s0 world_model": behaviour})
+    with going(small_spec, results) as process:
+        wait_until(lambda: any("s0 world_model" in line for line in fakes.executions()))
+        told = wasp("cancel", "goal1 s0 world_model", "--results", results)
+        assert "goal1 s0 world_model is taken back, and " in told.stdout
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 1
+    assert "1 cancelled:\n  goal1 s0 world_model" in errors
+    assert "Traceback" not in errors
+    assert not list(results.glob("failures/*"))  # nothing has gone wrong
+    fakes.set()
+    again = run(small_spec, results)
+    assert again.complete
+    run(small_spec, tmp_path / "calm")
+    assert data_of(results) == data_of(tmp_path / "calm")
+
+
+def test_a_waiting_node_that_is_taken_back_never_begins(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.3)
+    _, _, plan = prepared(small_spec, results)
+    cell = next(node for node in plan.to_run() if node.label == "goal1 s0 wasp noisy=0.2")
+    with going(small_spec, results) as process:
+        wait_until(lambda: len(finished(results)) >= 1)
+        assert wasp("cancel", cell.key[:10], "--results", results).stdout.startswith("goal1 s0 wasp noisy=0.2 is taken back (run ")
+        _, errors = process.communicate(timeout=60)
+    assert "1 cancelled:\n  goal1 s0 wasp noisy=0.2" in errors
+    assert len(finished(results)) == NODES - 1
+    assert cell.key not in finished(results)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("goal1 s0 wolrd_model", "did you mean 'goal1 s0 world_model'?"), ("goal1 s0 expert", "'goal1 s0 expert' has ended")],
+)
+def test_what_cannot_be_taken_back_is_told(text: str, message: str, fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(behave={"world_model": "sleep"})
+    _, _, plan = prepared(small_spec, results)
+    expert = next(node.key for node in plan.to_run() if node.label == "goal1 s0 expert")
+    with going(small_spec, results):
+        wait_until(lambda: expert in finished(results) and "done" in events(results))
+        refused = wasp("cancel", text, "--results", results)
+    assert refused.returncode == 2
+    assert message in refused.stderr
+
+
+def test_a_detached_run_says_where_it_is_and_goes_on(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.1)
+    begun = wasp("run", small_spec, "--results", results, "-j", "2", "--detach")
+    assert (begun.returncode, begun.stderr) == (0, "")
+    said = json.loads(begun.stdout)
+    assert set(said) == {"spec", "run", "folder", "pid", "log"}
+    assert Path(said["folder"]) == results / "runs" / said["run"]
+    assert os.getsid(said["pid"]) == said["pid"]  # no terminal takes it along
+    wait_until(lambda: "run ended" in events(results))
+    assert len(finished(results)) == NODES
+    wait_until(lambda: f"{NODES} computed" in Path(said["log"]).read_text(encoding="utf-8"))
+
+
+def test_a_detached_run_that_cannot_begin_says_why(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    refused = wasp("run", small_spec, "--results", tmp_path / "file" / "below", "--detach")
+    assert refused.returncode == 1
+    assert "cannot write" in refused.stderr
+    assert refused.stdout == ""

@@ -1,0 +1,104 @@
+"""Seconds of nodes that this machine has not computed yet: measured on another one, and scaled by the speed of this one.
+
+The figures are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size. `wasp bench times RESULTS` makes
+them. A later round is taken for a first one, but for the size of its world model.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from wasp_cli.plan.node import Node
+
+FIGURES = Path(__file__).parent / "times.json"
+SLICES, SLICE_SECONDS = 10, 0.05
+SIZE = 65_536
+SIZES = {
+    "expert": "interactions", "dataset": "steps", "rollouts": "steps", "world_model": "updates", "residual": "interactions",
+    "evaluate": "episodes",
+}  # fmt: skip
+"""By stage the setting that its time grows with."""
+LATER = {"world_model": "later_updates"}
+"""The same where a later round has another one."""
+
+
+def figure_of(kind: str, task: str, axes: Mapping[str, Any]) -> str:
+    """Return the name of a figure: `evaluate goal1 wasp/as-printed`."""
+    method, config = axes.get("method"), axes.get("method_config")
+    variant = config.get("variant", "full") if isinstance(config, Mapping) else "full"
+    assistant = f"{method}/{variant}" if method and variant != "full" else method
+    return " ".join(filter(None, (kind, task, assistant)))
+
+
+@cache
+def speed() -> float:
+    """Return how much one core does, in rounds of arithmetic and Python per second. Without BLAS, whose threads are no part of it."""
+    import numpy as np
+
+    values = np.random.default_rng(0).random(SIZE, dtype=np.float32)
+
+    def rounds_per_second() -> float:
+        rounds, begun, until = 0, time.thread_time(), time.perf_counter() + SLICE_SECONDS
+        while time.perf_counter() < until or not rounds:
+            np.tanh(values * np.float32(1.5)) + np.float32(0.1)
+            sum(number * number for number in range(2000))
+            rounds += 1
+        return rounds / max(time.thread_time() - begun, 1e-9)
+
+    return max(rounds_per_second() for _ in range(SLICES))  # the fastest: others may use the machine too
+
+
+def shipped(path: Path = FIGURES) -> Mapping[str, Any]:
+    """Return the figures: `speed` of the machine that they were measured on, and `seconds` by preset and name."""
+    figures: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return figures
+
+
+def estimated(nodes: Iterable[Node], preset: str, figures: Mapping[str, Any] | None = None) -> dict[str, float]:
+    """Return the seconds by sort that nodes will take here, where there is a figure for them.
+
+    Args:
+        nodes: any.
+        preset: of their spec. Other sizes that a spec changes are not known.
+        figures: as `shipped` gives them.
+    """
+    figures = shipped() if figures is None else figures
+    known: Mapping[str, float] = figures["seconds"].get(preset, {})
+    found: dict[str, float] = {}
+    for node in nodes:
+        seconds = known.get(figure_of(node.kind, node.task, node.axes))
+        if seconds is not None:
+            found[node.sort] = seconds * _size(node.kind, node.config, node.axes)
+    scale = figures["speed"] / speed() if found else 1.0
+    return {sort: seconds * scale for sort, seconds in found.items()}
+
+
+def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    """Return the figures of what was computed on this machine.
+
+    Args:
+        manifests: each with the preset of its spec.
+    """
+    times: dict[str, dict[str, list[float]]] = {}
+    for preset, manifest in manifests:
+        kind, axes, provenance = manifest["kind"], manifest["axes"], manifest["provenance"]
+        if "earlier" not in provenance:  # what took rows over says nothing of its like
+            seconds = float(provenance["seconds"]) / _size(kind, manifest["config"], axes)
+            times.setdefault(preset, {}).setdefault(figure_of(kind, manifest["task"], axes), []).append(seconds)
+    seconds_of = {preset: {name: _short(median(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
+    return {"speed": _short(speed()), "seconds": seconds_of}
+
+
+def _size(kind: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> int:
+    sizes = {**SIZES, **LATER} if "round" in axes else SIZES
+    return int(config.get(sizes.get(kind, ""), 1))
+
+
+def _short(number: float) -> float:
+    return float(f"{number:.3g}")
