@@ -104,6 +104,21 @@ def slow(session: nox.Session) -> None:
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
+def gpu(session: nox.Session) -> None:
+    """The smoke spec on a GPU, and every assistant's decisions there held against those on the CPU; without a GPU nothing runs."""
+    asked = [str(session.cache_dir.parent / "project" / BIN / "python"), "-c", "import torch; print(torch.cuda.is_available())"]
+    if "True" not in str(session.run(*asked, external=True, silent=True)):
+        session.log("nothing was run: torch sees no GPU here")
+        return
+    results = Path(session.create_tmp()).resolve() / "gpu"
+    shutil.rmtree(results, ignore_errors=True)
+    session.env["WASP_DEVICE"] = "cuda"
+    run(session, "wasp", "run", "specs/smoke.yaml", "--results", str(results))
+    run(session, "wasp", "report", str(results), "--strict")
+    run(session, "python", "-m", "pytest", "tests/methods/test_device.py", "tests/learning/test_device.py", *session.posargs)
+
+
+@nox.session(venv_backend="none", requires=["project"], default=False)
 def ray(session: nox.Session) -> None:
     """The grid through a ray cluster, which is large to install."""
     run(session, "python", "-m", "pip", "install", "--quiet", "ray>=2.40")

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from wasp_cli.spec.derived import bench_configs
-from wasp_cli.studies.planner_timing import THRESHOLDS, Setup, matrix_rate
+from wasp_cli.studies.planner_timing import THRESHOLDS, Setup, matrix_rate, products
 
 THREADS = min(2, os.cpu_count() or 1)
 
@@ -21,16 +21,13 @@ def test_decision(benchmark: Any, planner: str, kind: str) -> None:
     torch.set_num_threads(THREADS)
     try:
         with torch.inference_mode():
-            decide = Setup(*bench_configs(None)[planner], 1).decision(kind)  # type: ignore[arg-type]
+            setup = Setup(*bench_configs(None)[planner], 1)  # type: ignore[arg-type]
+            decide = setup.decision(kind)
             roof = matrix_rate()
             benchmark.pedantic(decide, rounds=5, warmup_rounds=1)
-            from torch.utils.flop_counter import FlopCounterMode
-
-            with FlopCounterMode(display=False) as counter:
-                decide()
+            flop = products(setup, kind)
     finally:
         torch.set_num_threads(1)
-    flop = counter.get_total_flops()
     assert flop > 0
     benchmark.extra_info["gflop"] = flop / 1e9
     benchmark.extra_info["roof_gflop_per_s"] = roof / 1e9

@@ -104,7 +104,7 @@ def test_many_actions_have_too_many_corners_to_try_them_all() -> None:
 def test_every_action_of_a_decision_meets_the_same_noise() -> None:
     filter_ = made(shake=0.2, rollouts=4)
     filter_.reset(torch.ones(1, dtype=torch.bool), [5])
-    draws = filter_._draws(filter_.noise.next())
+    draws = filter_._draws(filter_.noise.streams())
     latent = Latent(torch.tensor([[0.2]]), torch.zeros(1, 1))
     actions = torch.tensor([[[0.0, 0.0], [0.5, 0.0]]])
     q = filter_.q_c(latent, actions, draws)

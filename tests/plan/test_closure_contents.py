@@ -42,6 +42,7 @@ DRIVING = f"{ASSISTANT} learning.closed_loop"
 METHOD = f"{ASSISTANT} learning.assistants methods.* metrics metrics.episode models.*"
 WASP = f"{ASSISTANT} learning.assistants methods.configs methods.noise methods.record methods.wasp methods.wasp.* metrics metrics.episode"
 CRITICS = "models.critics methods.wasp methods.wasp.returns"
+IMAGINATION = "models.coded models.packed"
 PPO = "learning.lagrangian learning.vec_env"
 BRANCHES = "store store.branches store.parquet store.recorded store.tables metrics metrics.episode metrics.necessity metrics.windows"
 
@@ -67,13 +68,14 @@ MAY_HAVE = {
         f"{WORLD} {LATENTS} models.ensemble models.lookahead learning.lookahead metrics metrics.ranking metrics.reliability stages.finite"
     ),
     "gate_signals": (
-        f"{DRIVING} {LATENTS} {CRITICS} {OPERATORS_BY_NAME} learning.critics learning.gate_signals learning.gate_signals_judge "
+        f"{DRIVING} {LATENTS} {CRITICS} {IMAGINATION} {OPERATORS_BY_NAME} learning.critics "
+        "learning.gate_signals learning.gate_signals_judge "
         "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine methods.wasp.witness "
         "models.ensemble models.lookahead "
         "metrics metrics.ranking metrics.windows stages.finite"
     ),
     "rollouts": (
-        f"{DRIVING} {WASP} {CRITICS} {OPERATORS_BY_NAME} models.clone models.ensemble models.lookahead "
+        f"{DRIVING} {WASP} {CRITICS} {IMAGINATION} {OPERATORS_BY_NAME} models.clone models.ensemble models.lookahead "
         "learning.contents learning.dataset learning.rollouts learning.shards"
     ),
     "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
@@ -91,7 +93,7 @@ MAY_HAVE = {
     ),
     "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
     "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
-    "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.evaluation store store.parquet store.tables",
+    "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation store store.parquet store.tables",
     "counterfactual": (
         f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
         "learning.playback learning.rerun"
@@ -142,7 +144,19 @@ def test_nothing_is_allowed_that_no_node_has(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["evaluate", "calibration", "heldout", "counterfactual"])
 def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> None:
     reached = {module for module in short(closures()[kind]) if module.startswith("learning.")}
-    known = {"configs", "assistants", "closed_loop", "evaluation", "heldout", "nominal", "counterfactual", "coverage", "playback", "rerun"}
+    known = {
+        "configs",
+        "assistants",
+        "closed_loop",
+        "device",
+        "evaluation",
+        "heldout",
+        "nominal",
+        "counterfactual",
+        "coverage",
+        "playback",
+        "rerun",
+    }
     assert reached <= {f"learning.{name}" for name in known}
 
 

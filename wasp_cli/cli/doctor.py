@@ -23,7 +23,7 @@ doctor_app = typer.Typer()
 
 NEEDED = ("mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
-ON_DEVICE = ("world_model", "latents")
+ON_DEVICE = ("world_model", "latents", "evaluate")
 """The stages that compute on a GPU where there is one; a test holds this against their code."""
 
 
@@ -86,7 +86,7 @@ def _gpu() -> Finding:
         return Finding("GPU", "optional", "unknown without torch")
     from wasp_cli.learning.device import VARIABLE, training_device
 
-    stages = " and ".join(ON_DEVICE)
+    stages = ", ".join(ON_DEVICE)
     found = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none that torch can use"
     try:
         device = training_device()

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from wasp_cli.config import Config
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Assistant, AssistantClass, Parts
@@ -15,13 +17,13 @@ from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
 
 
-def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig) -> Parts:
-    """Load the frozen models of a training chain, and the calibrated thresholds where there are any."""
+def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig, device: torch.device | None = None) -> Parts:
+    """Load the frozen models of a training chain to a device (the CPU), and the calibrated thresholds where there are any."""
     thresholds: dict[str, float] = {}
     if "calibration" in inputs:
         thresholds = json.loads((inputs["calibration"] / "calibration.json").read_text())
     return Parts(
-        load_world_model(inputs["world_model"]), load_skills(inputs["policies"]), inputs, thresholds,
+        load_world_model(inputs["world_model"]).to(device), load_skills(inputs["policies"]).to(device), inputs, thresholds,
         returns.gamma_r, returns.gamma_c, returns.lam,
     )  # fmt: skip
 

@@ -62,12 +62,14 @@ class Filter:
     def __init__(self, model: SafetyWorldModel, batch: int) -> None:
         self.model = model
         self.latent = model.initial(batch)
-        self._action = torch.zeros(batch, model.action_size)
+        self.device = self.latent.h.device
+        self._action = torch.zeros(batch, model.action_size, device=self.device)
 
     def see(self, observation: Observation, first: Tensor) -> Latent:
         """Return the latents [B, .] after a new observation; rows with `first` [B] start anew."""
         assert observation.pixels is not None
-        self.latent = self.model.filter(self.latent, self._action, torch.from_numpy(observation.pixels), first)
+        pixels = torch.from_numpy(observation.pixels).to(self.device)
+        self.latent = self.model.filter(self.latent, self._action, pixels, first.to(self.device))
         return self.latent
 
     def executed(self, action: Tensor) -> None:
@@ -113,6 +115,7 @@ def run_episodes(
     times: list[float] = []
     kept: list[Latent] = []
     ended = np.zeros(batch, bool)
+    rest: Callable[[Tensor], None] | None = getattr(assistant, "rest", None)  # no work for episodes that have ended
     for t in range(task.max_decisions):
         latent = filter_.see(seen, first)
         first = torch.zeros(batch)
@@ -122,16 +125,18 @@ def run_episodes(
         times.append((time.perf_counter() - begun) * 1000 / batch)
         action = checked(decision, assistant, a_h).action
         filter_.executed(action)
-        step = task.step(action.numpy())
+        step = task.step(action.cpu().numpy())
         for name, value in (
             ("reward", step.reward), ("cost", step.cost), ("cost_env", step.cost_env), ("env_steps", step.env_steps),
             ("goals", step.goals), ("alive", ~ended), ("terminated", step.terminated & ~ended),
-            ("a_h", a_h.numpy()), ("action", action.numpy()),
+            ("a_h", a_h.cpu().numpy()), ("action", action.cpu().numpy()),
         ):  # fmt: skip
             rows[name].append(np.array(value))
         decisions.append(decision)
         if keep_latents:
             kept.append(latent)
+        if rest is not None and (step.ended & ~ended).any():
+            rest(torch.from_numpy(step.ended))
         seen, ended = step.observation, step.ended.copy()
         if progress is not None and t % 25 == 0:
             progress((t + 1) / task.max_decisions, f"decision {t + 1}/{task.max_decisions}")

@@ -39,7 +39,7 @@ def trajectories(loop: Loop) -> tuple[list[Trajectory], list[Array]]:
 
 def _stacked(decisions: list[Any] | list[Planned]) -> dict[str, Array]:
     """The fields of T decisions, each [T, B, ...]."""
-    return {name: torch.stack([getattr(decision, name) for decision in decisions]).numpy() for name in decisions[0]._fields}
+    return {name: torch.stack([getattr(decision, name) for decision in decisions]).cpu().numpy() for name in decisions[0]._fields}
 
 
 def _finite(values: Array) -> Array:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
@@ -73,6 +74,11 @@ class Parts:
     """Discount of costs per decision step."""
     lam: float
     """lambda of the TD-lambda returns (Eq. 8)."""
+
+    @property
+    def device(self) -> torch.device:
+        """Return where the models are: what a method loads for itself goes there too."""
+        return next(self.skills.parameters()).device
 
 
 class Heldout(NamedTuple):

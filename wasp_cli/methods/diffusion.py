@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Parts
 from wasp_cli.methods.configs import DiffusionConfig
-from wasp_cli.methods.noise import DecisionNoise, normal
+from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
@@ -29,13 +28,13 @@ class Assist:
         self.denoiser, self.schedule, self.last_noise = denoiser, schedule, last_noise
         self.k = schedule.forward_level(ratio)
 
-    def __call__(self, features: Tensor, a_h: Tensor, generators: Sequence[np.random.Generator]) -> Tensor:
-        """Commands [B, A] at features [B, F], diffused and denoised; a generator per row."""
-        draws = normal(generators, self.k + 1, a_h.shape[-1]).transpose(0, 1)  # [k + 1, B, A]
+    def __call__(self, features: Tensor, a_h: Tensor, streams: Streams) -> Tensor:
+        """Commands [B, A] at features [B, F], diffused and denoised; a stream per row."""
+        draws = streams.normal(self.k + 1, a_h.shape[-1]).transpose(0, 1)  # [k + 1, B, A]
         return assist(self.denoiser, self.schedule, features, a_h, self.k, draws, self.last_noise)
 
 
-def load_assist(folder: Path, ratio: float, last_noise: bool = False) -> Assist:
+def load_assist(folder: Path, ratio: float, last_noise: bool = False, device: torch.device = CPU) -> Assist:
     """Load the denoiser of an artifact of the stage `denoiser`.
 
     Raises:
@@ -46,7 +45,7 @@ def load_assist(folder: Path, ratio: float, last_noise: bool = False) -> Assist:
     schedule = NoiseSchedule(**arguments.pop("schedule"))
     denoiser = Denoiser(**arguments)
     load_weights(denoiser, path)
-    return Assist(denoiser, schedule, ratio, last_noise)
+    return Assist(denoiser.to(device), schedule.to(device), ratio, last_noise)
 
 
 class Diffusion:
@@ -54,15 +53,15 @@ class Diffusion:
 
     def __init__(self, config: Config, parts: Parts) -> None:
         self.config = cast(DiffusionConfig, config)
-        self.assist = load_assist(parts.inputs["denoiser"], self.config.ratio, self.config.last_noise)
-        self.noise = DecisionNoise()
+        self.assist = load_assist(parts.inputs["denoiser"], self.config.ratio, self.config.last_noise, parts.device)
+        self.noise = DecisionNoise(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        action = self.assist(latent.features, a_h, self.noise.next())
-        return Decision(action, blank_record(len(a_h), GATE_METHOD if self.assist.k else 0))
+        action = self.assist(latent.features, a_h, self.noise.streams())
+        return Decision(action, blank_record(len(a_h), GATE_METHOD if self.assist.k else 0, a_h.device))
 
 
 def assist(
@@ -78,9 +77,9 @@ def assist(
         return a_h
     batch = len(a_h)
     # k diffusion steps have been applied to a sample at index k - 1; the reverse loop undoes the same k steps.
-    x = schedule.diffuse(a_h, torch.full((batch,), k - 1), draws[0])
+    x = schedule.diffuse(a_h, torch.full((batch,), k - 1, device=a_h.device), draws[0])
     for i in range(k - 1, -1, -1):
-        predicted = denoiser(features, x, torch.full((batch,), i))
+        predicted = denoiser(features, x, torch.full((batch,), i, device=a_h.device))
         beta, alpha_bar = schedule.beta[i], schedule.alpha_bar[i]
         x = (x - beta / (1 - alpha_bar).sqrt() * predicted) / (1 - beta).sqrt()
         if i > 0 or last_noise:

@@ -12,15 +12,14 @@ from collections.abc import Sequence
 from itertools import product
 from typing import cast
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import FilterConfig
-from wasp_cli.methods.noise import DecisionNoise, gumbel, uniform
-from wasp_cli.methods.record import blank_record
+from wasp_cli.methods.noise import DecisionNoise, Streams, as_gumbel
+from wasp_cli.methods.record import blank_record, chosen
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
@@ -29,6 +28,8 @@ from wasp_cli.operators.base import Operator
 
 FALLBACK = 0.5
 """tau_c where it is to be calibrated and no calibration exists."""
+CORRECTION = 1
+"""Purpose of the draws among which the safest action is sought, beside that of the imagined next states."""
 CHUNK = 256
 """Held-out decisions that are looked at together."""
 
@@ -39,24 +40,26 @@ class SafetyFilter:
     def __init__(self, config: Config, parts: Parts) -> None:
         self.config = cast(FilterConfig, config)
         self.model, self.gamma_c = parts.world_model, parts.gamma_c
-        self.critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors")
+        self.critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors").to(parts.device)
         calibrated = parts.thresholds.get("tau_c", FALLBACK)
         self.tau_c = calibrated if self.config.tau_c == "calibrated" else float(self.config.tau_c)
-        self.noise = DecisionNoise()
+        self.noise = DecisionNoise(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        generators = self.noise.next()
-        draws = self._draws(generators)
+        streams = self.noise.streams()
+        draws = self._draws(streams)
         now = self.q_c(latent, a_h.unsqueeze(1), draws).squeeze(1)  # [B]
-        rows = (now > self.tau_c).nonzero().flatten()
-        action, record = a_h.clone(), blank_record(len(a_h))
+        over = now > self.tau_c
+        rows = chosen(over)
+        action, record = a_h.clone(), blank_record(len(a_h), device=a_h.device)
         if len(rows):
-            own = latent.rows(rows), a_h[rows], draws[rows]
-            action[rows] = self._corrected(*own, uniform([generators[i] for i in rows.tolist()], self.config.candidates, a_h.shape[1]))
-            record.gate[rows] = GATE_METHOD
+            (uniforms,) = streams.uniform((self.config.candidates, a_h.shape[1]), purpose=CORRECTION, rows=rows)
+            corrected = self._corrected(latent.rows(rows), a_h[rows], draws[rows], uniforms)
+            action[rows] = torch.where(over[rows].unsqueeze(-1), corrected, a_h[rows])
+            record = record._replace(gate=(GATE_METHOD * over).to(torch.int8))
         return Decision(action, record._replace(signal=now))
 
     def q_c(self, latent: Latent, actions: Tensor, draws: Tensor) -> Tensor:
@@ -81,8 +84,8 @@ class SafetyFilter:
         """Set tau_c to a quantile of Q_c [N] under the expert, over decisions without cost after them; return it with the distributions."""
         total = len(heldout.a_h)
         self.reset(torch.ones(total, dtype=torch.bool), [seed + i for i in range(total)])
-        draws = self._draws(self.noise.next())
-        chunks = torch.arange(total).split(CHUNK)
+        draws = self._draws(self.noise.streams())
+        chunks = torch.arange(total, device=draws.device).split(CHUNK)
         found = torch.cat([self.q_c(heldout.latent.rows(c), heldout.a_h[c].unsqueeze(1), draws[c]).squeeze(1) for c in chunks])
         free = found[cost_ahead == 0]
         if self.config.tau_c == "calibrated":
@@ -99,15 +102,15 @@ class SafetyFilter:
         batch, actions = a_h.shape
         # Where motors saturate, as far as there are no more corners than candidates; and a stop.
         corners = product((-1.0, 1.0), repeat=actions) if 2**actions <= self.config.candidates else ()
-        known = torch.tensor([*corners, [0.0] * actions])
+        known = torch.tensor([*corners, [0.0] * actions], device=a_h.device)
         candidates = torch.cat([known.expand(batch, -1, -1), 2 * uniforms - 1], 1)
-        safest = candidates[torch.arange(batch), self.q_c(latent, candidates, draws).argmin(1)].unsqueeze(1)  # [B, 1, A]
-        share = torch.arange(1, self.config.segment + 1).view(1, -1, 1) / self.config.segment
+        safest = candidates[torch.arange(batch, device=a_h.device), self.q_c(latent, candidates, draws).argmin(1)].unsqueeze(1)  # [B, 1, A]
+        share = torch.arange(1, self.config.segment + 1, device=a_h.device).view(1, -1, 1) / self.config.segment
         points = torch.lerp(a_h.unsqueeze(1), safest, share)  # [B, P, A], the last is the safest action
         good = self.q_c(latent, points, draws) <= self.tau_c
         good[:, -1] = True
         first = good.to(torch.int8).argmax(1)  # argmax gives the first of equal values
-        return points[torch.arange(batch), first]
+        return points[torch.arange(batch, device=a_h.device), first]
 
-    def _draws(self, generators: Sequence[np.random.Generator]) -> Tensor:
-        return gumbel(generators, self.config.rollouts, self.model.noise_size)
+    def _draws(self, streams: Streams) -> Tensor:
+        return as_gumbel(streams.uniform((self.config.rollouts, self.model.noise_size))[0])

@@ -33,13 +33,13 @@ class IDA:
 
     def __init__(self, config: Config, parts: Parts) -> None:
         self.config = cast(IDAConfig, config)
-        self.ensemble = load_module(QEnsemble, parts.inputs["ida_q"] / "ensemble.safetensors")
+        self.ensemble = load_module(QEnsemble, parts.inputs["ida_q"] / "ensemble.safetensors").to(parts.device)
         self.expert = parts.skills.expert
         self.diffusion: Assist | None = None
         if self.config.copilot == "diffusion":
-            self.diffusion = load_assist(parts.inputs["denoiser"], self.config.ratio)
+            self.diffusion = load_assist(parts.inputs["denoiser"], self.config.ratio, device=parts.device)
         self.tau_q = parts.thresholds.get("tau_q", 0.0)
-        self.noise = DecisionNoise()
+        self.noise = DecisionNoise(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
@@ -54,7 +54,7 @@ class IDA:
         a_c = self._copilot(features, a_h, self.noise)
         vote = (self.advantage(features, a_c, a_h) - self.tau_q).sign().mean(0)  # [B]
         intervene = vote > self.config.vote
-        record = blank_record(len(a_h))._replace(signal=vote, gate=(GATE_METHOD * intervene).to(torch.int8))
+        record = blank_record(len(a_h), device=a_h.device)._replace(signal=vote, gate=(GATE_METHOD * intervene).to(torch.int8))
         return Decision(torch.where(intervene.unsqueeze(-1), a_c, a_h), record)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
@@ -65,9 +65,9 @@ class IDA:
         """
         features = heldout.latent.features
         expert = self.expert(features)
-        noise = torch.from_numpy(np.random.default_rng(seed).standard_normal(tuple(expert.shape), np.float32))
+        noise = torch.from_numpy(np.random.default_rng(seed).standard_normal(tuple(expert.shape), np.float32)).to(expert.device)
         a_h = (expert + self.config.exploration * noise).clamp(-1, 1)
-        copilots = DecisionNoise()
+        copilots = DecisionNoise(self.noise.device)
         copilots.reset(torch.ones(len(a_h), dtype=torch.bool), [derive("ida-copilot", seed, i) for i in range(len(a_h))])
         margin = self._tips(self.advantage(features, self._copilot(features, a_h, copilots), a_h))
         # Without noise the expert is what the copilot of that name proposes, and nothing can be gained.
@@ -84,5 +84,5 @@ class IDA:
 
     def _copilot(self, features: Tensor, a_h: Tensor, noise: DecisionNoise) -> Tensor:
         """Return a_c [B, A]."""
-        proposed: Tensor = self.expert(features) if self.diffusion is None else self.diffusion(features, a_h, noise.next())
+        proposed: Tensor = self.expert(features) if self.diffusion is None else self.diffusion(features, a_h, noise.streams())
         return proposed

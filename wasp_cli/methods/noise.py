@@ -1,50 +1,133 @@
-"""An assistant's own randomness: what it draws at decision t of an episode depends on (the episode's seed, t) alone."""
+"""An assistant's own randomness: what it draws at decision t of an episode depends on (the episode's seed, t, what for) alone.
+
+So rows may draw together or each when it needs to, on one device or another, and the numbers are the same.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+CPU = torch.device("cpu")
+AHEAD, MOST_BYTES = 64, 256 * 1024**2
+"""Where the draws are needed on another device, those of so many decisions are made at once, within so many bytes."""
+
+Draw = Callable[[np.random.Generator, Sequence[int]], np.ndarray]
+
 
 class DecisionNoise:
-    """Counter-based streams for B rows: `next` gives a generator of the draws of one decision for each of them."""
+    """Counter-based streams for B rows: `next` or `streams` gives what one decision of each of them draws from."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: torch.device = CPU) -> None:
         self.seeds: list[int] = []
         self.step: list[int] = []
+        self.device = device
+        self.ahead: dict[tuple[object, ...], tuple[int, list[Tensor]]] = {}
+        self.taken = 0
+        """Decisions since the last reset"""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Begin new episodes in `rows` [B] (bool), with one seed for each of the B rows."""
         if len(self.seeds) != len(seeds):
             self.seeds, self.step = list(seeds), [0] * len(seeds)
-        for row in rows.nonzero().flatten().tolist():
-            self.seeds[row], self.step[row] = seeds[row], 0
+        for row, begins in enumerate(rows.tolist()):
+            if begins:
+                self.seeds[row], self.step[row] = seeds[row], 0
+        self.ahead, self.taken = {}, 0
 
     def next(self) -> list[np.random.Generator]:
         """Return B generators for the next decision of every row."""
-        generators = [
-            np.random.Generator(np.random.Philox(key=seed, counter=[0, step, 1, 0]))
-            for seed, step in zip(self.seeds, self.step, strict=True)
-        ]
+        return self.streams().generators()
+
+    def streams(self) -> Streams:
+        """Return the streams of the next decision of every row, one for each purpose."""
+        found = Streams(self, list(self.step), self.taken)
         self.step = [step + 1 for step in self.step]
-        return generators
+        self.taken += 1
+        return found
+
+    def made(self, draw: Draw, step: Sequence[int], purpose: int, rows: Sequence[int], shapes: Sequence[Sequence[int]]) -> list[Tensor]:
+        """Draw for some rows at the decisions `step` [B] of their episodes: one tensor [len(rows), *shape] for each shape."""
+        generators = [_generator(self.seeds[row], step[row], purpose) for row in rows]
+        each = [[draw(generator, shape) for shape in shapes] for generator in generators]
+        return [torch.from_numpy(np.stack(values)) for values in zip(*each, strict=True)]
+
+    def made_ahead(self, draw: Draw, streams: Streams, purpose: int, shapes: Sequence[Sequence[int]]) -> list[Tensor]:
+        """Return the same for all rows on the device, of draws that were made for many decisions at once."""
+        key = (draw, purpose, *map(tuple, shapes))
+        first, held = self.ahead.get(key, (0, []))
+        if not held or not first <= streams.taken < first + len(held[0]):
+            size = 4 * len(self.seeds) * sum(int(np.prod(shape)) for shape in shapes)
+            count = max(1, min(AHEAD, MOST_BYTES // max(size, 1)))
+            rows = range(len(self.seeds))
+            decisions = [self.made(draw, [step + k for step in streams.step], purpose, rows, shapes) for k in range(count)]
+            first, held = streams.taken, [torch.stack(values).to(self.device) for values in zip(*decisions, strict=True)]
+            self.ahead[key] = first, held
+        return [values[streams.taken - first] for values in held]
+
+
+class Streams(NamedTuple):
+    """What one decision of B rows may draw: once for each purpose, from a stream of its own. What one draws changes nothing for another."""
+
+    noise: DecisionNoise
+    step: list[int]
+    """[B] decision of the episode"""
+    taken: int
+    """Decisions since the noise was reset"""
+
+    def generators(self, purpose: int = 0) -> list[np.random.Generator]:
+        """Return a generator for each of the B rows."""
+        return [_generator(seed, step, purpose) for seed, step in zip(self.noise.seeds, self.step, strict=True)]
+
+    def uniform(self, *shapes: Sequence[int], purpose: int = 0, rows: Tensor | None = None) -> list[Tensor]:
+        """Draw uniform variables in [0, 1), [R, *shape] for each shape, for `rows` (indices [R]) or all."""
+        return self._drawn(_uniform, shapes, purpose, rows)
+
+    def normal(self, *shape: int, purpose: int = 0, rows: Tensor | None = None) -> Tensor:
+        """Draw standard normal variables [R, *shape] for `rows` (indices [R]) or all."""
+        return self._drawn(_normal, [shape], purpose, rows)[0]
+
+    def _drawn(self, draw: Draw, shapes: Sequence[Sequence[int]], purpose: int, rows: Tensor | None) -> list[Tensor]:
+        noise = self.noise
+        if noise.device.type == "cpu":
+            chosen = range(len(noise.seeds)) if rows is None else rows.tolist()
+            return noise.made(draw, self.step, purpose, chosen, shapes)
+        drawn = noise.made_ahead(draw, self, purpose, shapes)
+        return drawn if rows is None else [values[rows] for values in drawn]
+
+
+def _generator(seed: int, step: int, purpose: int) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(key=seed, counter=[0, step, 1, purpose]))
+
+
+def _uniform(generator: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
+    return generator.random(shape, np.float32)
+
+
+def _normal(generator: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
+    return generator.standard_normal(shape, np.float32)
 
 
 def normal(generators: Sequence[np.random.Generator], *shape: int) -> Tensor:
     """Draw standard normal variables [len(generators), *shape]."""
-    return torch.from_numpy(np.stack([g.standard_normal(shape, np.float32) for g in generators]))
+    return torch.from_numpy(np.stack([_normal(generator, shape) for generator in generators]))
 
 
 def uniform(generators: Sequence[np.random.Generator], *shape: int) -> Tensor:
     """Draw uniform variables in [0, 1), [len(generators), *shape]."""
-    return torch.from_numpy(np.stack([g.random(shape, np.float32) for g in generators]))
+    return torch.from_numpy(np.stack([_uniform(generator, shape) for generator in generators]))
 
 
 def gumbel(generators: Sequence[np.random.Generator], *shape: int) -> Tensor:
     """Draw standard Gumbel variables [len(generators), *shape]."""
+    return as_gumbel(uniform(generators, *shape))
+
+
+def as_gumbel(uniforms: Tensor) -> Tensor:
+    """Convert uniform variables in [0, 1) to standard Gumbel variables of the same shape."""
     # The smallest positive float keeps both logarithms finite at a draw of 0.
-    u = uniform(generators, *shape).clamp(1e-20, 1 - 1e-7)
-    return -(-u.log()).log()
+    return -(-uniforms.clamp(1e-20, 1 - 1e-7).log()).log()

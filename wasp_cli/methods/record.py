@@ -47,16 +47,26 @@ class Planned(NamedTuple):
     """[B] their predicted reward return"""
 
     @classmethod
-    def nothing(cls, batch: int, iterations: int, steps: int, actions: int) -> Planned:
+    def nothing(cls, batch: int, iterations: int, steps: int, actions: int, device: torch.device | None = None) -> Planned:
         """Return a batch without a plan in any row."""
-        nan = torch.full((batch,), torch.nan)
+        nan = torch.full((batch,), torch.nan, device=device)
         return cls(
-            torch.full((batch, steps, actions), torch.nan), torch.full((batch, iterations), -1, dtype=torch.int16),
-            torch.zeros(batch, iterations, dtype=torch.bool), nan.clone(), nan.clone(), nan.clone(), nan.clone(),
+            torch.full((batch, steps, actions), torch.nan, device=device),
+            torch.full((batch, iterations), -1, dtype=torch.int16, device=device),
+            torch.zeros(batch, iterations, dtype=torch.bool, device=device), nan.clone(), nan.clone(), nan.clone(), nan.clone(),
         )  # fmt: skip
 
 
-def blank_record(batch: int, gate: int = GATE_NONE) -> Record:
+def blank_record(batch: int, gate: int = GATE_NONE, device: torch.device | None = None) -> Record:
     """Return a record of `batch` decisions with one gate and every other field undefined (NaN)."""
-    nan = torch.full((batch,), torch.nan)
-    return Record(torch.full((batch,), gate, dtype=torch.int8), nan.clone(), nan.clone(), nan.clone(), nan.clone())
+    nan = torch.full((batch,), torch.nan, device=device)
+    return Record(torch.full((batch,), gate, dtype=torch.int8, device=device), nan.clone(), nan.clone(), nan.clone(), nan.clone())
+
+
+def chosen(mask: Tensor) -> Tensor:
+    """Return the rows (indices [R]) among which those of `mask` [B] (bool) are worked out: on a CPU just these, elsewhere all of them.
+
+    A CPU is faster by every row that is left out. Another device would have to wait for how many there are, and could not replay the
+    same work; there whatever comes of the other rows is masked.
+    """
+    return mask.nonzero().flatten() if mask.device.type == "cpu" else torch.arange(len(mask), device=mask.device)

@@ -6,6 +6,7 @@ Dimension letters: B batch rows (any leading shape works), A actions, D determin
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import torch
@@ -22,6 +23,10 @@ class Latent(NamedTuple):
     def features(self) -> Tensor:
         """Join h and z: [..., D + Z]."""
         return torch.cat([self.h, self.z], -1)
+
+    def through(self, net: Callable[[Tensor], Tensor]) -> Tensor:
+        """Return what a network of features [..., F] says: [..., N]."""
+        return net(self.features)
 
     def to(self, device: torch.device) -> Latent:
         """Move to another device."""

@@ -73,11 +73,11 @@ class LatentCritics(nn.Module):
 
     def value_r(self, latent: Latent) -> Tensor:
         """Return the discounted reward [...] from here on."""
-        return self.scale.decode(self.reward_net(latent.features))
+        return self.scale.decode(latent.through(self.reward_net))
 
     def value_c(self, latent: Latent) -> Tensor:
         """Return the discounted costly decision steps [...] from here on; never negative."""
-        return self.scale.decode(self.cost_net(latent.features)).clamp(min=0)
+        return self.scale.decode(latent.through(self.cost_net)).clamp(min=0)
 
     def losses(self, features: Tensor, target_r: Tensor, target_c: Tensor) -> tuple[Tensor, Tensor]:
         """Return the cross-entropies [...] of both critics at features [..., F] against their targets [...]."""

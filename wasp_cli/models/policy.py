@@ -9,12 +9,16 @@ import json
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
 from wasp_cli.models.nets import mlp
 from wasp_cli.models.weights import load_module, save_weights
+
+if TYPE_CHECKING:
+    from wasp_cli.models.base import Latent
 
 
 class PrivilegedPolicy(nn.Module):
@@ -48,7 +52,9 @@ class LatentPolicy(nn.Module):
         self.net = mlp(features, hidden, action)
 
     def forward(self, features: Tensor) -> Tensor:
-        return self.net(features).clamp(-1, 1)  # type: ignore[no-any-return]
+        # Features that were joined from a coded latent (`models.coded`) are read by its classes.
+        latent: Latent | None = getattr(features, "latent", None)
+        return (self.unbounded(features) if latent is None else latent.through(self.net)).clamp(-1, 1)
 
     def unbounded(self, features: Tensor) -> Tensor:
         """Return the output [B, A] before the bounds, for a loss whose gradient does not vanish at them."""

@@ -125,14 +125,14 @@ class SafetyWorldModel(nn.Module):
 
     def reward(self, latent: Latent) -> Tensor:
         """Predict the mean reward [...] at the arrived state."""
-        return self.reward_head(latent.features).squeeze(-1) / self.sizes.reward_scale  # type: ignore[no-any-return]
+        return latent.through(self.reward_head).squeeze(-1) / self.sizes.reward_scale
 
     def cost_logit(self, latent: Latent) -> Tensor:
         """Predict the logit [...] of the cost probability.
 
         The weight of costly steps shifted the trained logit by its logarithm; it is removed.
         """
-        return self.cost_head(latent.features).squeeze(-1) - math.log(self.sizes.cost_weight)  # type: ignore[no-any-return]
+        return latent.through(self.cost_head).squeeze(-1) - math.log(self.sizes.cost_weight)
 
     def cost(self, latent: Latent) -> Tensor:
         """Predict c-hat, the probability [...] of a cost event at the arrived state."""
@@ -140,7 +140,7 @@ class SafetyWorldModel(nn.Module):
 
     def continues(self, latent: Latent) -> Tensor:
         """Predict the probability [...] that the episode goes on."""
-        return self.continue_head(latent.features).squeeze(-1).sigmoid()  # type: ignore[no-any-return]
+        return latent.through(self.continue_head).squeeze(-1).sigmoid()
 
     def decode(self, latent: Latent) -> Tensor:
         """Decode images [B, 6, 64, 64] in [0, 1]."""

@@ -83,15 +83,21 @@ class Operator:
 
     def command(self, features: Tensor) -> Tensor:
         """Return a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision."""
-        issued, self.memory = self.act(self.policy(features), self.memory, self.noise.next(self.draws))
+        intended = self.policy(features)
+        issued, self.memory = self.act(intended, self.memory, self.noise.next(self.draws).to(intended.device))
         return issued
+
+    def to(self, device: torch.device) -> Self:
+        """Move the memory to another device; policies are moved by whoever has them."""
+        self.memory = {name: value.to(device) for name, value in self.memory.items()}
+        return self
 
     def reset(self, rows: Tensor) -> None:
         """Clear the memory of rows [B] (bool) for new episodes."""
         fresh = self.initial(self.batch)
         for name, old in self.memory.items():
-            mask = rows.view(-1, *([1] * (old.dim() - 1)))
-            self.memory[name] = torch.where(mask, fresh[name], old)
+            mask = rows.to(old.device).view(-1, *([1] * (old.dim() - 1)))
+            self.memory[name] = torch.where(mask, fresh[name].to(old.device), old)
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
         """Return the same operator in imagination: `copies` adjacent copies of each of `rows` (indices [R]), with other noise."""

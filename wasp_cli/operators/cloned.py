@@ -25,7 +25,8 @@ class ClonedOperator(Operator):
 
     def command(self, features: Tensor) -> Tensor:
         """Draw a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision."""
-        issued = self.clone.sample(features, self.memory["last"], self.policy(features), self.noise.next(self.draws))
+        uniforms = self.noise.next(self.draws).to(features.device)
+        issued = self.clone.sample(features, self.memory["last"], self.policy(features), uniforms)
         self.memory = {"last": issued}
         return issued
 

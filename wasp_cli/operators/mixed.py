@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import torch
@@ -31,14 +32,14 @@ class MixedOperator(Operator):
 
     def reset(self, rows: Tensor) -> None:
         """Begin new episodes in `rows` [B] (bool): clear memories and draw their operators."""
-        drawn = torch.from_numpy(self._random.integers(len(self.operators), size=len(self.choice)))
-        self.choice = torch.where(rows, drawn, self.choice)
+        drawn = torch.from_numpy(self._random.integers(len(self.operators), size=len(self.choice))).to(self.choice.device)
+        self.choice = torch.where(rows.to(self.choice.device), drawn, self.choice)
         for operator in self.operators:
             operator.reset(rows)
 
     def command(self, features: Tensor) -> Tensor:
         """Return the commands [B, A] of the operators that drive the rows, at features [B, F]."""
-        uniforms = self.noise.next(self.draws)
+        uniforms = self.noise.next(self.draws).to(features.device)
         intended: dict[int, Tensor] = {}
         issued = []
         for operator in self.operators:
@@ -47,7 +48,13 @@ class MixedOperator(Operator):
                 intended[policy] = operator.policy(features)
             command, operator.memory = operator.act(intended[policy], operator.memory, uniforms[:, : operator.draws])
             issued.append(command)
-        return torch.stack(issued)[self.choice, torch.arange(len(self.choice))]
+        return torch.stack(issued)[self.choice, torch.arange(len(self.choice), device=self.choice.device)]
+
+    def to(self, device: torch.device) -> Self:
+        """Move all memories to another device."""
+        self.operators = [operator.to(device) for operator in self.operators]
+        self.choice = self.choice.to(device)
+        return self
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> MixedOperator:
         """Copy it into imagination, where every row keeps its operator, and operators of no row are left out."""

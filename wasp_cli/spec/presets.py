@@ -81,8 +81,8 @@ _QUICK: Document = {
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32},
 }  # fmt: skip
 
-# Sizes for a large GPU. The world model trains on one where torch sees it; the other stages still compute on the CPU, where these sizes
-# take very long.
+# Sizes for a large GPU, and the planner's are the paper's. The world model trains, latents are filtered and assistants are evaluated on one
+# where torch sees it; the other stages still compute on the CPU, where these sizes take very long.
 _GPU: Document = {
     "expert": {"interactions": 800_000},
     "dataset": {"steps": 200_000},

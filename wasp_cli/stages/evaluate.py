@@ -27,6 +27,7 @@ class EvaluateStage:
         from wasp_cli import seeds
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.closed_loop import batches, run_episodes
+        from wasp_cli.learning.device import training_device
         from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
@@ -36,7 +37,8 @@ class EvaluateStage:
 
         config = cast(EvaluateConfig, job.config)
         method, variant, value = job.axes["method"], job.axes["variant"], job.axes["value"]
-        parts = load_parts(job.inputs, job.settings["returns"])
+        device = training_device()
+        parts = load_parts(job.inputs, job.settings["returns"], device)
         goals = config.success_goals or TASKS[job.task].success_goals
         batch: int = job.settings["side_by_side"]
         earlier = None if job.earlier is None else first_rows(job.earlier, batch)
@@ -55,7 +57,7 @@ class EvaluateStage:
             mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
             own = [seeds.method_seed(job.task, variant, job.seed, e, method) for e in episodes]
             context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
-            operator = build_operator(variant, value, context, mistakes, len(episodes))
+            operator = build_operator(variant, value, context, mistakes, len(episodes)).to(device)
             loop = run_episodes(task, parts.world_model, operator, assistant, worlds, own, progress=during)
             new, new_times = trajectories(loop)
             found += new

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
@@ -63,7 +63,7 @@ class Timing:
     ms_p50: float
     """median"""
     gflop: float
-    """floating-point operations of its matrix products, 1e9"""
+    """floating-point operations of its matrix products, 1e9, where every one-hot row is multiplied"""
     ratio: float
     """time over that of the same operations as plain matrix products"""
 
@@ -128,21 +128,26 @@ class Setup:
         self.latent: Latent = model.initial(batch)
         self.a_h = self.operator.command(self.latent.features)
         self.assistant = WASP(wasp, self.imagination, {})
+        self.reference = WASP(wasp, replace(self.imagination, pack=False), {})
         self.batch = batch
 
-    def decision(self, kind: str) -> Callable[[], Any]:
-        """Return a call that makes one decision of a kind, each time the same one."""
+    def decision(self, kind: str, *, reference: bool = False) -> Callable[[], Any]:
+        """Return a call that makes one decision of a kind, each time the same one.
+
+        `reference`: by the world model's own steps, every one-hot row a product, whose floating-point operations are counted.
+        """
+        assistant = self.reference if reference else self.assistant
         seeds = list(range(self.batch))
         everyone = torch.ones(self.batch, dtype=torch.bool)
 
         def decide() -> None:
-            self.assistant.reset(everyone, seeds)
-            self.assistant.tau_c, self.assistant.tau_r = THRESHOLDS[kind]
-            self.assistant.decide(self.latent, self.a_h, self.operator)
+            assistant.reset(everyone, seeds)
+            assistant.tau_c, assistant.tau_r = THRESHOLDS[kind]
+            assistant.decide(self.latent, self.a_h, self.operator)
 
         def gate() -> None:
-            self.assistant.reset(everyone, seeds)
-            self.assistant.nominal(self.latent, self.a_h, self.operator)
+            assistant.reset(everyone, seeds)
+            assistant.nominal(self.latent, self.a_h, self.operator)
 
         return gate if kind == "gate" else decide
 
@@ -159,13 +164,19 @@ def _bench(setup: Setup, batch: int, threads: int, repeats: int) -> Bench:
         for kind, work in works.items():
             times[kind].append(_seconds(work))
     timings = []
-    for kind, work in works.items():
-        with FlopCounterMode(display=False) as counter:
-            work()
-        flop = counter.get_total_flops()
+    for kind in works:
+        flop = products(setup, kind)
         best, middle = min(times[kind]), sorted(times[kind])[len(times[kind]) // 2]
         timings.append(Timing(kind, 1000 * best, 1000 * middle, flop / 1e9, best * roof / flop))
     return Bench(batch, threads, roof / 1e9, tuple(timings), _shares(works["safety"]))
+
+
+def products(setup: Setup, kind: str) -> int:
+    """Count the floating-point operations of a decision's matrix products, as the world model's own steps multiply."""
+    with FlopCounterMode(display=False) as counter:
+        setup.decision(kind, reference=True)()
+    total: int = counter.get_total_flops()
+    return total
 
 
 def matrix_rate(shapes: Sequence[tuple[int, int, int]] = ROOF_SHAPES, repeats: int = 20) -> float:

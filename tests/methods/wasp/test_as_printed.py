@@ -11,8 +11,9 @@ from torch import Tensor
 
 from tests.worlds import Corridor, LinearCritics
 from wasp_cli.methods.configs import PAPER_RECIPE, WASPConfig
-from wasp_cli.methods.noise import DecisionNoise, gumbel, normal
-from wasp_cli.methods.wasp.assistant import WASP
+from wasp_cli.methods.noise import DecisionNoise, as_gumbel
+from wasp_cli.methods.wasp.assistant import PROBE as PROBING
+from wasp_cli.methods.wasp.assistant import SEARCH, WASP
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator
@@ -77,14 +78,14 @@ def section_4(x: float, a_h: float, tau_c: float, tau_r: float) -> Outcome:
     """One decision, from the same draws as the assistant's."""
     source = DecisionNoise()
     source.reset(torch.ones(1, dtype=torch.bool), [SEED])
-    own = source.next()
-    noise = gumbel(own, H, M, 2)[0]
+    own = source.streams()
+    noise = as_gumbel(own.uniform((H, M, 2))[0])[0]
     alone = imagined(x, a_h, None, noise)
     batches, delta_g = [1], None
     gate = 1 if alone.cost > tau_c else 0  # Eq. 9
     if gate == 0:
         batches.append(PROBE)
-        samples = (STD * normal(own, PROBE, L, 1)[0, :, :, 0]).clamp(-2, 2).tolist()
+        samples = (STD * own.normal(PROBE, L, 1, purpose=PROBING)[0, :, :, 0]).clamp(-2, 2).tolist()
         found = [imagined(x, a_h, sample, noise) for sample in samples]
         safe = [i for i in range(PROBE) if found[i].cost <= tau_c]
         if safe:
@@ -93,7 +94,7 @@ def section_4(x: float, a_h: float, tau_c: float, tau_r: float) -> Outcome:
             gate = 2 if delta_g > tau_r else 0
     if gate == 0:
         return Outcome(0, a_h, alone.cost, alone.reward, delta_g, [], batches)
-    normals = normal(own, ITERATIONS, N, L, 1)[0, :, :, :, 0]
+    normals = own.normal(ITERATIONS, N, L, 1, purpose=SEARCH)[0, :, :, :, 0]
     mean, std = [0.0] * L, [STD] * L
     tasks: list[tuple[float, list[float]]] = []
     safes: list[tuple[float, list[float]]] = []

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from tests.worlds import Corridor, LinearCritics
 from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.noise import normal
 from wasp_cli.methods.wasp.assistant import WASP, effective
 from wasp_cli.methods.wasp.candidates import Batch, propose
 from wasp_cli.methods.wasp.gates import probe, scored_again
@@ -230,7 +229,7 @@ def test_the_executed_action_is_clipped_as_imagined() -> None:
     """Eq. 18, by a plan that asks for more than the bounds allow."""
     config = configured(initial_std=5.0, alpha=0.0, recheck=False)
     assistant = deciding(config)
-    assistant.reset(torch.ones(1, dtype=torch.bool), [3])
+    assistant.reset(torch.ones(1, dtype=torch.bool), [5])
     start = situation(assistant.imagination, 0.28, 1.0)
     decision = assistant.decide(start.latent, start.a_h, start.operator)
     assert decision.record is not None
@@ -273,6 +272,6 @@ def test_draws_of_the_gate_are_those_of_the_search() -> None:
     imagination = imagined(config)
     start = situation(imagination, 0.28, 1.0)
     draws = drawn(4, 6, 3)
-    generator = [np.random.default_rng(0)]
-    candidates = propose(torch.zeros(1, 3, 1).double(), torch.ones(1, 3, 1).double(), normal(generator, 24, 3, 1).double())
+    normals = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 24, 3, 1)))
+    candidates = propose(torch.zeros(1, 3, 1).double(), torch.ones(1, 3, 1).double(), normals)
     assert imagination.returns(start, candidates, draws).cost[0, 0] == imagination.nominal(start, draws).cost[0]

@@ -6,7 +6,7 @@ R = B * N * M rows of one call to the model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -17,6 +17,8 @@ from torch import Tensor
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
 from wasp_cli.models.base import Critics, Latent
+from wasp_cli.models.packed import PackedModel
+from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import DrawnNoise, Operator, Policy
 
 ROUNDING = 1e-6
@@ -38,24 +40,6 @@ class Dynamics(Protocol):
     def continues(self, latent: Latent) -> Tensor:
         """Return the probability [...] that the episode has not ended at the arrived state."""
         ...
-
-
-class Arrived(Latent):
-    """Latents that the operator and several heads read: h and z are joined once for all of them."""
-
-    @cached_property
-    def features(self) -> Tensor:
-        """Join h and z: [..., D + Z]."""
-        return super().features
-
-    @classmethod
-    def stack(cls, steps: Sequence[Arrived]) -> Arrived:
-        """Stack K steps [R, .] as one [K, R, .]."""
-        features = torch.stack([step.features for step in steps])
-        size = steps[0].h.shape[-1]
-        made = cls(features[..., :size], features[..., size:])
-        made.__dict__["features"] = features  # h and z are views of it
-        return made
 
 
 class Draws(NamedTuple):
@@ -128,6 +112,13 @@ class Imagination:
     lam: float
     expert: Policy | None = None
     """The nominal expert on features [R, F], whose takeovers are candidates; None where there is none."""
+    pack: bool = True
+    """Whether a `SafetyWorldModel` takes its steps packed (`models.packed`); without it by its own `imagine`: the reference."""
+
+    @cached_property
+    def packed(self) -> PackedModel | None:
+        """The packed steps of the model; None where it takes its own."""
+        return PackedModel(self.model) if self.pack and isinstance(self.model, SafetyWorldModel) else None
 
     def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
         """Roll every candidate out and summarise it (Eq. 7-8, 13).
@@ -164,22 +155,27 @@ class Imagination:
         batch, candidates, steps, actions = residuals.shape
         horizon = draws.latent.shape[1]
         if index is None:
-            index = torch.arange(draws.latent.shape[2]).expand(candidates, -1)
+            index = torch.arange(draws.latent.shape[2], device=residuals.device).expand(candidates, -1)
         rollouts = index.shape[1]
         shape = (batch, candidates, rollouts)
         copies = candidates * rollouts
         delta = _over_rollouts(residuals, rollouts)  # [R, L, A]
         part = None if share is None else _over_rollouts(share, rollouts)  # [R, L, 2]
-        operator = start.operator.fork(start.rows, copies, DrawnNoise(_over_candidates(draws.operator, index)))
-        noise = _over_candidates(draws.latent, index)  # [H, R, Z]
-        latent = start.latent.expand_rows(copies)
+        rows = draws.latent.shape[2] * torch.arange(batch, device=index.device)
+        met = (rows.unsqueeze(1) + index.flatten()).flatten()  # [R] of the B * M draws
+        operator = start.operator.fork(start.rows, copies, DrawnNoise(_by_step(draws.operator)[:, met]))
+        packed = self.packed
+        room = None if packed is None else packed.room(horizon, len(delta))
+        noise = _by_step(draws.latent if packed is None else packed.chances(draws.latent))  # [H, B * M, Z]
         now = start.a_h.repeat_interleave(copies, 0)  # [R, A]
         effort = delta.new_zeros(len(delta))
         found: list[Tensor] = []
         issued: list[Tensor] = []
-        seen: list[Arrived] = []
+        seen: list[Latent] = []
+        latent, alike = start.latent, copies  # copies of a row are alike until their actions differ
         for k in range(horizon):
-            command = now if k == 0 else operator.command(latent.features)
+            features = latent.features if k or part is not None else delta
+            command = now if k == 0 else operator.command(features)
             if k < heard:
                 issued.append(command.clamp(-1, 1))
             action = command
@@ -187,13 +183,19 @@ class Imagination:
                 base = self._base(now, command, shape, alone)
                 wanted = base + delta[:, k]
                 if part is not None:
-                    wanted = self._taken_over(latent, base, wanted, part[:, k])
+                    wanted = self._taken_over(features, alike, base, wanted, part[:, k])
                 action = wanted.clamp(-1, 1)
                 effort = effort + ((action if self.config.effort == "clipped" else wanted) - base).square().sum(-1)
                 found.append(action - base)
-            latent = Arrived(*self.model.imagine(latent, action, noise[k]))
-            seen.append(latent)
-        arrived = Arrived.stack(seen)  # every head runs once, on all steps
+            drawn = noise[k].index_select(0, met)  # [R, Z]
+            if packed is not None and room is not None:
+                latent = packed.imagine(latent, action, drawn, room.step(k), alike)
+            else:
+                latent = self.model.imagine(latent.expand_rows(alike) if alike > 1 else latent, action, drawn)
+                seen.append(latent)
+            alike = 1
+        # Every head runs once, on all steps.
+        arrived = Latent(*(torch.stack(part) for part in zip(*seen, strict=True))) if room is None else room
         keep = self.model.continues(arrived) if self.config.continuation else None
         gamma_r, gamma_c = self.discounts
         reward = self._summary(self.model.reward(arrived), self.critics.value_r, self.config.bootstrap_reward, gamma_r, arrived, keep)
@@ -225,14 +227,17 @@ class Imagination:
         if not alone:
             return now
         # Eq. 9-10 know no correction: without one nothing holds the first command.
-        first = torch.arange(shape[1]).view(1, -1, 1).expand(shape).reshape(-1, 1) < alone
+        first = torch.arange(shape[1], device=now.device).view(1, -1, 1).expand(shape).reshape(-1, 1) < alone
         return torch.where(first, command, now)
 
-    def _taken_over(self, latent: Latent, base: Tensor, open_loop: Tensor, part: Tensor) -> Tensor:
-        """Return the actions [R, A] of candidates of which some are taken over in this step: part [R, 2]."""
+    def _taken_over(self, features: Tensor, alike: int, base: Tensor, open_loop: Tensor, part: Tensor) -> Tensor:
+        """Return the actions [R, A] of candidates of which some are taken over in this step: part [R, 2], features [R / alike, F]."""
         if self.expert is None:
             raise ValueError("takeovers need the nominal expert")
-        taken = base + part[:, :1] * (self.expert(latent.features) - base) - part[:, 1:] * base
+        expert = self.expert(features)
+        if alike > 1:
+            expert = expert.repeat_interleave(alike, 0)
+        taken = base + part[:, :1] * (expert - base) - part[:, 1:] * base
         return torch.where((part > 0).any(-1, keepdim=True), taken, open_loop)
 
     def _summary(
@@ -255,7 +260,6 @@ def _over_rollouts(plans: Tensor, rollouts: int) -> Tensor:
     return plans.unsqueeze(2).expand(-1, -1, rollouts, -1, -1).reshape(-1, *plans.shape[2:])
 
 
-def _over_candidates(draws: Tensor, index: Tensor) -> Tensor:
-    """Repeat draws [B, H, M', K] as [H, B * N * M, K]: of each of the N candidates those that `index` [N, M] names."""
-    batch, horizon, _, size = draws.shape
-    return draws[:, :, index].transpose(0, 1).reshape(horizon, batch * index.numel(), size)
+def _by_step(draws: Tensor) -> Tensor:
+    """Order draws [B, H, M, K] as [H, B * M, K]."""
+    return draws.transpose(0, 1).flatten(1, 2)

@@ -47,13 +47,13 @@ def imagined_operator(model: str, operator: Operator, a_h: Tensor, expert: Polic
     return Operator(expert, actions, nothing, batch)
 
 
-def load_clone(folder: Path, nominal: Policy, actions: int) -> ClonedOperator:
+def load_clone(folder: Path, nominal: Policy, actions: int, device: torch.device | None = None) -> ClonedOperator:
     """Load the clone of an artifact of the stage `clone`; `nominal` is the policy that it corrects.
 
     Raises:
         ArtifactError: a file is missing or damaged.
     """
-    clone = load_module(Clone, folder / "clone.safetensors")
+    clone = load_module(Clone, folder / "clone.safetensors").to(device)
     return ClonedOperator(clone, nominal, actions, DrawnNoise(torch.zeros(0, 0, 0)), 0)
 
 

@@ -36,4 +36,8 @@ def td_lambda_all(signal: Tensor, value: Tensor, gamma: float, lam: float, keep:
 
 def discounted_sum(signal: Tensor, gamma: float, keep: Tensor | None = None) -> Tensor:
     """Return sum_k gamma^k x_{t+k} over [H, ...]: Eq. 8 with lambda = 1 and nothing beyond the horizon."""
-    return td_lambda(signal, torch.zeros_like(signal), gamma, 1.0, keep)
+    onward = torch.full_like(signal, gamma) if keep is None else gamma * keep
+    future = signal[-1]
+    for k in range(len(signal) - 2, -1, -1):
+        future = torch.addcmul(signal[k], onward[k], future)
+    return future

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from wasp_cli.errors import WaspError
@@ -44,13 +45,13 @@ def foreseen(model: LookAhead, latent: Latent, issued: Tensor) -> Tensor:
     return found.view(-1, futures, found.shape[-1]).mean(1)
 
 
-def load_witness(config: WASPConfig, folder: Path) -> Witness:
+def load_witness(config: WASPConfig, folder: Path, device: torch.device | None = None) -> Witness:
     """Load the look ahead of an artifact of the stage `lookahead`.
 
     Raises:
         WaspError: it does not look as far as it is asked, or reads more commands than are imagined.
     """
-    model = load_module(LookAhead, folder / "lookahead.safetensors")
+    model = load_module(LookAhead, folder / "lookahead.safetensors").to(device)
     if config.head_window > model.horizon:
         raise WaspError(
             f"wasp.head_window is {config.head_window}, but the look ahead ends after {model.horizon} decisions",

@@ -1,0 +1,234 @@
+"""Decisions on another device: no look at a number, fixed shapes whose masks give what gathered rows give, and the same draws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.artifacts import tiny_artifacts
+from wasp_cli.learning.assistants import build_assistant, load_parts
+from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.methods import filter as safety_filter
+from wasp_cli.methods.base import Assistant, Decision, Parts
+from wasp_cli.methods.noise import DecisionNoise
+from wasp_cli.methods.wasp import assistant as wasp
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+
+B = 5
+EVERYONE = torch.ones(B, dtype=torch.bool)
+METHODS: dict[str, dict[str, Any]] = {
+    "wasp": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "gate_rollouts": 2, "finalists": 2, "horizon": 6},
+    "ida": {"vote": 0.0, "copilot": "diffusion"},
+    "diffusion": {}, "saferl": {}, "filter": {"candidates": 8, "segment": 4, "rollouts": 2}, "human": {},
+}  # fmt: skip
+VARIANTS = ("full", "safety-only", "no-case2", "as-printed")
+CASES = [*((name, {}) for name in METHODS), *(("wasp", {"variant": variant}) for variant in VARIANTS)]
+ALSO = [("wasp", {"task_search": False, "safety_search": False}), ("wasp", {"probe_with": "both"}), ("wasp", {"probe_with": "random"})]
+NOWHERE = [*((method, changes, "laggy") for method, changes in (*CASES, *ALSO)), ("wasp", {}, "noisy"), ("wasp", {}, "reaction-time")]
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return tiny_artifacts(tmp_path_factory.mktemp("device"))
+
+
+@pytest.fixture
+def parts(folders: dict[str, Path]) -> Parts:
+    return load_parts(folders, ReturnsConfig())
+
+
+def filtered(parts: Parts) -> Latent:
+    source = torch.Generator().manual_seed(0)
+    rssm = parts.world_model.rssm
+    h = torch.randn((B, rssm.deter), generator=source).tanh()
+    drawn = torch.randint(0, rssm.classes, (B, rssm.variables), generator=source)
+    return Latent(h, torch.nn.functional.one_hot(drawn, rssm.classes).float().flatten(1))
+
+
+def made(parts: Parts, method: str, changes: dict[str, Any], variant: str = "laggy") -> tuple[Assistant, Operator]:
+    assistant = build_assistant(method, METHODS[method] | changes, parts)
+    context = OperatorContext(parts.skills.at, 2, 0.08)
+    operator = build_operator(variant, 0.4, context, EpisodeNoise(list(range(B))), B).to(parts.device)
+    assistant.reset(EVERYONE, [10 + b for b in range(B)])
+    return assistant, operator
+
+
+def decide(parts: Parts, method: str, changes: dict[str, Any], tau: tuple[float, float] | None) -> list[Decision]:
+    """Three decisions in a row; `tau` = thresholds of WASP and the filter, chosen so that some rows fire."""
+    assistant, operator = made(parts, method, changes)
+    if tau is not None:
+        assistant.tau_c, assistant.tau_r = tau  # type: ignore[attr-defined]
+    latent, found = filtered(parts).to(parts.device), []
+    with torch.inference_mode():
+        for _ in range(3):
+            a_h = operator.command(latent.features).clamp(-1, 1)
+            found.append(assistant.decide(latent, a_h, operator))
+    return found
+
+
+@pytest.mark.parametrize(("method", "changes", "operator"), NOWHERE)
+def test_no_assistant_looks_at_a_number_on_another_device(
+    folders: dict[str, Path], method: str, changes: dict[str, Any], operator: str
+) -> None:
+    """Tensors that have shapes and no values: what asks for one raises, and so does a tensor of the CPU among them."""
+    nowhere = torch.device("meta")
+    for look in (lambda x: bool(x.sum() > 0), lambda x: x.numpy(), lambda x: x.nonzero(), lambda x: x + torch.zeros(2)):
+        with pytest.raises((RuntimeError, NotImplementedError, TypeError)):
+            look(torch.zeros(2, device=nowhere))
+    parts = load_parts(folders, ReturnsConfig(), nowhere)
+    assistant, issuing = made(parts, method, changes, operator)
+    latent = filtered(parts).to(nowhere)
+    with torch.inference_mode():
+        for _ in range(2):
+            a_h = issuing.command(latent.features).clamp(-1, 1)
+            decision = assistant.decide(latent, a_h, issuing)
+    assert decision.action.shape == (B, 2)
+    for field in (decision.action, *(decision.record or ()), *(decision.planned or ())):
+        assert field.device == nowhere
+
+
+def everything(mask: Tensor) -> Tensor:
+    return torch.arange(len(mask))
+
+
+def thresholds(parts: Parts, changes: dict[str, Any]) -> tuple[float, float]:
+    """tau_c and tau_r that about half of the rows exceed."""
+    signals = decide(parts, "wasp", changes, (1e9, 1e9))
+    costs = torch.cat([d.record.g_cost for d in signals if d.record is not None])
+    gains = torch.cat([d.record.delta_g for d in signals if d.record is not None])
+    gains = gains[gains.isfinite()].sort().values
+    return float(costs.quantile(0.6)), float(gains[len(gains) // 2 - 1 :][:2].mean()) if len(gains) else 0.0  # between two of them
+
+
+@pytest.mark.parametrize("changes", [*(changes for name, changes in (*CASES, *ALSO) if name == "wasp")])
+def test_masks_over_all_rows_decide_what_gathered_rows_do(parts: Parts, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    tau = thresholds(parts, changes)
+    gathered = decide(parts, "wasp", changes, tau)
+    monkeypatch.setattr(wasp, "chosen", everything)
+    same(decide(parts, "wasp", changes, tau), gathered)
+    gates = torch.cat([d.record.gate for d in gathered if d.record is not None])
+    assert (gates == 0).any()
+    assert (gates > 0).any()
+
+
+def test_the_filter_s_masks_decide_what_gathered_rows_do(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    signal = torch.cat([d.record.signal for d in decide(parts, "filter", {}, (1e9, 0.0)) if d.record is not None])
+    tau = float(signal.median()), 0.0
+    gathered = decide(parts, "filter", {}, tau)
+    monkeypatch.setattr(safety_filter, "chosen", everything)
+    same(decide(parts, "filter", {}, tau), gathered)
+
+
+def same(found: list[Decision], wanted: list[Decision]) -> None:
+    """Every field of every decision, up to the rounding of products of other sizes."""
+    for one, other in zip(found, wanted, strict=True):
+        assert one.record is not None
+        assert other.record is not None
+        assert torch.equal(one.record.gate, other.record.gate)
+        fields = zip(
+            (one.action, *one.record, *(one.planned or ())), (other.action, *other.record, *(other.planned or ())), strict=True
+        )  # fmt: skip
+        for mine, theirs in fields:
+            torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4, equal_nan=True)
+
+
+def test_what_rests_is_left_alone_and_changes_nothing_for_the_others(parts: Parts) -> None:
+    tau = thresholds(parts, {})
+    assistant, operator = made(parts, "wasp", {})
+    assistant.tau_c, assistant.tau_r = tau  # type: ignore[attr-defined]
+    latent = filtered(parts)
+    seen: list[int] = []
+    imagination = assistant.imagination  # type: ignore[attr-defined]
+    rolled = type(imagination).rolled
+
+    def counted(self: Any, start: Any, *arguments: Any, **named: Any) -> Any:
+        seen.extend(start.rows.tolist())
+        return rolled(self, start, *arguments, **named)
+
+    over = torch.tensor([False, True, False, True, False])
+    whole = decide(parts, "wasp", {}, tau)
+    with torch.inference_mode(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(imagination), "rolled", counted)
+        for t in range(3):
+            a_h = operator.command(latent.features).clamp(-1, 1)
+            decision = assistant.decide(latent, a_h, operator)
+            if t == 0:
+                assert set(seen) == set(range(B))
+                assistant.rest(over)  # type: ignore[attr-defined]
+            else:
+                assert torch.equal(decision.action[over], a_h[over])
+            torch.testing.assert_close(decision.action[~over], whole[t].action[~over], atol=1e-5, rtol=1e-4)
+            seen.clear() if t == 0 else None
+    assert set(seen) == {0, 2, 4}
+    assistant.reset(over, [20 + b for b in range(B)])
+    assert not assistant.resting.any()  # type: ignore[attr-defined]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no GPU")
+@pytest.mark.parametrize(("method", "changes"), [*CASES, *ALSO])
+def test_a_gpu_decides_what_the_cpu_does(folders: dict[str, Path], parts: Parts, method: str, changes: dict[str, Any]) -> None:
+    """The same draws and weights; only sums are in another order: 1e-4 of every number that leads to a decision."""
+    tau = thresholds(parts, changes) if method == "wasp" else None
+    there = load_parts(folders, ReturnsConfig(), torch.device("cuda"))
+    found = decide(there, method, changes, tau)
+    wanted = decide(parts, method, changes, tau)
+    if wanted[0].record is not None:
+        same([on_cpu(decision) for decision in found], wanted)
+    for one, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(one.action.cpu(), other.action, atol=1e-4, rtol=1e-4)
+
+
+def on_cpu(decision: Decision) -> Decision:
+    record, planned = decision.record, decision.planned
+    return Decision(
+        decision.action.cpu(),
+        None if record is None else type(record)(*(field.cpu() for field in record)),
+        None if planned is None else type(planned)(*(field.cpu() for field in planned)),
+    )
+
+
+def blocks() -> Iterator[tuple[str, Callable[[Any], list[Tensor]]]]:
+    yield "uniform", lambda streams: streams.uniform((4, 3), (2,), purpose=2)
+    yield "normal", lambda streams: [streams.normal(3, 2, purpose=1)]
+
+
+def test_draws_made_ahead_are_those_of_each_decision(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On another device the draws of many decisions are made at once; which those are must not change them."""
+    seeds, everyone = [3, 4, 5], torch.ones(3, dtype=torch.bool)
+    monkeypatch.setattr("wasp_cli.methods.noise.AHEAD", 4)
+    for _, drawn in blocks():
+        each, ahead = DecisionNoise(), DecisionNoise()
+        ahead.device = torch.device("meta")
+        monkeypatch.setattr(Tensor, "to", lambda self, *_: self)
+        each.reset(everyone, seeds)
+        ahead.reset(everyone, seeds)
+        calls = []
+        make = ahead.made
+        monkeypatch.setattr(ahead, "made", lambda *a, make=make, calls=calls: calls.append(1) or make(*a))
+        for _ in range(9):
+            for mine, theirs in zip(drawn(ahead.streams()), drawn(each.streams()), strict=True):
+                assert torch.equal(mine, theirs)
+        assert len(calls) == 12  # three blocks of four decisions
+        some = torch.tensor([True, False, True])
+        ahead.reset(some, [7, 8, 9])
+        each.reset(some, [7, 8, 9])
+        for mine, theirs in zip(drawn(ahead.streams()), drawn(each.streams()), strict=True):
+            assert torch.equal(mine, theirs)
+
+
+def test_what_one_purpose_draws_changes_nothing_for_another() -> None:
+    noise = DecisionNoise()
+    noise.reset(torch.ones(2, dtype=torch.bool), [1, 2])
+    first = noise.streams()
+    whole = first.normal(5, purpose=3)
+    first.uniform((100,), purpose=1)
+    assert torch.equal(first.normal(5, purpose=3, rows=torch.tensor([1]))[0], whole[1])
+    streams = [np.asarray(first.uniform((8,), purpose=p)[0]) for p in range(3)] + [np.asarray(noise.streams().uniform((8,))[0])]
+    assert len({stream.tobytes() for stream in streams}) == 4
