@@ -64,7 +64,7 @@ PAPER_RECIPE: Mapping[str, Any] = {
     "composition": "hold", "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,
     "operator_model": "rule", "tau_c": "calibrated", "witness": "sum", "probe_with": "random", "probe_first": False, "task_search": True,
     "safety_search": True, "rescore": False, "takeover_shares": (), "braking": False, "forced": False, "warm_start": False,
-    "case2_memory": 0, "finalists": 0, "recheck": False, "least_saving": 0.0, "best_of": "all", "effort": "sampled",
+    "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled",
     "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
 }  # fmt: skip
 """Section 4 to the letter. What it leaves open stays as it is: sizes, alpha, quantiles; M is one number."""
@@ -122,11 +122,6 @@ class WASPConfig(Config):
         True,
         "the command stands where it is safe on the finalists' fresh rollouts after all and no plan gains more than tau_r; "
         "the paper corrects whenever the safety gate has fired",
-    )
-    least_saving: float = deviates(
-        0.0,
-        "cost that a correction has to save on those rollouts, or the command stands; the paper corrects whatever it saves (0)",
-        ge=0.0,
     )
     best_of: Literal["all", "last"] = assumed("all", "iterations among whose candidates the plan is selected")
     forced: bool = deviates(True, "no residual and the mean are candidates of every iteration; the paper only samples")

@@ -128,6 +128,7 @@ def _preference(offer: Offer, own: str, keys: Mapping[str, str]) -> tuple[bool, 
 def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
     """The recipes of results that must not be reused: a node that is computed would read two versions of something through them."""
     keys = _keys_with(own, chosen)
+    computed = _computed(own, chosen)
     read = {needed.key for node in own.nodes for needed in node.needs.values()}
     versions: dict[str, Mapping[str, str]] = {}
     """By recipe of a node that others read, the versions that are behind it, itself included, by recipe."""
@@ -136,7 +137,7 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
         recipe = own.recipes[node.key]
         if recipe in chosen:
             versions[recipe] = {**chosen[recipe].behind, recipe: keys[recipe]}
-        elif node.key in read or id(node.needs) not in judged:  # the cells of an assistant share what they read
+        elif node.key in computed and (node.key in read or id(node.needs) not in judged):  # the cells of an assistant share what they read
             judged.add(id(node.needs))
             merged, twofold = _merged(versions[own.recipes[needed.key]] for needed in node.needs.values())
             versions[recipe] = {**merged, recipe: keys[recipe]}
@@ -144,6 +145,19 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
                 behind = chosen[reused].behind
                 if any(name in behind and behind[name] != keys.get(name) for name in twofold):
                     yield reused
+
+
+def _computed(own: Grid, chosen: Mapping[str, Offer]) -> set[str]:
+    """The keys of the nodes that have to be computed: what is needed for reused results alone is not."""
+    found: set[str] = set()
+    targets = own.targets
+    pending = [node for node in own.nodes if node.key in targets]
+    while pending:
+        node = pending.pop()
+        if node.key not in found and own.recipes[node.key] not in chosen:
+            found.add(node.key)
+            pending += node.needs.values()
+    return found
 
 
 def _merged(parts: Iterable[Mapping[str, str]]) -> tuple[dict[str, str], set[str]]:

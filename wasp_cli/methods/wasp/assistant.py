@@ -323,15 +323,12 @@ class WASP:
         )  # fmt: skip
 
     def _rechecked(self, made: Plan, fired: Tensor) -> Plan:
-        """Let the command stand where the safety gate had fired [R] by chance, or little is saved, and the plan gains no more than noise.
-
-        By chance: on fresh rollouts the command alone is safe.
-        """
+        """Let the command stand where the safety gate had fired [R] by chance: it is safe on fresh rollouts, and the plan gains only noise."""
         if not self.config.finalists:
             return made
         worth = made.predicted.reward - made.alone.reward > (torch.inf if self.config.variant == "safety-only" else self.tau_r)
         safe = (made.alone.cost <= self.tau_c) & self.config.recheck
-        stands = (safe | (made.alone.cost - made.predicted.cost < self.config.least_saving)) & ~worth & fired
+        stands = safe & ~worth & fired
         return made._replace(
             residuals=torch.where(stands.view(-1, 1, 1), 0.0, made.residuals),
             predicted=Returns(*(torch.where(stands, *fields) for fields in zip(made.alone, made.predicted, strict=True))),
