@@ -323,7 +323,7 @@ class WASP:
         )  # fmt: skip
 
     def _rechecked(self, made: Plan, fired: Tensor) -> Plan:
-        """Let the command stand where the safety gate had fired [R] by chance: it is safe on fresh rollouts, and the plan gains only noise."""
+        """Let the command stand where the safety gate had fired [R] by chance: it is safe on fresh rollouts, and the plan gains nothing."""
         if not self.config.finalists:
             return made
         worth = made.predicted.reward - made.alone.reward > (torch.inf if self.config.variant == "safety-only" else self.tau_r)
