@@ -97,7 +97,6 @@ def test_without_estimates_the_rate_tells_what_is_left(layout: Layout) -> None:
     assert state.per_minute == pytest.approx(10)  # the slow beginning is over
     assert state.left_seconds == pytest.approx(120)
     assert state.unknown == 0
-    assert state.busy_share == pytest.approx((1 + 1 + 60) / (2 * 120))
 
 
 def test_nodes_without_an_estimate_are_counted(layout: Layout) -> None:

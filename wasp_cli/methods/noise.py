@@ -57,7 +57,7 @@ class DecisionNoise:
         return [torch.from_numpy(np.stack(values)) for values in zip(*each, strict=True)]
 
     def made_ahead(self, draw: Draw, streams: Streams, purpose: int, shapes: Sequence[Sequence[int]]) -> list[Tensor]:
-        """Return the same for all rows on the device, of draws that were made for many decisions at once."""
+        """Return the same for all rows, [B, *shape] on the device, of draws that were made for many decisions at once."""
         key = (draw, purpose, *map(tuple, shapes))
         first, held = self.ahead.get(key, (0, []))
         if not held or not first <= streams.taken < first + len(held[0]):
