@@ -136,3 +136,11 @@ def test_what_lies_behind_everything_that_is_read_need_not_be_there() -> None:
     # Judging the world model does read it.
     judged = own_grid(methods=["wasp"])
     assert chosen(judged, [offer(judged, label, behind[label], behind) for label in version(1)]) == {}
+
+
+def test_what_is_needed_for_reused_results_alone_meets_nothing() -> None:
+    """Remembered latents are large, and not published: nobody computes them where all that is learned from them is reused."""
+    own = own_grid(methods=["wasp"], stages=[])
+    behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
+    published = {label: key for label, key in version(1).items() if label != LATENTS}
+    assert chosen(own, [offer(own, label, key, behind) for label, key in published.items()]) == published

@@ -58,7 +58,7 @@ def invent_sweep(
         for cell in own:
             if n == 0 and cell.identity in missing:
                 cell.path.unlink()
-        keys = {cell.identity: "shared" + cell.path.parent.name for cell in alone} | {cell.identity: f"{n}{cell.path.parent.name}" for cell in own}
+        keys = {cell.identity: f"{prefix}{cell.path.parent.name}" for prefix, cells in (("shared", alone), (n, own)) for cell in cells}
         found.append(Swept(text, value, read_frame([*alone, *own]), keys))
     return found
 
