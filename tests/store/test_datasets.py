@@ -7,46 +7,30 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
-import numpy as np
 import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
 
-from tests.store.test_tables import invent
-from wasp_cli.metrics.episode import episode_metrics
+from tests.store.folders import KEYS, folder_of_cells
 from wasp_cli.store.artifact import (
     FORMER_WHY,
     WHY,
-    commit,
     damage,
     exists,
     invalidate,
     read_manifest,
-    staging_folder,
     stored_keys,
     why_invalid,
 )
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.index import scan
 from wasp_cli.store.layout import FORMER_MANIFEST, MANIFEST, Layout
-from wasp_cli.store.tables import FORMER_STEPS_FILE, STEPS_FILE, CellIdentity, Thresholds, read_steps, same_rows, write_cell
-
-KEYS = [f"{number:020x}" for number in range(3)]
-"""Of cells with three episodes of five steps."""
+from wasp_cli.store.tables import FORMER_STEPS_FILE, STEPS_FILE, read_steps, same_rows
 
 
 @pytest.fixture
 def layout(tmp_path: Path) -> Layout:
-    layout = Layout(tmp_path / "results")
-    layout.prepare()
-    for seed, key in enumerate(KEYS):
-        staging = staging_folder(layout, key)
-        trajectories = [invent(seed * 10 + episode, 5) for episode in range(3)]
-        rows = [episode_metrics(trajectory, 1, 25) for trajectory in trajectories]
-        identity = CellIdentity("goal1", "ida", "full", "laggy", 0.5, seed)
-        write_cell(staging, identity, trajectories, rows, Thresholds(), [np.ones(5)] * 3, [0, 1, 2])
-        commit(layout, "evaluate", key, staging, {"label": f"goal1 s{seed} ida laggy=0.5", "key": key, "kind": "evaluate"})
-    return layout
+    return folder_of_cells(tmp_path / "results")
 
 
 def pandas_folder(folder: Path) -> Any:
