@@ -12,6 +12,7 @@ from rich.text import Text
 from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
+from wasp_cli.report.figures.kept import drawn_before, keep, mark_of
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.page.build import build_page
@@ -162,11 +163,16 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    """Write every figure that has something to show, as PNG and SVG; returns the files."""
+    """Write every figure that has something to show, as PNG and SVG, unless they are there as they would be drawn; returns the files."""
+    mark = mark_of(frame, [layout.artifact(part.kind, part.key) for part in trained])
+    before = drawn_before(folder, mark)
+    if before is not None:
+        return before
     files = cost_return_figure(frame, folder)
     files += necessity_figure(frame, folder)
     files += severity_figure(frame, folder)
     files += latency_figure(frame, folder)
     files += learning_figure(layout, trained, folder)
     files += reliability_figure(layout, trained, folder)
+    keep(folder, mark, files)
     return files
