@@ -19,6 +19,7 @@ from wasp_cli.cli.options import (
     print_json,
     results_folder,
 )
+from wasp_cli.errors import WaspError
 
 if TYPE_CHECKING:
     from wasp_cli.compare.runs import Compared, Side
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
 PANEL = "Results"
 
 report_app = typer.Typer()
+
+
+class NotWritten(WaspError):
+    """The files of a report cannot be written; what it prints was printed."""
 
 
 @report_app.command(
@@ -57,7 +62,7 @@ def report(
     trained: Annotated[bool, typer.Option("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print the tables of a results folder; write tables, figures and an HTML report."""
-    from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
+    from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName
     from wasp_cli.report.document import missing_words
     from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
@@ -73,6 +78,7 @@ def report(
         raise UnknownName("spec in these results", spec, runs)
     gaps: list[str] = []
     missing: list[str] = []
+    unwritten: list[NotWritten] = []
     for name, run_id in runs.items():
         if spec in (None, name):
             try:
@@ -92,11 +98,15 @@ def report(
                 damaged += shown.damaged
                 gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
                 missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
+            except NotWritten as error:
+                unwritten.append(error)
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
     if damaged:
         lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
         raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
+    if unwritten:
+        raise NotWritten("\n".join(error.message for error in unwritten), unwritten[0].hint)
     if strict and missing:
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
@@ -130,10 +140,10 @@ def show_report(
         to: the folder of the files; None: that of the spec in the results folder.
 
     Raises:
-        WaspError: the files cannot be written.
+        NotWritten: the files cannot be written.
     """
     from wasp_cli.console import err, out, say
-    from wasp_cli.errors import StoreError, WaspError, refusal
+    from wasp_cli.errors import StoreError, refusal
     from wasp_cli.report.summarize import report_run
 
     report = report_run(layout.root, spec, cells, parts, paper, branched, unknown)
@@ -147,7 +157,7 @@ def show_report(
         report.terminal(out())
         refused = error if isinstance(error, WaspError) else refusal(error)
         hint = "wasp report DIR --out FOLDER writes it elsewhere"
-        raise WaspError(f"the report of {spec.name} cannot be written: {refused.message}", hint) from error
+        raise NotWritten(f"the report of {spec.name} cannot be written: {refused.message}", hint) from error
     report.terminal(out())
     beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
     left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
