@@ -62,7 +62,7 @@ def cells(results: Path) -> dict[tuple[str, str], Path]:
 
 def test_every_stage_has_left_an_artifact_with_its_numbers(results: Path) -> None:
     for kind in STAGES:
-        manifests = list((results / "store" / kind).glob("*/manifest.json"))
+        manifests = list((results / "store" / kind).glob("*/_manifest.json"))
         assert manifests, f"no {kind}"
         for manifest in manifests:
             assert json.loads(manifest.read_text())["summary"], f"{kind} says nothing about itself"
@@ -124,7 +124,7 @@ def of_round(results: Path, kind: str, number: int) -> Path:
     """The artifact of a stage in a round."""
     (found,) = [
         path.parent
-        for path in (results / "store" / kind).glob("*/manifest.json")
+        for path in (results / "store" / kind).glob("*/_manifest.json")
         if json.loads(path.read_text())["axes"].get("round", 1) == number
     ]
     return found
@@ -136,7 +136,7 @@ def test_the_second_round_trains_on_the_first_and_on_what_wasp_did(results: Path
     assert all((after / name).read_bytes() == (before / name).read_bytes() for name in shards)
     told = json.loads((after / "contents.json").read_text())
     assert told["wasp"]["steps"] > 0
-    upstream = json.loads((of_round(results, "world_model", 2) / "manifest.json").read_text())["upstream"]
+    upstream = json.loads((of_round(results, "world_model", 2) / "_manifest.json").read_text())["upstream"]
     assert upstream == {"dataset": after.name, "previous": of_round(results, "world_model", 1).name}
     reading = {
         "world_model": ("latents", "policies", "critics", "heldout", "residual"),
@@ -144,7 +144,7 @@ def test_the_second_round_trains_on_the_first_and_on_what_wasp_did(results: Path
     }
     for needed, kinds in reading.items():
         for kind in kinds:
-            read = json.loads((of_round(results, kind, 2) / "manifest.json").read_text())["upstream"]
+            read = json.loads((of_round(results, kind, 2) / "_manifest.json").read_text())["upstream"]
             assert read[needed] == of_round(results, needed, 2).name
 
 

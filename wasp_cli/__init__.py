@@ -1,3 +1,37 @@
-"""wasp: an experiment orchestrator for safety-aware shared autonomy with world-model constrained planning."""
+"""wasp: an experiment orchestrator for safety-aware shared autonomy with world-model constrained planning.
+
+    import wasp_cli
+
+    results = wasp_cli.results("results")              # tables of a results folder; needs no torch
+    model = wasp_cli.load_world_model("results")       # filters, imagines, decodes
+
+docs/results.md shows what they can do.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wasp_cli.notebook.results import open_results as results
+    from wasp_cli.notebook.world_model import load_world_model
 
 __version__ = "0.1.0"
+__all__ = ["__version__", "load_world_model", "results"]
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when they are asked for: importing the package must take no time, and the command line needs neither.
+    if name == "results":
+        from wasp_cli.notebook.results import open_results
+
+        return open_results
+    if name == "load_world_model":
+        from wasp_cli.notebook.world_model import load_world_model
+
+        return load_world_model
+    raise AttributeError(f"module 'wasp_cli' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

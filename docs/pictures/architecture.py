@@ -7,6 +7,7 @@ from pathlib import Path
 
 LAYERS: tuple[tuple[tuple[str, str], ...], ...] = (
     (("cli", "commands, options"),),
+    (("notebook", "results and models in one line"),),
     (("video", "films, replays"), ("studies", "timing, oracle"), ("compare", "two runs")),
     (("run", "workers, progress"), ("report", "tables, figures, claims, page")),
     (("plan", "grid, keys, reuse"),),

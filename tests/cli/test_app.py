@@ -321,7 +321,7 @@ def test_ablate_says_first_what_it_will_compute(fakes: Fakes, tmp_path: Path) ->
     assert not (tmp_path / "results").exists()
     done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)
     assert "2 grid points, 2 cells to evaluate" in done.stderr
-    assert len(list((tmp_path / "results").glob("store/evaluate/*/manifest.json"))) == 2
+    assert len(list((tmp_path / "results").glob("store/evaluate/*/_manifest.json"))) == 2
 
 
 def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.spec.hints import settings
+from wasp_cli.spec.shipped import shipped_names
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
@@ -69,8 +70,8 @@ def test_specs_are_offered_from_here_and_from_their_folder(tmp_path: Path) -> No
     for name in ("mine.yaml", "notes.txt", "specs/quick.yaml", "specs/deep/far.yaml"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    assert offered("wasp run ", tmp_path) == ["mine.yaml", "specs/quick.yaml"]
-    assert offered("wasp check mine.yaml s", tmp_path) == ["specs/quick.yaml"]
+    assert offered("wasp run ", tmp_path) == ["mine.yaml", "specs/quick.yaml", *shipped_names()]
+    assert offered("wasp check mine.yaml s", tmp_path) == ["specs/quick.yaml", *(name for name in shipped_names() if name[0] == "s")]
     assert offered("wasp operators specs/deep/", tmp_path) == ["specs/deep/far.yaml"]
     assert offered(f"wasp plan {tmp_path}/m", tmp_path) == [f"{tmp_path}/mine.yaml"]
 

@@ -121,7 +121,7 @@ def test_the_machine_is_named_where_one_key_has_other_rows(first: Side, tmp_path
 
 def test_a_cause_without_its_record_is_told(first: Side, tmp_path: Path) -> None:
     second = write_results(tmp_path / "results", world_model={"updates": 30})
-    for path in second.layout.kind("world_model").glob("*/manifest.json"):
+    for path in second.layout.kind("world_model").glob("*/_manifest.json"):
         path.unlink()
     assert ("another world_model, of which not both folders have the record", 8) in compare(first, second).causes
 

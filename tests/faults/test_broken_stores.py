@@ -57,7 +57,7 @@ def test_a_disk_that_fills_up_ends_nodes_and_a_run_with_room_repairs_it(
     assert done.returncode == 1
     assert "No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
-    whole = list(results.glob("store/*/*/manifest.json"))
+    whole = list(results.glob("store/*/*/_manifest.json"))
     assert whole, "the disk had room for some"
     for manifest in whole:
         files = json.loads(manifest.read_text(encoding="utf-8"))["files"]

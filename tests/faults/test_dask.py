@@ -47,12 +47,12 @@ def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> No
     fakes.set(seconds=0.5)
     with dask_cluster(tmp_path / "dask") as cluster:
         process = through(cluster, small_spec, results)
-        wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 2)
+        wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 2)
         os.kill(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "finishing running nodes" in errors
-    ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/manifest.json")))
+    ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/_manifest.json")))
     assert ran == there < 18
 
 
@@ -64,7 +64,7 @@ def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fa
         _, errors = process.communicate(timeout=180)
     assert process.returncode == 1
     assert "1 failed:\n  goal1 s0 human noisy=0.2: its process was killed" in errors
-    assert len(list(results.glob("store/*/*/manifest.json"))) == 17
+    assert len(list(results.glob("store/*/*/_manifest.json"))) == 17
 
 
 @pytest.mark.slow
@@ -74,12 +74,12 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fake
     fakes.set(seconds=0.3)
     with dask_cluster(tmp_path / "dask") as cluster:
         process = through(cluster, small_spec, results)
-        wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 3)
+        wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 3)
         os.killpg(cluster.processes[0].pid, signal.SIGKILL)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "error: the dask scheduler is lost" in errors
-    kept = len(list(results.glob("store/*/*/manifest.json")))
+    kept = len(list(results.glob("store/*/*/_manifest.json")))
     fakes.set()
     assert run(small_spec, results).done == 18 - kept
     run(small_spec, tmp_path / "here")

@@ -15,7 +15,7 @@ from wasp_cli.store.plain import read_json_lines
 
 
 def finished(results: Path) -> set[str]:
-    return {path.parent.name for path in results.glob("store/*/*/manifest.json")}
+    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
 def end(process: subprocess.Popen[str]) -> tuple[str, str]:

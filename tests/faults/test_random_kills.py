@@ -22,14 +22,14 @@ VICTIMS = ("a worker", "the parent", "everything")
 
 
 def artifacts(results: Path) -> dict[str, Path]:
-    return {path.name: path for path in results.glob("store/*/*") if (path / "manifest.json").exists()}
+    return {path.name: path for path in results.glob("store/*/*") if (path / "_manifest.json").exists()}
 
 
 def require_whole(results: Path) -> None:
     """Every artifact that is visible has each file that its manifest lists, byte for byte."""
     for place in results.glob("store/*/*"):
-        files = json.loads((place / "manifest.json").read_text(encoding="utf-8"))["files"]
-        there = {path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file()} - {"manifest.json"}
+        files = json.loads((place / "_manifest.json").read_text(encoding="utf-8"))["files"]
+        there = {path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file()} - {"_manifest.json"}
         assert there == files.keys()
         for name, known in files.items():
             assert file_digest(place / name) == known["sha256"]
@@ -129,7 +129,7 @@ def payload(results: Path) -> dict[str, str]:
     return {
         path.relative_to(results / "store").as_posix(): file_digest(path)
         for path in sorted((results / "store").rglob("*"))
-        if path.is_file() and path.name not in {"manifest.json", "episodes.parquet", "steps.parquet"}
+        if path.is_file() and path.name not in {"_manifest.json", "episodes.parquet", "_steps.pq"}
     }
 
 

@@ -18,7 +18,7 @@ from wasp_cli.store.artifact import dumps
 from wasp_cli.store.layout import Layout
 
 STORE = Path(__file__).parent.parent / "golden" / "store"
-READ = ("episodes.parquet", "steps.parquet", "branches.parquet", "curve.json", "curves.json", "diagnostics.json", "reinforcement.json")
+READ = ("episodes.parquet", "_steps.pq", "branches.parquet", "curve.json", "curves.json", "diagnostics.json", "reinforcement.json")
 """Files of artifacts that a report reads, beside the manifests."""
 KEPT = ("kind", "key", "label", "task", "seed", "axes", "settings", "upstream", "upstream_kinds", "summary")
 """Of a manifest."""
@@ -32,13 +32,13 @@ def distil(results: Path, target: Path) -> None:
     if damaged or list(runs) != ["golden"]:
         raise SystemExit(f"{results} does not hold one whole run of golden.yaml")
     _records(source.run(runs["golden"]), made.run("20260101-000000-golden-0000"))
-    for manifest in sorted(source.store.glob("*/*/manifest.json")):
+    for manifest in sorted(source.store.glob("*/*/_manifest.json")):
         document = json.loads(manifest.read_text(encoding="utf-8"))
         folder = made.artifact(document["kind"], document["key"])
         folder.mkdir(parents=True)
         # Seconds as if all took the same: a report shows them, and they are the machine's.
         plain = {name: document[name] for name in KEPT} | {"provenance": {"seconds": 1.0, "started_at": "2026-01-01T00:00:00+00:00"}}
-        (folder / "manifest.json").write_text(dumps(plain), encoding="utf-8")
+        (folder / "_manifest.json").write_text(dumps(plain), encoding="utf-8")
         for name in READ:
             if (manifest.parent / name).is_file():
                 shutil.copy(manifest.parent / name, folder / name)

@@ -38,7 +38,7 @@ def shown(results: Path, text: str) -> dict[str, Any]:
 
 def test_an_evaluation_with_all_that_is_known(results: Path) -> None:
     facts = shown(results, "goal1 s0 wasp noisy=0.2")
-    manifest = json.loads((Path(facts["folder"]) / "manifest.json").read_text())
+    manifest = json.loads((Path(facts["folder"]) / "_manifest.json").read_text())
     assert (facts["key"], facts["kind"], facts["label"]) == (manifest["key"], "evaluate", "goal1 s0 wasp noisy=0.2")
     assert (facts["attempt"], facts["seconds"], facts["summary"]) == (1, manifest["provenance"]["seconds"], manifest["summary"])
     changed = {each["name"]: (each["value"], each["default"]) for each in facts["changed"]}
@@ -111,7 +111,7 @@ def test_names_of_several_nodes_and_of_none(results: Path) -> None:
     layout = Layout(results)
     keys = [path.name for path in layout.store.glob("*/*")]
     (layout.kind("expert") / (keys[0][:6] + "0" * 14)).mkdir()
-    shutil.copy(next(layout.store.glob(f"*/{keys[0]}/manifest.json")), layout.kind("expert") / (keys[0][:6] + "0" * 14))
+    shutil.copy(next(layout.store.glob(f"*/{keys[0]}/_manifest.json")), layout.kind("expert") / (keys[0][:6] + "0" * 14))
     with pytest.raises(UsageError, match=f"'{keys[0][:6]}' names 2 nodes, newest first:"):
         find_node(layout, keys[0][:6])
     with pytest.raises(UnknownName) as caught:

@@ -89,7 +89,7 @@ def node_of(plan: Plan, label: str) -> Node:
 
 
 def published_manifest(results: Path, label: str) -> Path:
-    found = [path for path in results.glob("published/store/*/*/manifest.json") if json.loads(path.read_text())["label"] == label]
+    found = [path for path in results.glob("published/store/*/*/_manifest.json") if json.loads(path.read_text())["label"] == label]
     return found[0]
 
 

@@ -19,7 +19,7 @@ NODES = 36
 
 
 def finished(results: Path) -> set[str]:
-    return {path.parent.name for path in results.glob("store/*/*/manifest.json")}
+    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
 def events(results: Path) -> list[str]:

@@ -35,7 +35,7 @@ def other_spec(small_spec: Path) -> Path:
 
 
 def artifacts(results: Path) -> set[str]:
-    return {path.parent.name for path in results.glob("store/*/*/manifest.json")}
+    return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
 
 
 def keys_of(spec: Path, results: Path) -> set[str]:
@@ -138,7 +138,7 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     assert looked
     output = process.communicate()
     assert process.returncode == 0, output
-    wanted = {path.parent.name for path in (tmp_path / "undisturbed").glob("store/*/*/manifest.json")}
+    wanted = {path.parent.name for path in (tmp_path / "undisturbed").glob("store/*/*/_manifest.json")}
     assert wanted <= artifacts(results)
 
 
@@ -161,7 +161,7 @@ def test_what_is_being_computed_stays(fakes: Fakes, small_spec: Path, other_spec
     run(other_spec, results)
     layout = Layout(results)
     evaluation = next(path for path in sorted(results.glob("store/evaluate/*")) if path.name not in keys_of(other_spec, results))
-    reads = set(json.loads((evaluation / "manifest.json").read_text())["upstream"].values())
+    reads = set(json.loads((evaluation / "_manifest.json").read_text())["upstream"].values())
     with held(layout.lock(evaluation.name), lambda: None):
         collect(results, "--yes")
         assert is_held(layout.lock(evaluation.name))

@@ -47,7 +47,7 @@ def tree(folder: Path) -> dict[str, tuple[int, bytes]]:
 
 
 def keys(folder: Path) -> set[str]:
-    return {path.parent.name for path in folder.glob("store/*/*/manifest.json")}
+    return {path.parent.name for path in folder.glob("store/*/*/_manifest.json")}
 
 
 def test_everything_small_is_published_and_nothing_else_is_written(results: Path, small_spec: Path) -> None:
@@ -75,7 +75,7 @@ def test_manifests_say_where_results_came_from_and_name_nobody(results: Path, sm
         assert theirs["provenance"]["git"] == ours["provenance"]["git"]
         assert {**theirs, "provenance": 0} == {**ours, "provenance": 0, "recipe": theirs["recipe"], "behind": theirs["behind"]}
         assert set(ours["upstream"].values()) <= set(theirs["behind"].values())
-        text = (path / "manifest.json").read_text()
+        text = (path / "_manifest.json").read_text()
         assert HOST not in text
         assert str(results) not in text
 
@@ -84,7 +84,7 @@ def test_publishing_again_replaces_nothing_that_is_equal_and_removes_nothing(res
     publish(small_spec, results)
     own = results / "published/store/expert" / ("f" * 20)
     own.mkdir()
-    (own / "manifest.json").write_text("{}")
+    (own / "_manifest.json").write_text("{}")
     before = tree(results / "published")
     told = publish(small_spec, results)
     assert tree(results / "published") == before
@@ -96,7 +96,7 @@ def test_what_is_damaged_in_the_layer_is_published_anew(results: Path, small_spe
     first, second, third = sorted((results / "published/store").glob("evaluate/*"))[:3]
     (first / "data.bin").write_bytes(bytes((first / "data.bin").stat().st_size))
     (second / "data.bin").unlink()
-    (third / "manifest.json").write_text("{")
+    (third / "_manifest.json").write_text("{")
     publish(small_spec, results)
     layer = Layout(results / "published")
     for path in (first, second, third):
@@ -108,7 +108,7 @@ def test_what_is_damaged_in_the_layer_is_published_anew(results: Path, small_spe
 @pytest.mark.parametrize("harm", ["gone", "other size", "other bytes"])
 def test_what_is_not_there_or_not_whole_is_refused(harm: str, results: Path, small_spec: Path) -> None:
     victim = sorted(results.glob("store/evaluate/*"))[0]
-    label = json.loads((victim / "manifest.json").read_text())["label"]
+    label = json.loads((victim / "_manifest.json").read_text())["label"]
     if harm == "gone":
         shutil.rmtree(victim)
     else:
@@ -122,7 +122,7 @@ def test_what_is_not_there_or_not_whole_is_refused(harm: str, results: Path, sma
 
 def test_what_is_large_is_left_out_and_named(results: Path, small_spec: Path) -> None:
     large = sorted(results.glob("store/world_model/*"))[0]
-    manifest = json.loads((large / "manifest.json").read_text())
+    manifest = json.loads((large / "_manifest.json").read_text())
     smallest = sum(known["size"] for known in manifest["files"].values())
     told = publish(small_spec, results, "--largest", str((smallest - 1) / 1e6))
     assert "left out: goal1 s0 world_model has" in told
@@ -149,9 +149,9 @@ def test_what_names_this_machine_is_refused(private: str, place: str, results: P
     else:
         victim = sorted(results.glob("store/expert/*"))[0]
         (victim / "half.bin").write_bytes(f"see {text}".encode())
-        manifest = json.loads((victim / "manifest.json").read_text())
+        manifest = json.loads((victim / "_manifest.json").read_text())
         manifest["files"]["half.bin"] = {"size": (victim / "half.bin").stat().st_size, "sha256": file_digest(victim / "half.bin")}
-        (victim / "manifest.json").write_text(json.dumps(manifest))
+        (victim / "_manifest.json").write_text(json.dumps(manifest))
     told = publish(small_spec, results, code=1)
     assert "it names " + {"host": "this machine", "results": "the results folder"}[private] in told
     assert not (results / "published").exists()
@@ -178,7 +178,7 @@ def test_what_was_reused_is_published_only_on_demand(results: Path, small_spec: 
     assert "nodes that were not computed, since nothing needs them: expert, " in told
     # Somewhere else, what stands behind it would be missing only because nobody asked for it; what is there goes along as it was.
     publish(small_spec, fresh, "--reuse", "published", "--to", tmp_path / "third")
-    for path in (tmp_path / "third").glob("store/*/*/manifest.json"):
+    for path in (tmp_path / "third").glob("store/*/*/_manifest.json"):
         assert path.read_bytes() == (fresh / "published" / path.relative_to(tmp_path / "third")).read_bytes()
 
 

@@ -33,7 +33,7 @@ def test_a_fresh_folder_computes_nothing_that_is_published(
     assert done.plan.as_json() == before.as_json()
     # What is asked for is brought in, and nothing that only stands behind it.
     taken = {step.node for step in before.steps if step.state == "published"}
-    assert {node.key for node in taken} == before.grid.targets == {path.parent.name for path in here.glob("store/*/*/manifest.json")}
+    assert {node.key for node in taken} == before.grid.targets == {path.parent.name for path in here.glob("store/*/*/_manifest.json")}
     assert {step.reason for step in before.steps if step.node in taken} == {"published with this code"}
     assert {step.reason for step in before.steps if step.node not in taken} == {"everything that needs it is computed"}
     assert data_of(here).items() <= data_of(tmp_path / "elsewhere").items()

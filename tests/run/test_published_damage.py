@@ -75,7 +75,7 @@ def linked_folder(path: Path, manifest: dict[str, Any]) -> None:
 HARMS: dict[str, Callable[[Path, dict[str, Any]], object]] = {
     "a name that leads out": names("../../../../secret.bin"),
     "an absolute name": names("/etc/hostname"),
-    "a manifest that lists itself": names("manifest.json"),
+    "a manifest that lists itself": names("_manifest.json"),
     "a link": linked,
     "an artifact that is a link": linked_folder,
     "another digest": lambda path, manifest: manifest["files"]["data.bin"].update(sha256="0" * 64),
@@ -115,7 +115,7 @@ def test_two_artifacts_of_one_key_take_nobodys_place(here: Path, fakes: Fakes, s
     other = published_manifest(here, "goal1 s0 diagnostics").parent
     taken = other.with_name(one.name)
     other.rename(taken)
-    rewrite(taken / "manifest.json", lambda manifest: manifest.update(key=one.name))
+    rewrite(taken / "_manifest.json", lambda manifest: manifest.update(key=one.name))
     found = plan(small_spec, here)
     assert [note for note in found.grid.notes if "two kinds have this key" in note]
     assert len(found.steps) == len(lay_out(load(small_spec).spec).nodes)
@@ -130,7 +130,7 @@ def test_a_reason_to_be_elsewhere_is_not_followed_into_unknown_versions(
 ) -> None:
     moved(COMMON)
     for number, kind in enumerate(("world_model", "policies")):
-        for path in here.glob(f"published/store/{kind}/*/manifest.json"):
+        for path in here.glob(f"published/store/{kind}/*/_manifest.json"):
             rewrite(path, lambda manifest, number=number: manifest["behind"].update({"f" * 20: f"{number}" * 20}))
     done = run(small_spec, here, MORE)
     assert done.summary.complete

@@ -80,7 +80,7 @@ def test_a_stage_that_exits_fails_and_nothing_else(fakes: Fakes, small_spec: Pat
 def test_the_manifest_tells_what_where_and_how(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     run(small_spec, tmp_path / "results")
     layout = Layout(tmp_path / "results")
-    (path,) = [path for path in layout.store.glob("critics/*/manifest.json") if json.loads(path.read_text())["seed"] == 1]
+    (path,) = [path for path in layout.store.glob("critics/*/_manifest.json") if json.loads(path.read_text())["seed"] == 1]
     manifest = json.loads(path.read_text(encoding="utf-8"))
     assert manifest["key"] == path.parent.name
     assert manifest["label"] == "goal1 s1 critics"
@@ -187,7 +187,7 @@ def test_a_node_that_hangs_holds_back_nobody_but_its_dependents(behaviour: str, 
     assert {node.kind for node in plan.to_run() if node.key in others} > {"world_model", "evaluate"}
     process = start("run", small_spec, "--results", results, "-j", "2")
     try:
-        wait_until(lambda: {path.parent.name for path in results.glob("store/*/*/manifest.json")} == others)
+        wait_until(lambda: {path.parent.name for path in results.glob("store/*/*/_manifest.json")} == others)
     finally:
         process.kill()
         process.communicate(timeout=60)

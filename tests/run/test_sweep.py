@@ -140,7 +140,7 @@ def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: P
     results = tmp_path / "results"
     fakes.set(free=6)
     process = start("sweep", small_spec, "--vary", VARY, "--results", results, "-j", "0")
-    wait_until(lambda: len(list(results.glob("store/*/*/manifest.json"))) >= 5)
+    wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 5)
     for _ in range(2):  # the first would wait for what runs
         os.killpg(process.pid, signal.SIGINT)
         wait_until(lambda: any(results.glob("runs/*/stop")))
@@ -150,7 +150,7 @@ def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: P
     assert "nodes were finished and are kept" in errors
     assert "Traceback" not in errors
     wait_until(lambda: group_is_gone(process.pid))
-    kept = len(list(results.glob("store/*/*/manifest.json")))
+    kept = len(list(results.glob("store/*/*/_manifest.json")))
     fakes.set()
     done = swept(small_spec, results)
     assert done.session.summary.complete

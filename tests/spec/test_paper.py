@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from ruamel.yaml import YAML
 from tests.commands import run_here
 from tests.spec.mutations import FOLDER, SNIPPETS, VALUES, dumped, marked
 from tests.spec.test_mutated import is_place
-from wasp_cli.spec.paper import IN_CHECKOUT, PACKAGED, Comparison, Paper, Printed, Statement, Who, load_paper, paper_of
+from wasp_cli.spec.paper import Comparison, Paper, Printed, Statement, Who, load_paper, paper_of
 from wasp_cli.spec.places import InvalidSpec
 from wasp_cli.spec.read import parse
 
@@ -115,13 +114,6 @@ def test_a_statement_asks_every_pair() -> None:
         {"tasks": ("race1",), "either": ("int_rate", "mag"), "left": ("wasp", "ida"), "relation": "lower", "right": ("human",)}
     )
     assert [[one.column for one in question] for question in either.questions()] == [["int_rate", "mag"]] * 2
-
-
-def test_a_wheel_has_the_file_where_it_is_looked_for() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
-    ((source, target),) = included.items()
-    assert (ROOT / source, ROOT / target) == (IN_CHECKOUT, PACKAGED)
 
 
 def problems(text: str) -> list[tuple[int, int, str, str | None]]:

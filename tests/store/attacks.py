@@ -58,7 +58,7 @@ def a_manifest_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
 @attack
 def numbers_of_wrong_types(it: UntrustedStore, outside: Path) -> None:
     provenance = {"seconds": "long", "started_at": 5, "attempt": [], "git": "x", "versions": 7}
-    for path in it.layout.store.glob("*/*/manifest.json"):
+    for path in it.layout.store.glob("*/*/_manifest.json"):
         it.change(path, provenance=provenance, summary={"a": [1, {"b": None}]})
 
 
@@ -130,7 +130,7 @@ def rows_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
 @attack
 def deep_nesting(it: UntrustedStore, outside: Path) -> None:
     run = it.layout.run(RUN)
-    for path in (it.artifact / "manifest.json", run / "plan.json", run / "spec.json", it.layout.failure(key(1))):
+    for path in (it.artifact / "_manifest.json", run / "plan.json", run / "spec.json", it.layout.failure(key(1))):
         path.write_text(DEEP)
     it.layout.running(RUN, it.key).write_text("[" * 100_000)
     (run / "journal.jsonl").write_text(f"{DEEP}\n" + "[" * 100_000)
@@ -158,7 +158,7 @@ def a_linked_artifact(it: UntrustedStore, outside: Path) -> None:
 
 @attack
 def a_linked_manifest(it: UntrustedStore, outside: Path) -> None:
-    link(it.artifact / "manifest.json", outside / "manifest.json")
+    link(it.artifact / "_manifest.json", outside / "_manifest.json")
 
 
 @attack

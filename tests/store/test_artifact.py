@@ -64,7 +64,7 @@ def test_rubbish_in_the_place_gives_way(layout: Layout) -> None:
     assert not exists(layout, "expert", KEY)
     assert stored_keys(layout, "expert") == set()
     commit(layout, "expert", KEY, staged(layout, "one"), {})
-    assert sorted(path.name for path in place.iterdir()) == ["deep", "manifest.json"]
+    assert sorted(path.name for path in place.iterdir()) == ["_manifest.json", "deep"]
     assert not list(layout.tmp.iterdir())
 
 
@@ -77,7 +77,7 @@ def test_a_damaged_artifact_is_none_and_gives_way(harm: str, layout: Layout) -> 
     elif harm == "cut":
         (place / "deep" / "data").write_text("o")
     else:
-        (place / "manifest.json").write_text("{" if harm == "manifest" else "{}")
+        (place / "_manifest.json").write_text("{" if harm == "manifest" else "{}")
     assert not exists(layout, "expert", KEY)
     assert str(place) in (damage(layout, "expert", KEY) or "")
     commit(layout, "expert", KEY, staged(layout, "one"), {})

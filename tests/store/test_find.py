@@ -116,7 +116,7 @@ def test_a_label_that_looks_like_a_path_stays_a_label(layout: Layout) -> None:
 def test_a_folder_that_is_no_key_is_no_cell(layout: Layout) -> None:
     odd = layout.kind("evaluate") / "zzzz-odd"
     odd.mkdir()
-    write_record(odd / "manifest.json", {"label": "odd"})
+    write_record(odd / "_manifest.json", {"label": "odd"})
     for text in ("zzzz", "odd"):
         with pytest.raises(UsageError):
             find_cell(layout, text)

@@ -169,11 +169,11 @@ def test_steps_that_are_gone_or_a_link_are_named(write: Callable[..., Path], tmp
     steps = path.with_name(STEPS_FILE)
     steps.rename(tmp_path / "elsewhere.parquet")
     assert read_episodes([path]).num_rows == 3
-    with pytest.raises(StoreError, match=r"steps\.parquet does not exist"):
+    with pytest.raises(StoreError, match=r"_steps\.pq does not exist"):
         read_steps(path)
     steps.symlink_to(tmp_path / "elsewhere.parquet")
     for read in (read_steps, read_times, lambda path: same_rows(path, path)):
-        with pytest.raises(StoreError, match=r"steps\.parquet is no plain file"):
+        with pytest.raises(StoreError, match=r"_steps\.pq is no plain file"):
             read(path)
 
 
@@ -255,7 +255,9 @@ def test_other_readers_see_all_cells_as_one_table(write: Callable[..., Path], tm
         if reader == "duckdb":
             import duckdb
 
-            found = duckdb.sql(f"select seed, count(*) from '{tmp_path}/*/{file}' where method = 'ida' group by seed").fetchall()
+            found = duckdb.sql(
+                f"select seed, count(*) from read_parquet('{tmp_path}/*/{file}') where method = 'ida' group by seed"
+            ).fetchall()
             assert sorted(found) == [(seed, count // 3) for seed in range(3)]
         elif reader == "pyarrow":
             assert pq.read_table(paths).num_rows == count

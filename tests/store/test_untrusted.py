@@ -42,7 +42,7 @@ def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """What belongs to the reader, and a module that tells when it is imported."""
     folder = tmp_path / "outside"
     (folder / "inner").mkdir(parents=True)
-    for name in ("secret.json", "inner/secret.json", "manifest.json", "report.md", EPISODES_FILE, STEPS_FILE):
+    for name in ("secret.json", "inner/secret.json", "_manifest.json", "report.md", EPISODES_FILE, STEPS_FILE):
         (folder / name).write_text(json.dumps({"label": SECRET, "message": SECRET, "spec": SECRET}))
     (folder / "evil_module.py").write_text(f"open({str(folder / 'imported')!r}, 'w').close()\n")
     monkeypatch.syspath_prepend(str(folder))

@@ -59,7 +59,7 @@ class UntrustedStore:
         write_record(path, {**json.loads(path.read_text()), **facts})
 
     def manifest(self, **facts: Any) -> None:
-        self.change(self.artifact / "manifest.json", **facts)
+        self.change(self.artifact / "_manifest.json", **facts)
 
     def plan(self, **facts: Any) -> None:
         self.change(self.layout.run(RUN) / "plan.json", **facts)

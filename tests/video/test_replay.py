@@ -215,7 +215,7 @@ def test_wrong_usage_ends_with_2_before_anything_is_played(
 
 
 def test_a_cell_without_a_manifest_says_what_is_missing(results: Path, tmp_path: Path) -> None:
-    for name in ("episodes.parquet", "steps.parquet"):
+    for name in ("episodes.parquet", "_steps.pq"):
         shutil.copy(results / "store" / "evaluate" / CELL / name, tmp_path / name)
     done = replayed(results, tmp_path / "episodes.parquet", "-e", "0", "-o", tmp_path / "a.gif")
     assert done.exit_code == 2
@@ -251,7 +251,7 @@ def test_models_that_are_not_there_end_with_1(copied: Path, tmp_path: Path, harm
     "path", [("task",), ("seed",), ("axes", "variant"), ("axes", "value"), ("settings", "action_repeat"), ("upstream",)]
 )
 def test_a_manifest_with_something_odd_is_no_traceback(copied: Path, tmp_path: Path, path: tuple[str, ...]) -> None:
-    file = copied / "store" / "evaluate" / CELL / "manifest.json"
+    file = copied / "store" / "evaluate" / CELL / "_manifest.json"
     manifest = json.loads(file.read_text())
     place = manifest
     for name in path[:-1]:
@@ -273,7 +273,7 @@ def test_a_mujoco_that_does_not_import_is_said(results: Path, tmp_path: Path) ->
 
 
 def test_other_states_than_the_recorded_ones_end_with_1(copied: Path, tmp_path: Path) -> None:
-    path = copied / "store" / "evaluate" / CELL / "manifest.json"
+    path = copied / "store" / "evaluate" / CELL / "_manifest.json"
     manifest = json.loads(path.read_text())
     manifest["axes"]["value"] = 0.6  # another operator than the one who drove
     path.write_text(json.dumps(manifest))
@@ -284,7 +284,7 @@ def test_other_states_than_the_recorded_ones_end_with_1(copied: Path, tmp_path: 
 
 
 def test_a_task_that_does_not_import_ends_as_an_expected_error(copied: Path, tmp_path: Path) -> None:
-    path = copied / "store" / "evaluate" / CELL / "manifest.json"
+    path = copied / "store" / "evaluate" / CELL / "_manifest.json"
     manifest = json.loads(path.read_text())
     manifest["task"] = "no_such_package:Env-v0"
     path.write_text(json.dumps(manifest))

@@ -24,8 +24,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     help="Run experiments in shared autonomy: train models, evaluate assistants with impaired operators, compare them.\n\n"
-    "A spec (a YAML file in specs/) says what to run. Results are kept in results/, and nothing is computed twice.",
-    epilog="Start here:  [bold]wasp run specs/quickstart.yaml[/]   ·   then:  [bold]wasp report results/[/]",
+    "A spec (a YAML file, or a name such as quickstart) says what to run. Results are kept in results/, and nothing is computed twice.",
+    epilog="Start here:  [bold]wasp run quickstart[/]   ·   then:  [bold]wasp report results/[/]",
 )
 for group in (run_app, report_app, inspect_app, spec_app, store_app):
     app.add_typer(group)

@@ -13,10 +13,13 @@ SPECS = "specs/"
 
 
 def specs(incomplete: str) -> list[str]:
-    """List the YAML files of the typed folder, and without one also those of `specs/`."""
+    """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
+    from wasp_cli.spec.shipped import shipped_names
+
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", SPECS]
-    return [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
+    files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
+    return files if typed else [*files, *shipped_names()]
 
 
 def _yaml_files(folder: Path) -> list[str]:

@@ -42,7 +42,10 @@ def parse_duration(text: str | float) -> float:
     return seconds
 
 
-SpecArgument = Annotated[Path, argument(metavar="SPEC", help="A spec, for example specs/quickstart.yaml.", autocompletion=complete.specs)]
+SpecArgument = Annotated[
+    Path,
+    argument(metavar="SPEC", help="A YAML file, or a name such as quickstart.", autocompletion=complete.specs),
+]
 ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=parse_folder, help="The results folder.")]
 ResultsArgument = Annotated[
     Path | None, argument(metavar="[DIR]", parser=parse_folder, help="The results folder. (default: what --results says)")

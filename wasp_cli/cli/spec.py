@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JsonOption, SetOption, argument, expected_errors, option, print_json
+from wasp_cli.cli.options import JsonOption, SetOption, argument, expected_errors, option, parse_folder, print_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -65,7 +65,9 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     from wasp_cli.spec.load import load
     from wasp_cli.spec.paper import is_paper, paper_of
     from wasp_cli.spec.read import read
+    from wasp_cli.spec.shipped import find_spec
 
+    path = find_spec(path)
     source = read(path)
     if is_paper(source):
         paper = paper_of(source)
@@ -74,6 +76,19 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     spec = load(path, settings).spec
     cells = len(list(cells_of(spec)))
     return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
+
+
+@spec_app.command(rich_help_panel=PANEL, epilog="[bold]wasp init[/]   ·   [bold]wasp init experiments/specs[/]")
+@expected_errors
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", parser=parse_folder, help="Where to.")] = Path("specs"),
+) -> None:
+    """Copy the specs that come with wasp to a folder, to edit them. Files that are there stay as they are."""
+    from wasp_cli.console import say
+    from wasp_cli.spec.shipped import copy_specs
+
+    written, kept = copy_specs(folder)
+    say(*(f"{path}: written" for path in written), *(f"{path}: is there, not changed" for path in kept))
 
 
 @spec_app.command(

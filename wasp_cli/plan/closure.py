@@ -18,7 +18,9 @@ from pathlib import Path
 from wasp_cli.errors import WaspError
 
 PACKAGE = "wasp_cli"
-ORCHESTRATION = frozenset({"cli", "compare", "console", "errors", "plan", "report", "run", "spec", "studies", "video", "__main__"})
+ORCHESTRATION = frozenset(
+    {"cli", "compare", "console", "errors", "notebook", "plan", "report", "run", "spec", "studies", "video", "__main__"}
+)
 """Parts of the package that move no number, so that a better message re-runs nothing."""
 CONFIGURATION = frozenset({"config", "configs"})
 """Our modules of config models: the resolved values are in the key already, so defaults and constraints of fields do not count."""

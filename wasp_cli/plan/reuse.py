@@ -20,6 +20,7 @@ from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.model import Spec
+from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import Offer, Reused, commit_of, not_used, offers, why_unusable
@@ -38,7 +39,9 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
     if choice == NONE:
         return None
     if choice == PUBLISHED:
-        return Layout(layout.within(layout.published))
+        own, shipped = Layout(layout.within(layout.published)), published_folder()
+        # A new results folder has none: then those that come with the package.
+        return own if own.store.is_dir() or shipped is None else Layout(shipped)
     found = Layout(Path(choice).absolute())
     if not choice.strip() or not found.store.is_dir():
         raise UsageError(f"'{choice}' holds no published results", "use none, published, or a folder that wasp publish has filled")

@@ -28,10 +28,7 @@ from wasp_cli.spec.model import refuse
 from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
 from wasp_cli.spec.places import InvalidSpec, Loc
 from wasp_cli.spec.read import Source, plain, read
-
-PACKAGED = Path(__file__).parents[1] / "paper.yaml"
-"""Where a wheel has the file; pyproject.toml puts it there."""
-IN_CHECKOUT = Path(__file__).parents[2] / "specs" / "paper.yaml"
+from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
 
 COLUMNS = (*WEIGHTS, "uir", "rho", "at_risk", "delta_c", "delta_r")
 """What a claim may be about: the columns of an episode, and those of the counterfactual evaluation (section 5.3)."""
@@ -216,7 +213,7 @@ def load_paper(path: Path | None = None) -> Paper:
         InvalidSpec: with every problem, each with file, line and column.
     """
     # In a checkout the file that people edit counts, wherever else an installer has put a copy.
-    return paper_of(read(path or (IN_CHECKOUT if IN_CHECKOUT.is_file() else PACKAGED)))
+    return paper_of(read(path or specs_folder() / f"{PAPER}{SUFFIX}"))
 
 
 def is_paper(source: Source) -> bool:

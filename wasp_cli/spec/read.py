@@ -23,6 +23,7 @@ from ruamel.yaml.reader import ReaderError
 
 from wasp_cli.errors import did_you_mean
 from wasp_cli.spec.places import KEY, LARGEST, START, InvalidSpec, Loc, Position, Problem, key_position, locate
+from wasp_cli.spec.shipped import shipped_names
 
 MAX_BYTES = 1_000_000
 
@@ -95,7 +96,7 @@ def _text(path: Path) -> str:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError as error:
-        raise refuse("no such file", beside(path.parent, path.name)) from error
+        raise refuse("no such file", beside(path.parent, path.name) or f"by name there are: {', '.join(shipped_names())}") from error
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if len(data) > MAX_BYTES:

@@ -1,6 +1,6 @@
 """Evaluation of one cell of the grid: a method under one operator and one seed.
 
-Artifact: `episodes.parquet` and `steps.parquet` (see `store.tables`).
+Artifact: `episodes.parquet` and `_steps.pq` (see `store.tables`).
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store.artifact import is_file_name, listed_files, missing_file, read_manifest, replace_file, why_invalid
-from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.layout import FORMER_MANIFEST, MANIFEST, Layout, is_key
 from wasp_cli.store.plain import read_plain
 
 LEAST_GAIN = 50
@@ -69,16 +69,15 @@ def scan(layout: Layout, kinds: Iterable[str], facts: Facts, version: int) -> Ar
         folder = str(layout.kind(kind))
         for key in _keys(layout, kind):
             place = f"{folder}/{key}"  # a Path for each of 100,000 takes a second
-            try:
-                state = os.stat(f"{place}/{MANIFEST}")
-            except OSError:
+            state = _state(f"{place}/{MANIFEST}") or _state(f"{place}/{FORMER_MANIFEST}")
+            if state is None:
                 damaged[key] = why_invalid(layout, kind, key) or f"'{place}/{MANIFEST}' is gone"
                 continue
             entry = before.get(key)
             if entry is None or entry.stamp != (state.st_mtime_ns, state.st_size):
                 fresh += 1
                 try:
-                    entry = _entry(Path(place, MANIFEST), read_manifest(layout, kind, key), (state.st_mtime_ns, state.st_size), facts)
+                    entry = _entry(layout.manifest(kind, key), read_manifest(layout, kind, key), (state.st_mtime_ns, state.st_size), facts)
                 except ArtifactError as error:
                     damaged[key] = error.message
                     continue
@@ -90,6 +89,13 @@ def scan(layout: Layout, kinds: Iterable[str], facts: Facts, version: int) -> Ar
     if fresh >= LEAST_GAIN:
         _write(layout, {**known, **whole}, version)
     return ArtifactIndex(whole, damaged)
+
+
+def _state(path: str) -> os.stat_result | None:
+    try:
+        return os.stat(path)
+    except OSError:
+        return None
 
 
 def _keys(layout: Layout, kind: str) -> list[str]:

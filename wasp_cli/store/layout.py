@@ -1,7 +1,7 @@
 """The folders of `results/`: every path that wasp writes is made here, from checked names.
 
 results/
-  store/<kind>/<key>/      artifacts: what the stage wrote, and manifest.json; complete or not there
+  store/<kind>/<key>/      artifacts: what the stage wrote, and _manifest.json; complete or not there
   failures/<key>.json      why a node failed last; removed when it succeeds
   work/<key>/              checkpoints of nodes that can resume; removed when the node is done
   locks/<key>              held by the process that computes a node; locks/planning while runs are planned or removed
@@ -25,7 +25,11 @@ from wasp_cli.errors import StoreError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.=+-]{0,127}")
 _KEY = re.compile(r"[0-9a-f]{8,64}")
-MANIFEST = "manifest.json"
+MANIFEST = "_manifest.json"
+"""Begins as what readers of Parquet folders leave alone."""
+FORMER_MANIFEST = "manifest.json"
+"""Its name in results of earlier versions."""
+MANIFESTS = (MANIFEST, FORMER_MANIFEST)
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,10 @@ class Layout:
         return self.kind(kind) / _key(key)
 
     def manifest(self, kind: str, key: str) -> Path:
-        """Return what is known of an artifact."""
-        return self.artifact(kind, key) / MANIFEST
+        """Return what is known of an artifact: the file of an earlier version where there is only that."""
+        folder = self.artifact(kind, key)
+        path, former = folder / MANIFEST, folder / FORMER_MANIFEST
+        return path if os.path.lexists(path) or not os.path.lexists(former) else former
 
     @property
     def failures(self) -> Path:

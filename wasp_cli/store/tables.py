@@ -1,4 +1,4 @@
-"""The two Parquet files of a cell: `episodes.parquet` has a row per episode, `steps.parquet` a row per decision.
+"""The two Parquet files of a cell: `episodes.parquet` has a row per episode, `_steps.pq` a row per decision.
 
     thresholds = Thresholds(tau_c=0.3, tau_r=0.41)
     rows = [episode_metrics(trajectory, success_goals, safe_cost) for trajectory in trajectories]
@@ -12,8 +12,10 @@
     same_rows(a, b)        whether two cells hold the same rows, timing aside
 
 A report opens thousands of cells and reads no step, so that episodes lie in a small file of their own. Both files name their cell in every
-row: `select * from 'store/evaluate/*/steps.parquet' where method = 'wasp'` needs no other file. Undefined numbers are null. Everything but
-the TIMING columns is a function of the cell's key. Until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows.
+row: `from read_parquet('store/evaluate/*/_steps.pq') where method = 'wasp'` needs no other file. The steps have a name that readers of
+folders leave alone (an underscore) and that `*.parquet` does not match, since one table of both would be neither: `store/evaluate` is a
+dataset of episodes. Undefined numbers are null. Everything but the TIMING columns is a function of the cell's key. Earlier versions named
+the steps `steps.parquet`; until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
 from wasp_cli.store.parquet import opened_table, write_table
 
-EPISODES_FILE, STEPS_FILE = "episodes.parquet", "steps.parquet"
+EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"
 """Names of the tables inside the artifact of a cell."""
-FORMER_FILE = "cell.parquet"
-"""Name of the one table until version 2."""
+FORMER_STEPS_FILE, FORMER_FILE = "steps.parquet", "cell.parquet"
+"""Names of the steps in earlier results, and of the one table until version 2."""
 
 VERSION = 3
 """Grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused."""
@@ -389,7 +391,8 @@ def _files(path: Path) -> list[Path]:
 
 def _steps_file(path: Path) -> Path:
     """Return where the steps of the cell at `path` lie. Who reads a cell has seen that `path` is a plain file; nobody has of this one."""
-    beside = path.with_name(STEPS_FILE)
+    beside, former = path.with_name(STEPS_FILE), path.with_name(FORMER_STEPS_FILE)
+    beside = former if os.path.lexists(former) and not os.path.lexists(beside) else beside
     if not os.path.lexists(beside):
         raise StoreError(f"{beside} does not exist", "it belongs to the cell: copy both files, or run the spec again")
     if beside.is_symlink() or not beside.is_file():

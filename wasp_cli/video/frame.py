@@ -6,7 +6,7 @@ the commands alone (upper block) and under the correction (lower block); below, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from wasp_cli.tasks.base import Floats
+from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video.encode import checked, write
 from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font
@@ -222,7 +222,7 @@ def film_episode(
         TaskError: the task cannot be imported.
     """
     checked(out)
-    shown = sorted({*range(0, trace.length, every), trace.length - 1})
+    shown = decisions_shown(trace, every)
     played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
     frames = _Frames(played, trace, horizon, correction)
 
@@ -235,6 +235,22 @@ def film_episode(
     names = ("forward", "left", "turn")
     r2 = None if played.readout is None else dict(zip(names, played.explained.tolist(), strict=True))
     return WrittenVideo(len(shown), r2)
+
+
+def decisions_shown(trace: EpisodeTrace, every: int) -> list[int]:
+    """List the decisions that have a frame: each `every`-th, and the last one."""
+    return sorted({*range(0, trace.length, every), trace.length - 1})
+
+
+def frames_of(source: Source, trace: EpisodeTrace, episode: int, correction: Correction, horizon: int, every: int) -> Iterator[Pixels]:
+    """Play a cell again and draw the frames of an episode, uint8 [HEIGHT, WIDTH, 3] each; arguments and errors as in `film_episode`."""
+    shown = decisions_shown(trace, every)
+    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
+    frames = _Frames(played, trace, horizon, correction)
+    for index in range(len(shown)):
+        with threads_of_evaluations():
+            frame = np.asarray(frames.paint(index))
+        yield frame
 
 
 class _Frames:

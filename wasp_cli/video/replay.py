@@ -5,7 +5,7 @@ That code needs torch and MuJoCo and is imported when it is called: a wrong cell
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,6 +79,16 @@ def replay(
         progress,
     )
     return path, made
+
+
+def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
+    """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and errors are those of `replay`."""
+    from wasp_cli.video.frame import frames_of
+
+    stored, source = read_episode(cell, episode), source_of(layout, cell, episode)
+    trace, horizon = episode_trace(stored), stored.constants.horizon or HORIZON
+    every = every or -(-stored.decisions // FRAMES)
+    yield from frames_of(source, trace, episode - source.first, correction(stored), horizon, every)
 
 
 def default_name(stored: Episode, ending: str) -> Path:

@@ -107,7 +107,7 @@ def test_an_episode_that_does_not_repeat_has_no_film_but_a_reason(stored: Stored
     (found,) = films_of(layout, frame, wrong, sprite_of, lambda text: None)
     assert all(film.sprite is not None for film in found.films)  # they are whole cells, and played as they are
     cell = layout.artifact("evaluate", keys[frame.cells[1].identity])
-    manifest = cell / "manifest.json"
+    manifest = cell / "_manifest.json"
     text = manifest.read_text()
     manifest.write_text(text.replace(f'"action_repeat": {REPEAT}', '"action_repeat": 50'))
     try:

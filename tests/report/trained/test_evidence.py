@@ -107,7 +107,7 @@ def test_links_are_not_followed_to_read(tmp_path: Path) -> None:
     (tmp_path / "outside").mkdir()
     for one in trained:
         for path in sorted(layout.artifact(one.kind, one.key).iterdir()):
-            if path.name != "manifest.json":
+            if path.name != "_manifest.json":
                 path.rename(tmp_path / "outside" / f"{one.kind}-{path.name}")
                 path.symlink_to(tmp_path / "outside" / f"{one.kind}-{path.name}")
     (tmp_path / "report").mkdir()

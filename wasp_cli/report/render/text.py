@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Iterable
+from typing import Any
 
 from rich import box
 from rich.console import Group
@@ -36,16 +37,27 @@ def markdown(table: Table) -> str:
 
 def csv_text(table: Table) -> str:
     """Render CSV: unscaled numbers, a line per row; `_sd`, `_low`, `_high` and `_delta` columns where the table has any, `seeds` last."""
-    parts = [_parts(row) for row in table.rows]
-    shown = [("", *(name for name in PARTS[1:] if any(row[c][name] is not None for row in parts))) for c in range(len(table.columns))]
+    columns = data_columns(table)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    header = [label.lower().replace(" ", "_") for label in table.labels]
-    writer.writerow([*header, *(column.key + name for column, names in zip(table.columns, shown, strict=True) for name in names), "seeds"])
-    for row, values in zip(table.rows, parts, strict=True):
-        numbers = (plain(each[name]) for each, names in zip(values, shown, strict=True) for name in names)
-        writer.writerow([*(row.names or row.labels), *numbers, max((value.n for value in row.values), default=0)])
+    writer.writerow(columns)
+    labels = len(table.labels)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow([*row[:labels], *(plain(number) for number in row[labels:-1]), row[-1]])
     return out.getvalue()
+
+
+def data_columns(table: Table) -> dict[str, list[Any]]:
+    """Return the columns of a data file by name: labels as texts, unscaled numbers, None where they are undefined; `seeds` last."""
+    parts = [_parts(row) for row in table.rows]
+    columns: dict[str, list[Any]] = {}
+    for i, label in enumerate(table.labels):
+        columns[label.lower().replace(" ", "_")] = [(row.names or row.labels)[i] for row in table.rows]
+    for c, column in enumerate(table.columns):
+        for name in ("", *(name for name in PARTS[1:] if any(row[c][name] is not None for row in parts))):
+            columns[column.key + name] = [row[c][name] for row in parts]
+    columns["seeds"] = [max((value.n for value in row.values), default=0) for row in table.rows]
+    return columns
 
 
 PARTS = ("", "_sd", "_low", "_high", "_delta")

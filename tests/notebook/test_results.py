@@ -1,0 +1,220 @@
+"""`wasp_cli.results` over the small run that is checked in, which earlier versions wrote: rows, choices, tables, and what goes wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+
+import wasp_cli
+from wasp_cli.errors import StoreError, UnknownName, UsageError
+from wasp_cli.notebook.results import Results
+from wasp_cli.store.tables import cell_file, read_episodes
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+NAMES = ["key", "spec", "task", "method", "variant", "operator", "severity", "value", "seed"]
+
+
+@pytest.fixture(scope="module")
+def results() -> Results:
+    return wasp_cli.results(GOLDEN / "store")
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(GOLDEN / "store", tmp_path / "results"))
+
+
+def test_the_package_lists_its_public_names() -> None:
+    assert {"results", "load_world_model", "__version__"} <= {*dir(wasp_cli)}
+    with pytest.raises(AttributeError, match="no attribute 'result'"):
+        wasp_cli.result  # noqa: B018
+
+
+def test_results_are_lazy() -> None:
+    """Neither torch nor what draws is imported, and processor time stays that of importing Arrow."""
+    code = f"""
+import sys, time
+began = time.process_time()
+import wasp_cli
+assert not [name for name in sys.modules if name.startswith("wasp_cli.")]
+shown = repr(wasp_cli.results({str(GOLDEN / "store")!r}))
+seconds = time.process_time() - began
+assert not {{"torch", "mujoco", "matplotlib", "pandas", "stable_baselines3"}} & {{*sys.modules}}, "heavy imports"
+print(seconds, shown)
+"""
+    told = min(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout for _ in range(3))
+    assert float(told.split()[0]) < 1.0
+    assert "spec='golden': 32 cells" in told
+
+
+def test_every_row_names_its_cell_its_spec_and_its_severity(results: Results) -> None:
+    table = results.episodes()
+    assert table.column_names[: len(NAMES)] == NAMES
+    assert table.num_rows == 96
+    assert {*table["spec"].to_pylist()} == {"golden"}
+    assert {*table["severity"].to_pylist()} == {"mild", "severe", "moderate", None}
+    row = next(row for row in table.to_pylist() if row["method"] == "wasp" and row["operator"] == "noisy" and row["severity"] == "severe")
+    stored = read_episodes([cell_file(GOLDEN / "store" / "store" / "evaluate" / row["key"])])
+    assert {*zip(stored["variant"].to_pylist(), stored["value"].to_pylist(), strict=True)} == {("noisy", row["value"])}
+    for other in (results.steps(), results.branches()):
+        assert other.column_names[: len(NAMES)] == NAMES
+
+
+def test_rows_are_those_of_the_files(results: Results) -> None:
+    cell = results.cell("goal1 s1 wasp laggy=0.7")
+    stored = read_episodes([cell_file(GOLDEN / "store" / "store" / "evaluate" / cell.key)])
+    for name in ("return", "cost", "episode_seed", "tau_c"):
+        assert cell.episodes()[name].to_pylist() == stored[name].to_pylist()
+    steps = cell.steps()
+    by_episode = steps.group_by("episode").aggregate([("reward", "sum")]).sort_by("episode")
+    assert np.allclose(by_episode["reward_sum"].to_numpy(), stored["return"].to_numpy(), rtol=1e-5)
+    assert cell.steps(1).num_rows == stored["decisions"].to_pylist()[1]
+
+
+def test_rows_are_chosen_by_names(results: Results) -> None:
+    found = results.episodes(method=["wasp", "ida"], operator="noisy", severity="mild", seed=1, columns=["cost"])
+    assert found.column_names == [*NAMES, "cost"]
+    assert {*zip(*(found[name].to_pylist() for name in ("method", "operator", "severity", "seed")), strict=True)} == {
+        ("wasp", "noisy", "mild", 1),
+        ("ida", "noisy", "mild", 1),
+    }
+    assert results.episodes(method="wasp", variant="full").num_rows < results.episodes(method="wasp").num_rows
+    assert results.episodes(operator="laggy", severity="mild").num_rows == 0  # both are there, not together
+
+
+def test_a_misspelt_name_is_no_empty_table(results: Results) -> None:
+    with pytest.raises(UnknownName, match="wsap") as raised:
+        results.episodes(method="wsap")
+    assert "'wasp'" in (raised.value.hint or "")
+    with pytest.raises(UnknownName):
+        results.trained(kind="worldmodel")
+    with pytest.raises(KeyError, match="no column 'costs'"):
+        results.episodes(columns=["costs"])
+    with pytest.raises(TypeError, match="methods"):
+        results.episodes(methods="wasp")  # type: ignore[call-arg]
+    with pytest.raises(UnknownName):
+        results.cell("goal1 s1 wasp laggy=0.8")
+
+
+def test_branches_say_what_the_report_says(results: Results) -> None:
+    found = results.branches()
+    assert found.num_rows
+    unnecessary = pc.and_(pc.less_equal(found["delta_c"], 0.0), pc.less_equal(found["delta_r"], found["tau_R"]))
+    assert unnecessary.to_pylist() == found["unnecessary"].to_pylist()
+    assert np.allclose(np.asarray(found["cost_alone"]) - np.asarray(found["cost_assisted"]), np.asarray(found["delta_c"]))
+
+
+def test_tables_are_those_of_the_report(results: Results) -> None:
+    for name, file in (("main", "table1"), ("table2", "table2"), ("figure3", "figure3"), ("statistics", "statistics")):
+        table = results.table(name)
+        with (GOLDEN / "report" / f"{file}.csv").open() as text:
+            rows = list(csv.DictReader(text))
+        assert table.column_names == list(rows[0])
+        for ours, theirs in zip(table.to_pylist(), rows, strict=True):
+            for column, printed in theirs.items():
+                value = ours[column]
+                if isinstance(value, float) and printed:
+                    assert value == pytest.approx(float(printed), abs=1e-9)
+                else:
+                    assert printed == ("" if value is None else str(value))
+    with pytest.raises(UnknownName, match="tabel2"):
+        results.table("tabel2")
+
+
+def test_trained_parts_have_their_numbers(results: Results) -> None:
+    models = results.trained(kind="world_model")
+    assert models["seed"].to_pylist() == [0, 1]
+    manifest = json.loads((Path(models["folder"][0].as_py()) / "manifest.json").read_text())
+    assert models["final_reward_loss"][0].as_py() == manifest["summary"]["final_reward_loss"]
+    assert {"expert", "critics", "policies"} <= {*results.trained()["kind"].to_pylist()}
+    assert {*results.trained(seed=1)["seed"].to_pylist()} == {1}
+
+
+def test_frames_of_pandas_and_polars(results: Results) -> None:
+    frame = pytest.importorskip("pandas")
+    assert isinstance(results.episodes().to_pandas(), frame.DataFrame)
+    assert pytest.importorskip("polars").from_arrow(results.episodes()).shape == (96, results.episodes().num_columns)
+
+
+def test_what_is_not_computed_has_no_rows(copied: Path) -> None:
+    cell = wasp_cli.results(copied).cell("goal1 s1 wasp laggy=0.7")
+    shutil.rmtree(copied / "store" / "evaluate" / cell.key)
+    found = wasp_cli.results(copied)
+    assert found.missing == ["goal1 s1 wasp laggy=0.7"]
+    assert found.episodes().num_rows == 93
+    with pytest.raises(UsageError, match="not computed yet"):
+        found.cell("goal1 s1 wasp laggy=0.7")
+
+
+def test_a_folder_with_another_cell_is_refused(copied: Path) -> None:
+    one, other = (wasp_cli.results(copied).cell(f"goal1 s{seed} wasp laggy=0.7").key for seed in (0, 1))
+    cells = copied / "store" / "evaluate"
+    shutil.copy(cell_file(cells / one), cell_file(cells / other))
+    with pytest.raises(StoreError, match="another cell"):
+        wasp_cli.results(copied).episodes()
+
+
+def test_the_spec_that_ran_last_is_shown_and_others_by_name(copied: Path) -> None:
+    (run,) = (copied / "runs").iterdir()
+    later = shutil.copytree(run, copied / "runs" / "20270101-000000-later-0000")
+    plan = json.loads((later / "plan.json").read_text())
+    plan["spec"], plan["cells"] = "later", plan["cells"][:2]
+    (later / "plan.json").write_text(json.dumps(plan))
+    assert wasp_cli.results(copied).specs == ["golden", "later"]
+    assert wasp_cli.results(copied).episodes().num_rows == 6
+    assert wasp_cli.results(copied, spec="golden").episodes().num_rows == 96
+    both = wasp_cli.results(copied, spec=["golden", "later"])
+    assert pc.value_counts(both.episodes()["spec"]).to_pylist() == [{"values": "golden", "counts": 96}, {"values": "later", "counts": 6}]
+    assert both.cell("goal1 s0 human noisy=0.2").key == plan["cells"][0]["key"]
+    with pytest.raises(UsageError, match="a table is of one spec"):
+        both.table()
+    with pytest.raises(UnknownName, match="goldne"):
+        wasp_cli.results(copied, spec="goldne")
+
+
+def test_a_folder_without_runs_shows_its_store(copied: Path) -> None:
+    whole = wasp_cli.results(copied).episodes().sort_by([("key", "ascending"), ("episode", "ascending")])
+    branched = wasp_cli.results(copied).branches().num_rows
+    shutil.rmtree(copied / "runs")
+    found = wasp_cli.results(copied)
+    table = found.episodes()
+    assert table.drop_columns(["spec", "severity"]).equals(whole.drop_columns(["spec", "severity"]))
+    assert table["spec"].null_count == table["severity"].null_count == 96
+    assert found.branches().num_rows == branched
+    with pytest.raises(StoreError, match="no such folder"):
+        wasp_cli.results(copied / "nowhere")
+    with pytest.raises(StoreError, match="neither runs nor a store"):
+        wasp_cli.results(copied / "store")
+
+
+def test_links_out_of_the_folder_are_not_followed(copied: Path, tmp_path: Path) -> None:
+    key = wasp_cli.results(copied).cell("goal1 s1 wasp laggy=0.7").key
+    folder = copied / "store" / "evaluate" / key
+    folder.rename(tmp_path / "outside")
+    folder.symlink_to(tmp_path / "outside")
+    with pytest.raises(StoreError, match="is a link"):
+        wasp_cli.results(copied).episodes()
+
+
+def test_a_record_that_is_not_ours_is_an_expected_error(copied: Path) -> None:
+    (run,) = (copied / "runs").iterdir()
+    plan = json.loads((run / "plan.json").read_text())
+    plan["cells"][0]["key"] = "../../etc"
+    (run / "plan.json").write_text(json.dumps(plan))
+    with pytest.raises(Exception, match="cannot read the plan of the last run of 'golden'"):
+        wasp_cli.results(copied).episodes()
+
+
+def test_tables_are_arrow(results: Results) -> None:
+    assert all(
+        isinstance(table, pa.Table) for table in (results.episodes(), results.steps(columns=["t"]), results.trained(), results.table())
+    )

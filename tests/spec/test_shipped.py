@@ -1,0 +1,134 @@
+"""Specs by name, from any folder; and a wheel that brings them and the published parts, installed into an empty folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from wasp_cli.spec.load import load
+from wasp_cli.spec.shipped import copy_specs, find_spec, published_folder, shipped_names, specs_folder
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_names_are_those_of_the_specs() -> None:
+    assert {"quickstart", "smoke", "table1", "table2", "figure3"} <= {*shipped_names()}
+    assert "paper" not in shipped_names()
+    assert published_folder() == ROOT / "results" / "published"
+
+
+@pytest.mark.parametrize("typed", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml", "specs/quickstart"])
+def test_a_spec_is_found_by_its_name(typed: str, elsewhere: Path) -> None:
+    assert find_spec(Path(typed)) == ROOT / "specs" / "quickstart.yaml"
+    assert load(Path(typed)).spec.name == "quickstart"
+
+
+@pytest.mark.parametrize("typed", ["mine/quickstart.yaml", "../quickstart", "quickstart.txt", "/quickstart", "quick\nstart", "nothing", ""])
+def test_nothing_else_is_taken_for_a_name(typed: str, elsewhere: Path) -> None:
+    assert find_spec(Path(typed)) == Path(typed)
+
+
+def test_a_file_that_is_there_comes_first(elsewhere: Path) -> None:
+    written, kept = copy_specs(Path("specs"))
+    assert {path.name for path in written} == {path.name for path in (*specs_folder().glob("*.yaml"), *specs_folder().glob("*.json"))}
+    assert not kept
+    assert find_spec(Path("smoke")) == Path("specs/smoke.yaml")
+    Path("smoke").write_text("name: own\n")
+    assert find_spec(Path("smoke")) == Path("smoke")
+
+
+def test_a_spec_that_extends_another_is_found_with_it(elsewhere: Path) -> None:
+    assert load(Path("table2")).spec.name == "table2"
+
+
+def test_init_changes_no_file(elsewhere: Path) -> None:
+    assert run_here("init", columns=200).exit_code == 0
+    Path("specs/smoke.yaml").write_text("name: mine\n")
+    Path("specs/table1.yaml").unlink()
+    done = run_here("init", columns=200)
+    assert done.exit_code == 0
+    assert "specs/smoke.yaml: is there, not changed" in done.output
+    assert Path("specs/smoke.yaml").read_text() == "name: mine\n"
+    assert Path("specs/table1.yaml").read_bytes() == (ROOT / "specs" / "table1.yaml").read_bytes()
+
+
+def test_an_unknown_name_is_answered_with_those_there_are(elsewhere: Path) -> None:
+    done = run_here("check", "nothing", columns=200)
+    assert done.exit_code == 3
+    assert "quickstart" in done.output
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that a wheel of this tree was installed into, without what it needs."""
+    builder = pytest.importorskip("hatchling.build")
+    place = tmp_path_factory.mktemp("wheel")
+    before = Path.cwd()
+    os.chdir(ROOT)
+    try:
+        name = builder.build_wheel(str(place))
+    finally:
+        os.chdir(before)
+    target = place / "site"
+    pip = shutil.which("pip") or "pip"
+    command = [sys.executable, "-m", "pip"] if _has_pip() else [pip]
+    offline = ["--no-index", "--no-deps", "--no-compile", "--quiet"]
+    done = subprocess.run([*command, "install", *offline, "--target", target, place / name], capture_output=True, text=True, check=False)
+    if done.returncode:  # a machine without pip: a wheel is an archive of what is installed
+        with zipfile.ZipFile(place / name) as wheel:
+            wheel.extractall(target)
+    return target
+
+
+def _has_pip() -> bool:
+    return subprocess.run([sys.executable, "-m", "pip", "--version"], capture_output=True, check=False).returncode == 0
+
+
+def wasp(installed: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command of the installed wheel in a folder."""
+    code = f"import sys; sys.path.insert(0, {str(installed)!r}); from wasp_cli.cli.app import main; main()"
+    command = [sys.executable, "-P", "-c", code, *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+
+
+def test_an_installed_wheel_has_the_specs(installed: Path, tmp_path: Path) -> None:
+    where = subprocess.run(
+        [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {str(installed)!r}); import wasp_cli; print(wasp_cli.__file__)"],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    assert where.startswith(str(installed)), "another installation was asked"
+    done = wasp(installed, tmp_path, "check", "quickstart", "specs/table1.yaml", "paper")
+    assert done.returncode == 0, done.stderr
+    assert "quickstart: ok, 29 cells" in done.stdout
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_installed_wheel_has_the_published_parts(installed: Path, tmp_path: Path) -> None:
+    done = wasp(installed, tmp_path, "plan", "quickstart", "--json")
+    assert done.returncode == 0, done.stderr
+    states = {node["label"]: node["state"] for node in json.loads(done.stdout)["nodes"]}
+    assert states["goal1 s1 world_model"] == states["goal1 s1 policies"] == states["goal1 s1 critics"] == "published"
+    here = json.loads(
+        run_here("plan", str(ROOT / "specs" / "quickstart.yaml"), "--results", str(tmp_path / "results"), "--json", columns=200).stdout
+    )
+    assert states == {node["label"]: node["state"] for node in here["nodes"]}
+
+
+def test_an_installed_wheel_copies_the_specs(installed: Path, tmp_path: Path) -> None:
+    done = wasp(installed, tmp_path, "init")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "specs" / "quickstart.yaml").read_bytes() == (ROOT / "specs" / "quickstart.yaml").read_bytes()

@@ -1,0 +1,92 @@
+"""One cell of a results folder: its rows, and its episodes played again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from wasp_cli.notebook import rows
+from wasp_cli.notebook.cells import ListedCell, table_of
+from wasp_cli.store.artifact import read_manifest
+from wasp_cli.store.find import KIND, FoundCell
+from wasp_cli.store.layout import Layout
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pyarrow as pa
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class StoredCell:
+    """A computed cell; see `Results.cell`."""
+
+    layout: Layout
+    names: ListedCell
+
+    @property
+    def key(self) -> str:
+        """Name of its folder in `store/evaluate`."""
+        return self.names.key
+
+    @property
+    def label(self) -> str:
+        """As `wasp run` prints it."""
+        return self.names.label
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """What is recorded of it: configuration, inputs, versions, time."""
+        return read_manifest(self.layout, KIND, self.key)
+
+    def __repr__(self) -> str:
+        return f"<wasp cell '{self.label}', {self.key}>"
+
+    def episodes(self) -> pa.Table:
+        """Read a row per episode.
+
+        Raises:
+            StoreError: the rows are damaged.
+        """
+        return rows.stacked(self.layout, [self.names], rows.episodes, rows.EPISODE, None)
+
+    def steps(self, episode: int | None = None) -> pa.Table:
+        """Read a row per decision, of one episode or of all.
+
+        Raises:
+            StoreError: the rows are damaged.
+        """
+        found = rows.stacked(self.layout, [self.names], rows.steps, rows.STEPS, None)
+        if episode is None:
+            return found
+        import pyarrow.compute as pc
+
+        return found.filter(pc.equal(found["episode"], episode))
+
+    def branches(self) -> pa.Table:
+        """Read a row per counterfactually tested decision.
+
+        Raises:
+            StoreError: the rows are damaged.
+        """
+        return rows.stacked(self.layout, [self.names], rows.branches, rows.BRANCH, None)
+
+    def replay(self, episode: int = 0, every: int | None = None) -> Iterator[NDArray[np.uint8]]:
+        """Play an episode again and draw the frames of `wasp replay`: map, cameras, imagined futures, gates; uint8 [704, 976, 3] each.
+
+        Needs torch and the cell's models in the results folder.
+
+        Args:
+            episode: counted from 0.
+            every: decisions between two frames; None: so many that there are at most 125 frames.
+
+        Raises:
+            UsageError: no such episode.
+            ArtifactError: a model is missing or damaged, or what is played is not what was recorded.
+        """
+        from wasp_cli.video.replay import replay_frames
+
+        path = table_of(self.layout, self.names)
+        assert path is not None  # the cell is computed: `Results.cell` has seen to it
+        yield from replay_frames(self.layout, FoundCell(path, self.key, self.manifest), episode, every)

@@ -1,0 +1,185 @@
+"""A results folder as Arrow tables.
+
+    results = wasp_cli.results("results")                                  # of the spec that ran last; spec="table1" for another
+    results.episodes(method="wasp", operator="laggy").to_pandas()          # a row per episode
+    results.steps(method="wasp", columns=["t", "cost", "gate"])            # a row per decision
+    results.branches()                                                     # a row per intervention that was tested counterfactually
+    results.trained(kind="world_model")                                    # a row per trained part, with its numbers
+    results.table("main")                                                  # a table of the report
+    results.cell("goal1 s1 wasp laggy=0.7").replay(episode=0)              # frames
+
+Nothing is computed, and torch is imported by `replay` alone. Columns have the names of `wasp run --select`: `variant` is the ablation,
+`operator` the impaired operator, `value` its severity's value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wasp_cli.errors import StoreError, UnknownName, UsageError
+from wasp_cli.notebook import rows
+from wasp_cli.notebook.cells import ListedCell, Names, Numbers, chosen, planned_cells, recorded_plans, stored_cells, table_of
+from wasp_cli.store.find import same_label
+from wasp_cli.store.layout import Layout
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from wasp_cli.notebook.cell import StoredCell
+
+Columns = Iterable[str] | None
+
+
+def open_results(folder: str | Path = "results", spec: str | Sequence[str] | None = None) -> Results:
+    """Open a results folder.
+
+    Args:
+        folder: as `wasp run --results` wrote it, or one without runs, such as `results/published`.
+        spec: whose cells: a name, or several. None: of the spec that ran last; everything in the store of a folder without runs.
+
+    Raises:
+        StoreError: there is no such folder.
+        UnknownName: no such spec has run there.
+    """
+    layout = Layout(Path(folder))
+    plans = recorded_plans(layout)
+    if not plans and not layout.store.is_dir():
+        raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
+    named = list(plans)[-1:] if spec is None else [spec] if isinstance(spec, str) else list(spec)
+    for name in named:
+        if name not in plans:
+            raise UnknownName("spec in these results", name, plans)
+    return Results(layout, plans, tuple(named))
+
+
+class Results:
+    """The cells of one spec, or of several, and everything that is stored of them.
+
+    Every method takes a value or a list of values to choose by, and raises UnknownName for one that no cell has. What is not computed has
+    no rows; `missing` lists it.
+    """
+
+    def __init__(self, layout: Layout, plans: Mapping[str, Mapping[str, Any]], named: tuple[str, ...]) -> None:
+        self._layout, self._plans, self._named = layout, plans, named
+
+    @property
+    def specs(self) -> list[str]:
+        """All specs that have run in the folder, oldest first."""
+        return list(self._plans)
+
+    @cached_property
+    def cells(self) -> list[ListedCell]:
+        """The cells, computed or not, in the order of the spec."""
+        if not self._named:
+            return stored_cells(self._layout)
+        return [cell for name in self._named for cell in planned_cells(name, self._plans[name])]
+
+    @property
+    def missing(self) -> list[str]:
+        """The labels of cells that are not computed."""
+        return [cell.label for cell in rows.absent(self._layout, self.cells)]
+
+    def __repr__(self) -> str:
+        whose = f"spec={', '.join(map(repr, self._named))}" if self._named else "without runs"
+        return f"<wasp results '{self._layout.root}', {whose}: {len(self.cells)} cells>"
+
+    def episodes(
+        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+    ) -> pa.Table:  # fmt: skip
+        """Read a row per episode: names of the cell, then its measures and thresholds; `.to_pandas()` of it is a data frame.
+
+        Args:
+            task: only these; so for the next ones.
+            method: as the spec names it.
+            variant: the ablation; `full` for the method itself.
+            operator: as the spec names it; `none` for the expert's.
+            severity: the spec's name, such as `moderate`.
+            value: of the severity.
+            seed: of the evaluation.
+            columns: which measures; None for all.
+
+        Raises:
+            UnknownName: no cell has such a task, method, ...
+            KeyError: no such column.
+            StoreError: rows are damaged.
+        """
+        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        return rows.stacked(self._layout, cells, rows.episodes, rows.EPISODE, columns)
+
+    def steps(
+        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+    ) -> pa.Table:  # fmt: skip
+        """Read a row per decision; arguments and errors are those of `episodes`. Of large results name the columns that you need."""
+        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        return rows.stacked(self._layout, cells, rows.steps, rows.STEPS, columns)
+
+    def branches(
+        self, *, task: Names = None, method: Names = None, variant: Names = None, operator: Names = None,
+        severity: Names = None, value: Numbers = None, seed: Numbers = None, columns: Columns = None,
+    ) -> pa.Table:  # fmt: skip
+        """Read a row per counterfactually tested decision: both branches, and whether the intervention was necessary. As `episodes`."""
+        cells = self._chosen(task, method, variant, operator, severity, value, seed)
+        return rows.stacked(self._layout, cells, rows.branches, rows.BRANCH, columns)
+
+    def trained(self, *, task: Names = None, kind: Names = None, seed: Numbers = None) -> pa.Table:
+        """Read a row per trained part: key, kind, folder, seconds, and every number that its stage reports.
+
+        Args:
+            task: only these.
+            kind: of stage, such as `world_model`.
+            seed: of the training.
+
+        Raises:
+            UnknownName: no part has such a task, kind or seed.
+        """
+        from wasp_cli.notebook.trained import trained_table
+
+        parts = [(part["kind"], part["key"]) for name in self._named for part in self._plans[name].get("parts", ())]
+        return trained_table(self._layout, [cell.key for cell in self.cells], parts, {"task": task, "kind": kind, "seed": seed})
+
+    def table(self, name: str = "main") -> pa.Table:
+        """Make a table of the report: `main`, `table2`, `figure3`, `statistics`, `operators`, `severity`, `details`, `latency`, ...
+
+        Numbers are unscaled, as in the report's CSV files; `_sd`, `_low` and `_high` columns have the spread.
+
+        Raises:
+            UsageError: the results are of no spec, or of several.
+            UnknownName: the report has no such table.
+            ArtifactError: the record of the run is damaged.
+        """
+        if len(self._named) != 1:
+            raise UsageError("a table is of one spec", f"wasp_cli.results(folder, spec=...) with one of: {', '.join(self.specs) or 'none'}")
+        from wasp_cli.notebook.trained import report_table
+
+        return report_table(self._layout, self._named[0], name)
+
+    def cell(self, label: str) -> StoredCell:
+        """Find a computed cell by its label, as `wasp run` prints it, or by the beginning of its key.
+
+        Raises:
+            UnknownName: there is none.
+            UsageError: several have this label, or it is not computed.
+        """
+        from wasp_cli.notebook.cell import StoredCell
+
+        wanted = " ".join(label.split())
+        found = {
+            cell.key: cell for cell in self.cells if same_label(cell.label, wanted) or (len(wanted) > 3 and cell.key.startswith(wanted))
+        }
+        if not found:
+            raise UnknownName("cell", wanted, [cell.label for cell in self.cells])
+        if len(found) > 1:
+            raise UsageError(f"'{wanted}' names {len(found)} cells: {', '.join(found)}", "give the first characters of one of these keys")
+        (cell,) = found.values()
+        if table_of(self._layout, cell) is None:
+            raise UsageError(f"'{cell.label}' is not computed yet", "wasp status says why")
+        return StoredCell(self._layout, cell)
+
+    def _chosen(self, *values: Any) -> list[ListedCell]:
+        names = ("task", "method", "variant", "operator", "severity", "value", "seed")
+        return chosen(self.cells, dict(zip(names, values, strict=True)))

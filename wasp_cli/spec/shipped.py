@@ -1,0 +1,67 @@
+"""The specs and the published parts that come with the package: in a checkout the folders of the repository, in a wheel copies of them.
+
+wasp run quickstart                  a spec by its name, from any folder
+wasp run specs/quickstart.yaml       the same; a file that is there comes first
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from wasp_cli.errors import UsageError
+
+_PACKAGE = Path(__file__).parents[1]
+SUFFIX, FOLDER = ".yaml", "specs"
+PAPER = "paper"
+"""Lies beside the specs and is none."""
+
+
+def specs_folder() -> Path:
+    """Return where the specs are; pyproject.toml puts them into a wheel."""
+    packaged = _PACKAGE / FOLDER
+    return packaged if packaged.is_dir() else _PACKAGE.parent / FOLDER
+
+
+def published_folder() -> Path | None:
+    """Return where the published parts are, laid out as a results folder; None where the package came without them."""
+    found = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
+    return next((folder for folder in found if (folder / "store").is_dir()), None)
+
+
+def shipped_names() -> list[str]:
+    """List the names of the specs."""
+    return sorted(path.stem for path in specs_folder().glob(f"*{SUFFIX}") if path.stem != PAPER)
+
+
+def find_spec(typed: Path) -> Path:
+    """Return the file that was meant: the typed one, else one of that name in `specs/`, else the one that comes with the package."""
+    if typed.exists() or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
+        return typed
+    name = typed.stem + SUFFIX
+    for path in (Path(FOLDER, name), specs_folder() / name):
+        if path.is_file():
+            return path
+    return typed
+
+
+def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Copy the specs, the paper's numbers and the schema for editors; returns what was written, and what was there and stays.
+
+    Raises:
+        UsageError: the package came without specs.
+    """
+    source = specs_folder()
+    if not source.is_dir():
+        raise UsageError(f"this installation has no specs: '{source}' is not there", "install the package from a wheel or a checkout")
+    written: list[Path] = []
+    kept: list[Path] = []
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")]):
+        target = folder / path.name
+        if target.exists():
+            kept.append(target)
+        else:
+            shutil.copyfile(path, target)
+            written.append(target)
+    return written, kept
