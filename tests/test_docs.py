@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import typer
+from PIL import Image
 
 from wasp_cli.cli.app import app
 from wasp_cli.spec.derived import ablation, read_sweep
@@ -94,3 +95,34 @@ def test_no_page_has_a_gap_left_to_fill_or_a_picture_that_is_not_there(page: str
     assert not re.search(r"^[A-Z_]{5,}$", text, re.MULTILINE)
     for picture in re.findall(r"!\[[^\]]*\]\(([^)]+)\)|<img src=\"([^\"]+)\"", text):
         assert ((ROOT / page).parent / "".join(picture)).is_file()
+
+
+def test_the_readme_is_read_in_minutes() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
+
+
+def test_the_table_of_the_readme_is_the_published_one() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = {cells[0]: cells[1:] for line in text.splitlines() if line.startswith("| ") and len(cells := read_row(line)) == COLUMNS}
+    published = (ROOT / "results/published/reports/quickstart/table1.md").read_text(encoding="utf-8")
+    expected = {cells[1]: cells[2:-1] for line in published.splitlines() if line.startswith("| ") and len(cells := read_row(line)) > 8}
+    assert {"Human-only", "WASP"} < expected.keys()
+    assert {name.removesuffix(" (reference)"): row for name, row in rows.items() if not name.startswith(("Goal1", "---"))} == {
+        name: row for name, row in expected.items() if name not in ("Method", "---")
+    }
+
+
+COLUMNS = 8
+
+
+def read_row(line: str) -> list[str]:
+    """The cells of a line of a Markdown table."""
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip()[1:-1])]
+
+
+def test_the_film_of_the_readme_moves_and_is_small() -> None:
+    (name,) = re.findall(r"\]\((docs/pictures/[^)]+\.webp)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert (ROOT / name).stat().st_size < 1.5e6
+    with Image.open(ROOT / name) as film:
+        assert film.format == "WEBP"
+        assert film.n_frames > 10

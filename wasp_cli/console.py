@@ -20,14 +20,18 @@ if TYPE_CHECKING:
 @cache
 def out() -> Console:
     """Return the console for results: tables, JSON, paths."""
-    return _console(sys.stdout, highlight=False, soft_wrap=not sys.stdout.isatty())
+    return _console(sys.stdout)
 
 
 @cache
 def err() -> Console:
     """Return the console for progress, notes and errors."""
     # The stream of the start: what a stage prints in this process is redirected to its log, progress is not.
-    return _console(sys.stderr, file=sys.stderr, highlight=False, soft_wrap=not sys.stderr.isatty())
+    return _console(sys.stderr, file=sys.stderr)
+
+
+ENDLESS = 10_000
+"""Columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of room."""
 
 
 def _console(stream: TextIO, **options: Any) -> Console:
@@ -40,7 +44,8 @@ def _console(stream: TextIO, **options: Any) -> Console:
             self.quiet = True
             silence(stream)
 
-    return Lasting(**options)
+    pipe = not stream.isatty()
+    return Lasting(**options, highlight=False, soft_wrap=pipe, width=ENDLESS if pipe and not os.environ.get("COLUMNS") else None)
 
 
 def silence(stream: TextIO) -> None:

@@ -35,8 +35,9 @@ TAU_C, TAU_R = 0.3, 0.5
 
 
 def settings(variant: str = "full", **changes: object) -> WASPConfig:
-    """WASP's configuration in these scenes: its defaults but for the thresholds, which belong to a world."""
-    here = {"tau_c": TAU_C, "tau_r": TAU_R, "takeover_shares": (), "probe_with": "random"}  # no expert drives here
+    """WASP's configuration in these scenes: its defaults but for the thresholds, which belong to a world, and the search."""
+    searched = {"takeover_shares": (), "probe_with": "random", "task_search": True, "safety_search": True, "alpha": 0.1}  # no expert here
+    here = {"tau_c": TAU_C, "tau_r": TAU_R, **searched}
     return WASPConfig.model_validate({"variant": variant, **here, **changes})
 
 

@@ -118,6 +118,13 @@ def test_episodes_of_different_lengths_end_where_they_ended(inputs: Mapping[str,
             list(Rerun(*staggered(inputs, seeds), Recorded(seeds, padded, padded, rewards)))
 
 
+def test_an_error_counts_episodes_within_their_cell(cell: Evaluated) -> None:
+    changed = [commands.copy() for commands in Recorded(**read_recorded(cell.path)).a_h]
+    changed[1][3] += 0.25
+    with pytest.raises(ArtifactError, match="episode 11 is not the recorded one from decision 3 on"):
+        list(again(cell, a_h=changed, first=10))
+
+
 def test_actions_of_another_size_are_of_another_task(cell: Evaluated) -> None:
     recorded = Recorded(**read_recorded(cell.path))
     with pytest.raises(ArtifactError, match="an action of the task has 2 numbers"):

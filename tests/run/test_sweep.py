@@ -14,7 +14,7 @@ from wasp_cli.console import err
 from wasp_cli.errors import CellsFailed, UnknownName, UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
-from wasp_cli.run.session import RunOptions, SweepSession, on_task, run_sweep
+from wasp_cli.run.session import RunOptions, SweepSession, on_tasks, run_sweep
 from wasp_cli.spec.derived import read_sweep
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
@@ -130,10 +130,10 @@ def test_a_sweep_without_effect_is_refused_before_anything_is_written(
 
 def test_one_task_of_several(fakes: Fakes, small_spec: Path) -> None:
     sweep = read_sweep(small_spec, VARY, settings=("tasks=[goal1, race1]",))
-    assert on_task(sweep, None) == sweep
-    assert {point.loaded.spec.tasks for point in on_task(sweep, "race1").points} == {("race1",)}
+    assert on_tasks(sweep, None) == sweep
+    assert {point.loaded.spec.tasks for point in on_tasks(sweep, ["race1"]).points} == {("race1",)}
     with pytest.raises(UnknownName, match="unknown task of this spec 'goal2'"):
-        on_task(sweep, "goal2")
+        on_tasks(sweep, ["goal2"])
 
 
 def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:

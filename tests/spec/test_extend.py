@@ -202,7 +202,7 @@ def test_sweeps_ablations_and_benchmarks_take_a_chain(base: Path) -> None:
     path = written(base.parent, "fast", FAST + "wasp: {elites: 3}\n")
     sweep = read_sweep(path, "wasp.candidates=6,8")
     assert [point.loaded.spec.name for point in sweep.points] == ["fast-wasp.candidates-6", "fast-wasp.candidates-8"]
-    assert ablation(path, "no-case2", task="race1").spec.operators == {"noisy": {"mild": 0.2, "severe": 0.6}}
+    assert ablation(path, "no-case2", tasks=["race1"]).spec.operators == {"noisy": {"mild": 0.2, "severe": 0.6}}
     own: Any = bench_configs(path)["smoke"][-2]
     assert (own.candidates, own.elites) == (10, 3)
 

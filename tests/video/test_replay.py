@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from click.testing import Result
 from PIL import Image
 
@@ -64,6 +65,16 @@ def test_the_video_lies_in_the_current_folder_under_the_name_of_the_cell(
     assert (done.exit_code, done.stdout) == (0, "race1_wasp_noisy-0.4_e1.gif: 3 frames\n"), done.output
     video: Any = Image.open("race1_wasp_noisy-0.4_e1.gif")
     assert video.n_frames == 3
+
+
+def test_matrix_products_have_the_threads_of_evaluations_not_those_of_the_simulator(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, asked = torch.get_num_threads(), []
+    monkeypatch.setattr(torch, "set_num_threads", asked.append)
+    done = replayed(results, CELL, "--episode", "1", "--every", "40", "--out", tmp_path / "a.webp")
+    assert done.exit_code == 0, done.stderr
+    assert asked == [1, before] * 2
 
 
 def test_the_corrected_future_is_that_of_the_stored_plan(results: Path) -> None:

@@ -55,4 +55,4 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # an ASCII terminal shows ? where it has no character
             stream.reconfigure(errors="replace")
-    app()
+    app([*(["--debug"] if "--debug" in sys.argv[1:] else []), *(word for word in sys.argv[1:] if word != "--debug")])

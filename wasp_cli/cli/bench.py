@@ -14,7 +14,6 @@ from wasp_cli.cli.options import (
     ResultsOption,
     SetOption,
     SpecArgument,
-    TaskOption,
     argument,
     expected_errors,
     option,
@@ -98,7 +97,10 @@ def times(folders: Annotated[list[Path], argument(metavar="DIR...", help="Result
 def oracle(
     spec: SpecArgument,
     operator: Annotated[str, option("--operator", metavar="NAME=VALUE", help="Operator to assist: laggy=0.7.")],
-    task: TaskOption = None,
+    task: Annotated[
+        str | None,
+        option("--task", "-t", metavar="TASK", help="The task, of a spec that has several.", autocompletion=complete.tasks),
+    ] = None,
     episodes: Annotated[int, typer.Option("--episodes", min=1, metavar="N", help="Episodes per method.")] = 8,
     variant: Annotated[
         list[str] | None,

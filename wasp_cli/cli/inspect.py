@@ -13,10 +13,12 @@ from wasp_cli.cli.options import (
     NodeArgument,
     ResultsArgument,
     ResultsOption,
+    RunOption,
     StoredCellArgument,
     expected_errors,
     option,
     print_json,
+    results_folder,
 )
 
 NODES, EPISODES = "Runs and nodes", "Episodes"
@@ -25,15 +27,15 @@ WIDTH = 140
 
 inspect_app = typer.Typer()
 
-RunOption = Annotated[str | None, option("--run", metavar="ID", help="The run: a folder name in runs/, or its end. (default: the newest)")]
-
 
 @inspect_app.command(
     rich_help_panel=NODES,
     epilog="[bold]wasp status[/]   ·   [bold]watch -n 5 wasp status results/[/]   ·   [bold]wasp status --json | jq '.[0]'[/]",
 )
 @expected_errors
-def status(folder: ResultsArgument = Path("results"), run: RunOption = None, json: JsonOption = False) -> None:
+def status(
+    folder: ResultsArgument = None, run: RunOption = None, results: ResultsOption = Path("results"), json: JsonOption = False
+) -> None:
     """Show active runs, or the latest: progress, failures, time left.
 
     It reads what a run writes to the results folder, so it also works from another terminal, and after a run was killed.
@@ -45,10 +47,10 @@ def status(folder: ResultsArgument = Path("results"), run: RunOption = None, jso
     from wasp_cli.run.show import as_json, show_status
     from wasp_cli.run.watch import shown_runs, state_of
 
-    layout = results_of(folder)
+    layout = results_of(results_folder(folder, results))
     runs = planned_runs(layout)
     if not runs:
-        raise StoreError(f"no results in '{folder}': it holds no runs", "wasp run SPEC --results DIR writes there")
+        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
     states = shown_runs(layout, runs) if run is None else [state_of(layout, named_run(runs, run))]
     if json:
         print_json(as_json(states))
@@ -58,14 +60,14 @@ def status(folder: ResultsArgument = Path("results"), run: RunOption = None, jso
 
 @inspect_app.command(rich_help_panel=NODES, epilog="[bold]wasp pause[/]   ·   [bold]wasp pause results --run 1a2b[/]")
 @expected_errors
-def pause(folder: ResultsArgument = Path("results"), run: RunOption = None) -> None:
+def pause(folder: ResultsArgument = None, run: RunOption = None, results: ResultsOption = Path("results")) -> None:
     """Let active runs begin nothing new. Running nodes finish; wasp resume goes on."""
     from wasp_cli.console import say
     from wasp_cli.plan.recorded import planned_runs
     from wasp_cli.run import control
     from wasp_cli.run.record import results_of
 
-    layout = results_of(folder)
+    layout = results_of(results_folder(folder, results))
     for each in control.live_runs(layout, planned_runs(layout), run):
         control.pause(layout, each)
         say(f"{each.spec}: paused; running nodes finish (run {each.run_id})")
@@ -73,14 +75,14 @@ def pause(folder: ResultsArgument = Path("results"), run: RunOption = None) -> N
 
 @inspect_app.command(rich_help_panel=NODES, epilog="[bold]wasp resume[/]   ·   [bold]wasp resume results --run 1a2b[/]")
 @expected_errors
-def resume(folder: ResultsArgument = Path("results"), run: RunOption = None) -> None:
+def resume(folder: ResultsArgument = None, run: RunOption = None, results: ResultsOption = Path("results")) -> None:
     """Let paused runs go on. A run that is over is continued by wasp run."""
     from wasp_cli.console import say
     from wasp_cli.plan.recorded import planned_runs
     from wasp_cli.run import control
     from wasp_cli.run.record import results_of
 
-    layout = results_of(folder)
+    layout = results_of(results_folder(folder, results))
     for each in control.live_runs(layout, planned_runs(layout), run):
         was = control.resume(layout, each)
         say(f"{each.spec}: {'goes on' if was else 'was not paused'} (run {each.run_id})")
@@ -121,6 +123,7 @@ def logs(
     """Print the log of a node: a training stage or an evaluation, running, finished or failed."""
     import sys
 
+    from wasp_cli.console import plain
     from wasp_cli.plan.recorded import named_run, planned_runs
     from wasp_cli.run.record import results_of
     from wasp_cli.run.show import find_log, write_log
@@ -132,6 +135,8 @@ def logs(
         print(log.path)
     else:
         write_log(log, sys.stdout)
+        if not log.path.stat().st_size:
+            plain(f"the log is empty: {log.label} printed nothing")
 
 
 @inspect_app.command(
@@ -140,17 +145,18 @@ def logs(
     "Exit codes: 0 done, 1 the manifest cannot be read, 2 no such node.",
 )
 @expected_errors
-def show(node: NodeArgument, results: ResultsOption = Path("results"), json: JsonOption = False) -> None:
+def show(node: NodeArgument, run: RunOption = None, results: ResultsOption = Path("results"), json: JsonOption = False) -> None:
     """Show a node: its numbers, configuration, inputs, files, provenance, and last failure."""
     from dataclasses import asdict
 
     from wasp_cli.console import say
+    from wasp_cli.plan.recorded import keys_of
     from wasp_cli.report.node import node_facts, node_lines
     from wasp_cli.run.record import results_of
     from wasp_cli.store.find import find_node
 
     layout = results_of(results)
-    facts = node_facts(layout, find_node(layout, node))
+    facts = node_facts(layout, find_node(layout, node, keys_of(layout, run)))
     if json:
         print_json(asdict(facts))
         return
@@ -169,6 +175,7 @@ def explain(
     step: Annotated[
         int | None, option("--step", "-s", metavar="T", help="One decision, with its plan. (default: a summary of the episode)")
     ] = None,
+    run: RunOption = None,
     results: ResultsOption = Path("results"),
     json: JsonOption = False,
 ) -> None:
@@ -179,6 +186,7 @@ def explain(
     import shlex
 
     from wasp_cli.console import out, say
+    from wasp_cli.plan.recorded import keys_of
     from wasp_cli.report.explain.collect import decision_facts, summarize
     from wasp_cli.report.explain.decision_text import decision_lines
     from wasp_cli.report.explain.episode_text import episode_lines
@@ -187,7 +195,8 @@ def explain(
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.layout import Layout
 
-    stored = read_episode(find_cell(Layout(results), cell), episode)
+    layout = Layout(results)
+    stored = read_episode(find_cell(layout, cell, keys_of(layout, run)), episode)
     facts = summarize(stored) if step is None else decision_facts(stored, step)
     if json:
         print_json(as_json(facts))
@@ -225,6 +234,7 @@ def replay(
         ),
     ] = None,
     every: Annotated[int | None, option("--every", min=1, metavar="N", help="Decisions per frame. (default: at most 125 frames)")] = None,
+    run: RunOption = None,
     results: ResultsOption = Path("results"),
     json: Annotated[bool, typer.Option("--json", help="With --step: print the numbers as JSON.")] = False,
 ) -> None:
@@ -237,6 +247,7 @@ def replay(
     """
     from wasp_cli.console import following, say
     from wasp_cli.errors import UsageError
+    from wasp_cli.plan.recorded import keys_of
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.layout import Layout
     from wasp_cli.video.replay import replay as written
@@ -247,7 +258,7 @@ def replay(
     if every is not None and step is not None:
         raise UsageError("--every cannot be used with --step", "the video of one decision has a frame for every decision")
     layout = Layout(results.absolute())
-    stored = find_cell(layout, cell)
+    stored = find_cell(layout, cell, keys_of(layout, run))
     with following("replay") as progress:
         if step is None:
             path, made = written(layout, stored, episode, out, every, progress)

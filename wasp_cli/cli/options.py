@@ -47,14 +47,29 @@ SpecArgument = Annotated[
     argument(metavar="SPEC", help="A YAML file, or a name such as quickstart.", autocompletion=complete.specs),
 ]
 ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=parse_folder, help="The results folder.")]
-ResultsArgument = Annotated[Path, typer.Argument(metavar="DIR", parser=parse_folder, help="The results folder.")]
+ResultsArgument = Annotated[
+    Path | None, argument(metavar="[DIR]", parser=parse_folder, help="The results folder. (default: what --results says)")
+]
 NodeArgument = Annotated[str, argument(metavar="NODE", help="A label ('goal1 s0 world_model'), or the beginning of a key.")]
 StoredCellArgument = Annotated[
     str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
 ]
 EpisodeOption = Annotated[int, option("--episode", "-e", metavar="E", help="The episode, counted from 0.")]
 TaskOption = Annotated[
-    str | None, option("--task", "-t", metavar="TASK", help="Only this task of the spec.", autocompletion=complete.tasks)
+    list[str] | None,
+    option("--task", "-t", metavar="TASK", help="Only this task of the spec (repeatable).", autocompletion=complete.tasks),
+]
+MethodOption = Annotated[
+    list[str] | None,
+    option("--method", "-m", metavar="NAME", help="Only this method of the spec (repeatable).", autocompletion=complete.methods),
+]
+PresetOption = Annotated[
+    str | None,
+    option("--preset", metavar="NAME", help="Sizes and budgets. (default: what the spec says)", autocompletion=complete.presets),
+]
+RunOption = Annotated[
+    str | None,
+    option("--run", metavar="ID", help="The run: a folder name in runs/, its end, or a spec's name. (default: the newest)"),
 ]
 JobsOption = Annotated[
     int | None,
@@ -98,6 +113,19 @@ ReuseOption = Annotated[
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")]
 FailedOption = Annotated[bool, typer.Option("--failed", help="Only nodes that failed before, and nodes that wait for them.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def results_folder(argument: Path | None, option: Path) -> Path:
+    """Return the results folder, which a command takes as its argument or as `--results`.
+
+    Raises:
+        UsageError: both name one, and not the same.
+    """
+    from wasp_cli.errors import UsageError
+
+    if argument is not None and option not in (argument, Path("results")):
+        raise UsageError(f"two results folders: '{argument}' and --results '{option}'", "name one of them")
+    return option if argument is None else argument
 
 
 def expected_errors(command: Callable[P, R]) -> Callable[P, R]:

@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wasp_cli.cli.options import JsonOption, ResultsArgument, argument, expected_errors, option, parse_folder, print_json
+from wasp_cli.cli.options import (
+    JsonOption,
+    ResultsArgument,
+    ResultsOption,
+    argument,
+    expected_errors,
+    option,
+    parse_folder,
+    print_json,
+    results_folder,
+)
+from wasp_cli.errors import WaspError
 
 if TYPE_CHECKING:
     from wasp_cli.compare.runs import Compared, Side
@@ -24,6 +35,10 @@ PANEL = "Results"
 report_app = typer.Typer()
 
 
+class NotWritten(WaspError):
+    """The files of a report cannot be written; what it prints was printed."""
+
+
 @report_app.command(
     rich_help_panel=PANEL,
     epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1 --strict[/]\n\n"
@@ -31,30 +46,39 @@ report_app = typer.Typer()
 )
 @expected_errors
 def report(
-    folder: ResultsArgument = Path("results"),
+    folder: ResultsArgument = None,
+    results: ResultsOption = Path("results"),
     spec: Annotated[str | None, option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)")] = None,
     paper: Annotated[
-        Path | None, option("--paper", metavar="FILE", help="File with a paper's numbers and claims. (default: specs/paper.yaml)")
+        Path | None,
+        option("--paper", metavar="FILE|none", help="File with a paper's numbers and claims. (default: specs/paper.yaml; none: no paper)"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        option("--out", metavar="DIR", parser=parse_folder, help="Write to DIR/<spec>. (default: reports/ in the results folder)"),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
     films: Annotated[bool, typer.Option("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
     trained: Annotated[bool, typer.Option("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print the tables of a results folder; write tables, figures and an HTML report."""
-    from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName, WaspError
+    from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName
     from wasp_cli.report.document import missing_words
     from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
     from wasp_cli.spec.paper import load_paper
+    from wasp_cli.store.layout import slug
 
-    claimed, layout = load_paper(paper), results_of(folder)
+    claimed = None if paper == Path("none") else load_paper(paper)
+    layout = results_of(results_folder(folder, results))
     runs, damaged = last_runs(layout)
     if not runs and not damaged:
-        raise StoreError(f"no results in '{folder}': it holds no runs", "wasp run SPEC --results DIR writes there")
+        raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
     if spec is not None and runs and spec not in runs:
         raise UnknownName("spec in these results", spec, runs)
     gaps: list[str] = []
     missing: list[str] = []
+    unwritten: list[NotWritten] = []
     for name, run_id in runs.items():
         if spec in (None, name):
             try:
@@ -69,15 +93,20 @@ def report(
                     recorded.unknown,
                     films=films,
                     trained=trained,
+                    to=None if out is None else out / slug(name),
                 )
                 damaged += shown.damaged
                 gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
                 missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
+            except NotWritten as error:
+                unwritten.append(error)
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
     if damaged:
         lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
         raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
+    if unwritten:
+        raise NotWritten("\n".join(error.message for error in unwritten), unwritten[0].hint)
     if strict and missing:
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
@@ -89,13 +118,14 @@ def show_report(
     cells: list[tuple[Cell, str]],
     parts: list[tuple[Part, str]],
     branched: list[tuple[Cell, str]],
-    paper: Paper,
+    paper: Paper | None,
     unknown: Sequence[str] = (),
     *,
     films: bool = False,
     trained: bool = False,
+    to: Path | None = None,
 ) -> Report:
-    """Write the report of one spec, then print it.
+    """Write the report of one spec, then print it. Where the files cannot be written, what is printed is there all the same.
 
     Args:
         layout: the results folder.
@@ -103,19 +133,31 @@ def show_report(
         cells: its cells, each with its key.
         parts: its trained parts, each with its key.
         branched: the cells whose interventions were tested, each with the key of its branches.
-        paper: numbers and claims to compare with.
+        paper: numbers and claims to compare with; None: with none.
         unknown: what the record of the run has that this version does not know.
         films: whether the HTML report has films of episodes.
         trained: whether each trained part is drawn.
+        to: the folder of the files; None: that of the spec in the results folder.
+
+    Raises:
+        NotWritten: the files cannot be written.
     """
     from wasp_cli.console import err, out, say
+    from wasp_cli.errors import StoreError, refusal
     from wasp_cli.report.summarize import report_run
 
     report = report_run(layout.root, spec, cells, parts, paper, branched, unknown)
     # Written first: a terminal that goes away costs no file.
-    with err().status("report") as status:
-        draw = _film_drawing() if films else None
-        _, page, *_ = report.write(layout.reports(spec.name), draw, lambda text: status.update(f"drawing {text}"), evidence=trained)
+    try:
+        with err().status("report") as status:
+            draw = _film_drawing() if films else None
+            folder = layout.reports(spec.name) if to is None else to
+            _, page, *_ = report.write(folder, draw, lambda text: status.update(f"drawing {text}"), evidence=trained)
+    except (OSError, StoreError) as error:
+        report.terminal(out())
+        refused = error if isinstance(error, WaspError) else refusal(error)
+        hint = "wasp report DIR --out FOLDER writes it elsewhere"
+        raise NotWritten(f"the report of {spec.name} cannot be written: {refused.message}", hint) from error
     report.terminal(out())
     beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
     left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]

@@ -16,6 +16,8 @@ from wasp_cli.cli.options import (
     JobsOption,
     JsonOption,
     LimitOption,
+    MethodOption,
+    PresetOption,
     ResultsOption,
     RetriesOption,
     ReuseOption,
@@ -54,6 +56,8 @@ def run(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
+    method: MethodOption = None,
+    preset: PresetOption = None,
     select: SelectOption = None,
     limit: LimitOption = None,
     failed: FailedOption = False,
@@ -74,9 +78,11 @@ def run(
     second stops at once. Finished nodes are kept either way.
     """
     from wasp_cli.run.session import Selection, limited, restricted
+    from wasp_cli.spec.derived import sized
     from wasp_cli.spec.load import load
 
-    loaded, selection = limited(restricted(load(spec, set_ or ()), task), limit), Selection(select or (), failed)
+    loaded = limited(restricted(load(spec, sized(preset, set_)), task, method), limit)
+    selection = Selection(select or (), failed)
     options = run_options(jobs, timeout, retries, backend, scheduler)
     if dry_run:
         show_plan(loaded.spec, results, selection, options.jobs, reuse)
@@ -95,6 +101,8 @@ def plan(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
+    method: MethodOption = None,
+    preset: PresetOption = None,
     select: SelectOption = None,
     limit: LimitOption = None,
     failed: FailedOption = False,
@@ -105,9 +113,10 @@ def plan(
 ) -> None:
     """Show what a run would compute, why, and for how long."""
     from wasp_cli.run.session import Selection, cores, limited, restricted
+    from wasp_cli.spec.derived import sized
     from wasp_cli.spec.load import load
 
-    loaded = limited(restricted(load(spec, set_ or ()), task), limit)
+    loaded = limited(restricted(load(spec, sized(preset, set_)), task, method), limit)
     show_plan(loaded.spec, results, Selection(select or (), failed), cores() if jobs is None else jobs, reuse, every=every, json=json)
 
 
@@ -117,15 +126,11 @@ def ablate(
     variant: Annotated[
         str, option("--variant", metavar="NAME", help="The ablation, for example no-case2.", autocompletion=complete.variants)
     ],
-    task: Annotated[
-        str | None, option("--task", "-t", metavar="TASK", help="Only this task. (default: the spec's)", autocompletion=complete.tasks)
-    ] = None,
+    task: TaskOption = None,
     spec: Annotated[
         Path, typer.Option("--spec", metavar="SPEC", help="The spec with operators, seeds and budgets.", autocompletion=complete.specs)
     ] = Path("specs/table2.yaml"),
-    preset: Annotated[
-        str | None, option("--preset", metavar="NAME", help="Sizes and budgets. (default: the spec's)", autocompletion=complete.presets)
-    ] = None,
+    preset: PresetOption = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     reuse: ReuseOption = None,
@@ -179,6 +184,7 @@ def sweep(
             autocompletion=complete.methods,
         ),
     ] = None,
+    preset: PresetOption = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     timeout: TimeoutOption = None,
@@ -196,12 +202,12 @@ def sweep(
     from wasp_cli.errors import UsageError
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
-    from wasp_cli.run.session import on_task, run_sweep
-    from wasp_cli.spec.derived import read_sweep
+    from wasp_cli.run.session import on_tasks, run_sweep
+    from wasp_cli.spec.derived import read_sweep, sized
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
-    wanted = on_task(read_sweep(spec, vary[0], method or (), set_ or ()), task)
+    wanted = on_tasks(read_sweep(spec, vary[0], method or (), sized(preset, set_)), task)
     done = run_sweep(wanted, results, run_options(jobs, timeout, retries, backend, scheduler))
     layout = done.session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
@@ -228,6 +234,7 @@ def operators(
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
     task: TaskOption = None,
+    preset: PresetOption = None,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
     backend: BackendOption = "loky",
@@ -248,9 +255,9 @@ def operators(
     from wasp_cli.report.summarize import wanted_cells
     from wasp_cli.report.tables.severity_check import as_json, check_table, judged
     from wasp_cli.run.session import restricted, run_spec
-    from wasp_cli.spec.derived import operators_alone
+    from wasp_cli.spec.derived import operators_alone, sized
 
-    loaded = restricted(operators_alone(spec, set_ or ()), task)
+    loaded = restricted(operators_alone(spec, sized(preset, set_)), task)
     session = run_spec(loaded, results, run_options(jobs, timeout, retries, backend, scheduler))
     # Also after failures: what is there is worth seeing.
     wanted, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
@@ -270,9 +277,17 @@ def operators(
 
 
 def run_options(jobs: int | None, timeout: float | None, retries: int, backend: str, scheduler: str | None) -> RunOptions:
-    """Collect what was typed about how a run is carried out."""
+    """Collect what was typed about how a run is carried out.
+
+    Raises:
+        UnknownName: no such backend.
+    """
+    from wasp_cli.errors import UnknownName
+    from wasp_cli.run.pool import BACKENDS
     from wasp_cli.run.session import RunOptions, cores
 
+    if backend not in BACKENDS:  # also told where nothing is going to run
+        raise UnknownName("backend", backend, BACKENDS)
     return RunOptions(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
 
 

@@ -17,6 +17,7 @@ from wasp_cli.cli.options import (
     expected_errors,
     option,
     parse_folder,
+    results_folder,
 )
 
 PANEL = "Maintenance"
@@ -31,7 +32,8 @@ store_app = typer.Typer()
 )
 @expected_errors
 def gc(
-    folder: ResultsArgument = Path("results"),
+    folder: ResultsArgument = None,
+    results: ResultsOption = Path("results"),
     keep: Annotated[
         list[Path] | None, option("--keep", metavar="SPEC", help="Also keep what this spec needs, as it is now (repeatable).")
     ] = None,
@@ -52,7 +54,7 @@ def gc(
     from wasp_cli.run.record import results_of
     from wasp_cli.run.show import removed_line, show_rubbish
 
-    layout = results_of(folder)
+    layout = results_of(results_folder(folder, results))
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
     rubbish = unreached(layout, kept, runs=runs, before=before)
     show_rubbish(rubbish, out())

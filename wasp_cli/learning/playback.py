@@ -33,7 +33,7 @@ class Played(NamedTuple):
 
 
 def play(
-    task: VectorTask, layouts: Sequence[int], actions: Sequence[Array], rewards: Sequence[Array], tolerance: float = 0.0
+    task: VectorTask, layouts: Sequence[int], actions: Sequence[Array], rewards: Sequence[Array], tolerance: float = 0.0, number: int = 0
 ) -> Iterator[Played]:
     """Carry recorded actions out again: T + 1 moments, each before its action is carried out.
 
@@ -43,6 +43,7 @@ def play(
         actions: [T_e, A] per episode, what was executed.
         rewards: [T_e] per episode, what it was rewarded with.
         tolerance: by how much a reward may differ, absolute and relative; 0: not at all.
+        number: of the first episode, in errors.
 
     Raises:
         ArtifactError: rewards or ends of the episodes are not those that were recorded.
@@ -56,14 +57,16 @@ def play(
         yield Played(t, observation, executed[t], alive, step)
         step = task.step(executed[t])
         observation = step.observation
-        require_same(t, alive, "the reward is", step.reward.astype(np.float32), recorded[t], tolerance)
+        require_same(t, alive, "the reward is", step.reward.astype(np.float32), recorded[t], tolerance, number)
         for e in np.flatnonzero(alive & (step.ended != (t + 1 == lengths))):
-            raise other_episode(int(e), len(lengths), t, f"the episode {'ends' if step.ended[e] else 'goes on'} here")
+            raise other_episode(number + int(e), len(lengths), t, f"the episode {'ends' if step.ended[e] else 'goes on'} here")
     yield Played(len(executed), observation, nothing, len(executed) < lengths, step)
 
 
-def require_same(t: int, alive: NDArray[np.bool_], what: str, found: Floats32, recorded: Floats32, tolerance: float = 0.0) -> None:
-    """Refuse values [B, ...] that are not the recorded ones in rows whose episodes are still going.
+def require_same(
+    t: int, alive: NDArray[np.bool_], what: str, found: Floats32, recorded: Floats32, tolerance: float = 0.0, number: int = 0
+) -> None:
+    """Refuse values [B, ...] that are not the recorded ones in rows whose episodes are still going; the first row has this number.
 
     Raises:
         ArtifactError: with the first such episode.
@@ -72,7 +75,7 @@ def require_same(t: int, alive: NDArray[np.bool_], what: str, found: Floats32, r
     wrong = np.flatnonzero(alive & ~same)
     if wrong.size:
         e = int(wrong[0])
-        raise other_episode(e, len(alive), t, f"{what} {found[e].tolist()} here, and {recorded[e].tolist()} was recorded")
+        raise other_episode(number + e, len(alive), t, f"{what} {found[e].tolist()} here, and {recorded[e].tolist()} was recorded")
 
 
 def side_by_side(episodes: Sequence[Array]) -> Floats32:
@@ -86,7 +89,7 @@ def side_by_side(episodes: Sequence[Array]) -> Floats32:
 
 def other_episode(episode: int, episodes: int, t: int, what: str) -> ArtifactError:
     """Build the error that an episode, one of so many, is not the recorded one from decision `t` on."""
-    which = f"episode {episode}" if episodes > 1 else "the episode"
+    which = f"episode {episode}" if episodes > 1 or episode else "the episode"
     return ArtifactError(
         f"the same actions lead elsewhere: {which} is not the recorded one from decision {t} on: {what}",
         "it was computed by other code, other libraries or on another sort of machine: show it there, or run it again here",

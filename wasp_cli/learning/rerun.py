@@ -38,11 +38,13 @@ class Recorded(NamedTuple):
     """[T_e, A] per episode: executed actions"""
     reward: Sequence[Floats32]
     """[T_e] per episode"""
+    first: int = 0
+    """number of the first of them within their cell"""
 
     def of(self, episodes: range) -> Recorded:
         """Return what brings some of the episodes back, which were evaluated side by side."""
         part = slice(episodes.start, episodes.stop)
-        return Recorded(self.layouts[part], self.a_h[part], self.a[part], self.reward[part])
+        return Recorded(self.layouts[part], self.a_h[part], self.a[part], self.reward[part], self.first + episodes.start)
 
 
 class Moment(NamedTuple):
@@ -80,7 +82,10 @@ class Rerun:
         for e, actions in enumerate(recorded.a):
             if actions.shape[1:] != (task.action_size,):
                 raise other_episode(
-                    e, task.batch, 0, f"an action of the task has {task.action_size} numbers, a recorded one {actions.shape[-1]}"
+                    recorded.first + e,
+                    task.batch,
+                    0,
+                    f"an action has {task.action_size} numbers, a recorded one {actions.shape[-1]}",
                 )
 
     @torch.inference_mode()
@@ -92,13 +97,15 @@ class Rerun:
         """
         commands = side_by_side(self.recorded.a_h)
         first = torch.ones(self.task.batch)
-        for played in play(self.task, self.recorded.layouts, self.recorded.a, self.recorded.reward):
+        for played in play(self.task, self.recorded.layouts, self.recorded.a, self.recorded.reward, number=self.recorded.first):
             if not played.alive.any():
                 return
             latent = self.filter.see(played.observation, first)
             first = torch.zeros(self.task.batch)
             a_h = self.operator.command(latent.features).clamp(-1, 1)
-            require_same(played.t, played.alive, "the command of the operator is", a_h.numpy(), commands[played.t])
+            require_same(
+                played.t, played.alive, "the command of the operator is", a_h.numpy(), commands[played.t], number=self.recorded.first
+            )
             action = torch.from_numpy(played.action)
             yield Moment(played.t, played.observation, latent, a_h, action, played.alive)
             self.filter.executed(action)

@@ -65,9 +65,10 @@ PAPER_RECIPE: Mapping[str, Any] = {
     "operator_model": "rule", "tau_c": "calibrated", "witness": "sum", "probe_with": "random", "probe_first": False, "task_search": True,
     "safety_search": True, "rescore": False, "takeover_shares": (), "braking": False, "forced": False, "warm_start": False,
     "case2_memory": 0, "finalists": 0, "recheck": False, "best_of": "all", "effort": "sampled",
-    "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,
+    "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0, "alpha": 0.1, "tau_r_floor": 0.05,
 }  # fmt: skip
-"""Section 4 to the letter. What it leaves open stays as it is: sizes, alpha, quantiles; M is one number."""
+"""Section 4 to the letter. What it leaves open stays as it is: sizes, quantiles; M is one number. alpha and the floor of tau_r are open
+too, but suit what is judged: sampled plans here, takeovers in our own recipe."""
 
 
 class Coverage(Config):
@@ -96,12 +97,12 @@ class WASPConfig(Config):
     gate_rollouts: int = deviates(
         8, "rollouts of the commands alone and of every second scoring; the paper has one M (recipe `paper`: `rollouts`)", ge=1
     )
-    takeover_rollouts: int = assumed(2, "rollouts of each takeover: the first of `gate_rollouts`, or all where it is no divisor", ge=1)
+    takeover_rollouts: int = assumed(8, "rollouts of each takeover: the first of `gate_rollouts`, or all where it is no divisor", ge=1)
     probe_with: Literal["takeovers", "random", "both"] = deviates(
         "takeovers", "what the task gate asks about: the expert's takeovers instead of N_probe random sequences, which the paper samples"
     )
     takeover_shares: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = deviates(
-        (1.0, 0.5),
+        (1.0,),
         "the expert takes over the next 1..L commands, by each of these shares: candidates of probe and search beside the paper's samples",
     )
     braking: bool = deviates(False, "commands of zero for the next 1..L decisions are candidates too; the paper only samples")
@@ -109,11 +110,11 @@ class WASPConfig(Config):
         True, "random sequences of a probe that fired are the first iteration of the search; the paper has the probe for gating only"
     )
     rescore: bool = deviates(True, "the probe's winner must gain tau_r on fresh rollouts too; the paper takes the gain as it was scored")
-    task_search: bool = from_paper(
-        True, "section 4.3: where the task gate fired a residual plan is searched; without it the probe's winner is carried out"
+    task_search: bool = deviates(
+        False, "where the task gate fired the probe's winner is carried out; section 4.3 searches a residual plan there too"
     )
-    safety_search: bool = from_paper(
-        True, "section 4.3: where the safety gate fired a plan is searched; without it only where no takeover is safe"
+    safety_search: bool = deviates(
+        False, "where the safety gate fired a plan is searched only if no takeover is safe; section 4.3 searches one whenever it fired"
     )
     finalists: int = deviates(
         4, "best plans by either score that are scored again with fresh rollouts; the paper selects the best as scored (0)", ge=0
@@ -136,13 +137,13 @@ class WASPConfig(Config):
     )
     shrink: float = deviates(1.25, "factor by which the population falls from iteration to iteration (iCEM); the paper has one N", ge=1.0)
     feasible: int = assumed(100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1)
-    alpha: float = assumed(0.1, "weight of the squared residual (Eq. 11, 16, 17)", ge=0.0)
+    alpha: float = assumed(0.02, "weight of the squared residual (Eq. 11, 16, 17); recipe `paper`: 0.1, for plans that are sampled", ge=0.0)
     effort: Literal["clipped", "sampled"] = deviates(
         "clipped", "the residual that Eq. 11, 16 and 17 penalise: what is executed of it within the bounds; the paper: as it was sampled"
     )
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] | Coverage = assumed(
-        0.5,
-        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.3 costs less; "
+        0.7,
+        "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; 0.4 costs less; "
         "`calibrated`: a quantile of its own signal under the expert; `{coverage: 0.1}`: so that of the costly episodes of the operators "
         "alone at most this share has an onset without an alert",
     )
@@ -158,13 +159,14 @@ class WASPConfig(Config):
     head_window: int = assumed(5, "decisions within which; of 5, 10 and 15 the first needs the fewest alarms for the same recall", ge=1)
     tau_r: float | Literal["calibrated"] = assumed("calibrated", "quantile of the gain under the unimpaired expert; of takeovers it is 0")
     tau_r_quantile: float = assumed(0.95, "which quantile", gt=0.0, lt=1.0)
-    tau_r_floor: float = assumed(0.05, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
+    tau_r_floor: float = assumed(0.15, "smallest calibrated tau_r: a gain below it is noise", ge=0.0)
     discounts: Literal["two", "reward", "cost"] = deviates(
         "two", "gamma_r for rewards and gamma_c for costs; the paper has one gamma: that of the rewards or of the costs for both"
     )
     bootstrap_cost: bool = deviates(False, "V_c after H for the cost, as in Eq. 7-8; the discounted sum over H ranks as well")
-    bootstrap_reward: bool = deviates(
-        False, "V_r after H for the reward, as in Eq. 7-8; the discounted sum over H foresees the operator's next 15 decisions better"
+    bootstrap_reward: bool = from_paper(
+        True,
+        "V_r after H for the reward, Eq. 7-8: without it a takeover whose gain lies behind H is not seen, and a lost operator stays lost",
     )
     continuation: bool = deviates(
         True, "what lies behind an imagined end of the episode counts with the probability that it goes on; Eq. 8 knows no ends"

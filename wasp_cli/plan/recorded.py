@@ -106,7 +106,7 @@ def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:
 
 
 def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
-    """Return the run of a name, or the newest whose name ends so.
+    """Return the run of a name, or the newest whose name ends so, or the newest of the spec of this name.
 
     Raises:
         UnknownName: there is none.
@@ -117,7 +117,20 @@ def named_run(runs: Sequence[PlannedRun], text: str) -> PlannedRun:
     for run in runs:
         if text and run.run_id.endswith(text):
             return run
+    for run in runs:
+        if run.spec == text:
+            return run
     raise UnknownName("run", text, [run.run_id for run in runs])
+
+
+def keys_of(layout: Layout, run: str | None) -> frozenset[str] | None:
+    """Return the keys of a run's nodes, of which `named_run` says which one is meant; None where none is.
+
+    Raises:
+        StoreError: the folder cannot be read.
+        UnknownName: there is no such run.
+    """
+    return None if run is None else frozenset(named_run(planned_runs(layout), run).nodes)
 
 
 def upstream_first(nodes: Mapping[str, PlannedNode]) -> Iterator[PlannedNode]:

@@ -80,13 +80,15 @@ class Report:
         return (*self.frame.missing, *self.frame.unbranched)
 
     def terminal(self, console: Console) -> None:
-        """Print the main tables and name what is missing."""
-        for table in self.tables[: self.shown]:
+        """Print the front tables, and name what is missing. The main results come last: they are what stays on a small screen."""
+        for table in self.tables[self.shown - 1 : 0 : -1]:
+            console.print(terminal(table, console.width))
+        for fact in self.published:
+            console.print(Text(fact), soft_wrap=True)
+        for table in self.tables[: min(self.shown, 1)]:
             console.print(terminal(table, console.width))
         if self.verdict is not None:
             console.print(verdict_terminal(self.verdict))
-        for fact in self.published:
-            console.print(Text(fact), soft_wrap=True)
         if self.missing:
             console.print(Text(f"\n{missing_words(self.frame)}:", style="bold red"))
             name_missing(console, self.missing)

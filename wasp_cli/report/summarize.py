@@ -72,7 +72,8 @@ def report_run(
     if absent:
         published.append(absent_fact(absent))
         parts = [(part, key) for part, key in parts if part not in absent]
-    verdict = judge(frame, paper, spec) if paper is not None and frame.cells else None
+    # Of a task of one's own the paper says nothing.
+    verdict = judge(frame, paper, spec) if paper is not None and frame.cells and paper.tasks & {*spec.tasks} else None
     front = [main_table(frame)] if cells else []
     ablations = ablation_table(frame)
     if ablations is not None:

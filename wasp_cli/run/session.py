@@ -48,17 +48,20 @@ def useful_jobs(plan: Plan, jobs: int) -> int:
     return min(jobs, simulated(nodes, durations(nodes, plan.seconds), None)[1]) if nodes else jobs
 
 
-def restricted(loaded: Loaded, task: str | None) -> Loaded:
-    """Return the spec with one of its tasks only (or as it is).
+def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
+    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them.
 
     Raises:
-        UnknownName: the spec has no such task.
+        UnknownName: the spec has no such task, or no such method.
     """
-    if task is None:
-        return loaded
-    if task not in loaded.spec.tasks:
-        raise UnknownName("task of this spec", task, loaded.spec.tasks)
-    return replace(loaded, spec=loaded.spec.model_copy(update={"tasks": (task,)}))
+    update: dict[str, tuple[str, ...]] = {}
+    for field_, wanted, there in (("tasks", tasks, loaded.spec.tasks), ("methods", methods, loaded.spec.methods)):
+        for name in wanted or ():
+            if name not in there:
+                raise UnknownName(f"{field_[:-1]} of this spec", name, there)
+        if wanted:
+            update[field_] = tuple(name for name in there if name in wanted)
+    return replace(loaded, spec=loaded.spec.model_copy(update=update)) if update else loaded
 
 
 def limited(loaded: Loaded, episodes: int | None) -> Loaded:
@@ -254,13 +257,13 @@ class SweepSession:
     """What each value asks for."""
 
 
-def on_task(sweep: Sweep, task: str | None) -> Sweep:
-    """Return the sweep with one of the spec's tasks only (or as it is).
+def on_tasks(sweep: Sweep, tasks: Sequence[str] | None) -> Sweep:
+    """Return the sweep with some of the spec's tasks only (or as it is).
 
     Raises:
         UnknownName: the spec has no such task.
     """
-    return replace(sweep, points=tuple(replace(point, loaded=restricted(point.loaded, task)) for point in sweep.points))
+    return replace(sweep, points=tuple(replace(point, loaded=restricted(point.loaded, tasks)) for point in sweep.points))
 
 
 def run_sweep(sweep: Sweep, results: Path, options: RunOptions) -> SweepSession:

@@ -16,12 +16,13 @@ from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.console import count_table, duration, size
-from wasp_cli.errors import StoreError, UnknownName, UsageError
+from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError
 from wasp_cli.plan.recorded import PlannedRun
-from wasp_cli.store.find import SHOWN, begins, same_label
+from wasp_cli.store.find import SHOWN, begins, find_node, same_label
 from wasp_cli.store.gc import FAILURES, LOCKS, RUNS, TMP, WORK, Rubbish
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
+from wasp_cli.store.published import FROM_PUBLISHED
 
 if TYPE_CHECKING:
     from wasp_cli.run.publish import Publication
@@ -234,9 +235,24 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
     if len(newest) > 1:
         raise UsageError(_several(wanted, list(newest.values())), "give the first characters of one of these keys")
     if not newest:
+        if (without := _without_log(layout, wanted)) is not None:
+            raise without
         message, hint = f"no log of '{wanted}' in '{layout.root}'", "give a key or a label, as wasp status shows them"
         raise UnknownName("node", wanted, {log.label for log in logs}, message, otherwise=hint)
     return next(iter(newest.values()))
+
+
+def _without_log(layout: Layout, wanted: str) -> UsageError | None:
+    """Say why a stored node has no log; None where nothing of this name is stored."""
+    try:
+        node = find_node(layout, wanted)
+    except WaspError:
+        return None
+    published = node.setting("provenance", FROM_PUBLISHED) is True
+    how = "it is a published result, computed elsewhere" if published else "it was not computed in a run of this folder"
+    return UsageError(
+        f"'{printable(node.label or wanted)}' has no log: {how}", f"wasp show {(node.key or '')[:8]} shows what is known of it"
+    )
 
 
 def write_log(log: Log, stream: TextIO) -> None:

@@ -25,7 +25,20 @@ from wasp_cli.tasks.registry import TASKS
 WHOLE = "full"
 
 
-def ablation(path: Path, variant: str, task: str | None = None, preset: str | None = None, settings: Sequence[str] = ()) -> Loaded:
+def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
+    """Return settings as `--set` takes them, with a preset before them.
+
+    Raises:
+        UnknownName: no such preset.
+    """
+    if preset is not None and preset not in preset_names():
+        raise UnknownName("preset", preset, preset_names())
+    return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
+
+
+def ablation(
+    path: Path, variant: str, tasks: Sequence[str] | None = None, preset: str | None = None, settings: Sequence[str] = ()
+) -> Loaded:
     """Return the spec at `path` with the method that has `variant`, run whole and as that variant.
 
     Raises:
@@ -37,13 +50,9 @@ def ablation(path: Path, variant: str, task: str | None = None, preset: str | No
     # The whole method is in every ablation; for `full` itself, it is the method that can be ablated.
     method = next(info.name for info in METHODS.values() if variant in info.variants and len(info.variants) > 1)
     narrowed = [f"name=ablate-{variant}", f"methods=[{method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
-    if task is not None:
-        narrowed.append(f"tasks=[{TASKS[task].name}]")
-    if preset is not None:
-        if preset not in preset_names():
-            raise UnknownName("preset", preset, preset_names())
-        narrowed.append(f"preset={preset}")
-    return load(path, [*narrowed, *settings])
+    if tasks:
+        narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
+    return load(path, [*narrowed, *sized(preset, settings)])
 
 
 PAPER: Mapping[str, int] = {"probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100, "rollouts": 1}

@@ -192,6 +192,11 @@ class Paper(Config):
     tables: tuple[PrintedTable, ...]
     claims: Annotated[tuple[Claim, ...], AfterValidator(_distinct)]
 
+    @property
+    def tasks(self) -> frozenset[str]:
+        """Return the tasks of which it prints numbers."""
+        return frozenset(task for table in self.tables for task in table.rows)
+
     def printed(self, task: str, who: Who, column: str) -> Printed | None:
         """Return the printed number of a row, from the first table that has it."""
         for table in self.tables:

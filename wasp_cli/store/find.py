@@ -10,9 +10,10 @@ Keys and labels are compared with what is there; neither ever becomes a path.
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,7 @@ from typing import Any
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFESTS, Layout, is_key
+from wasp_cli.store.plain import printable
 from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
 KIND = "evaluate"
@@ -33,7 +35,9 @@ _PREFIX = re.compile(r"[0-9a-f]{1,64}")
 _REPORTED = re.compile(r"(\S+) (.+) seed (\d+)")
 SHOWN = 12
 """Candidates that an error lists at most."""
-ONE_OF = "give the first characters of one of these keys"
+DIFFERENCES = 3
+"""Settings by which it tells them apart."""
+ONE_OF = "give the first characters of one of these keys, or the run with --run"
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,13 @@ class FoundNode(Found):
         return None if label is None else str(label)
 
 
-def find_cell(layout: Layout, text: str) -> FoundCell:
+def find_cell(layout: Layout, text: str, within: Container[str] | None = None) -> FoundCell:
     """Return the one cell that `text` names: the beginning of a key, a label, or a path.
+
+    Args:
+        layout: the results folder.
+        text: what someone wrote.
+        within: the keys that may be meant, of a run for example; None: all.
 
     Raises:
         UsageError: it names several; the message lists them, newest first. Or it is a path without a cell.
@@ -99,7 +108,7 @@ def find_cell(layout: Layout, text: str) -> FoundCell:
         ArtifactError: the manifest of the cell is damaged.
     """
     wanted = " ".join(text.split())
-    keys = sorted(filter(is_key, stored_keys(layout, KIND)))
+    keys = [key for key in sorted(filter(is_key, stored_keys(layout, KIND))) if within is None or key in within]
     found = [_of_key(layout, key) for key in keys if begins(key, wanted)]
     named: list[str] = []
     if not found:
@@ -112,8 +121,13 @@ def find_cell(layout: Layout, text: str) -> FoundCell:
     return found[0] if found else _by_path(layout, text, wanted, named)
 
 
-def find_node(layout: Layout, text: str) -> FoundNode:
+def find_node(layout: Layout, text: str, within: Container[str] | None = None) -> FoundNode:
     """Return the one node that `text` names: the beginning of a key, or a label; of any kind, and also when it has only failed.
+
+    Args:
+        layout: the results folder.
+        text: what someone wrote.
+        within: the keys that may be meant, of a run for example; None: all.
 
     Raises:
         UsageError: it names several; the message lists them, newest first.
@@ -121,8 +135,13 @@ def find_node(layout: Layout, text: str) -> FoundNode:
         ArtifactError: the manifest of the node is damaged.
     """
     wanted = " ".join(text.split())
-    places = [(kind, key) for kind in stored_kinds(layout) for key in sorted(filter(is_key, stored_keys(layout, kind)))]
-    failures = _failures(layout)
+    places = [
+        (kind, key)
+        for kind in stored_kinds(layout)
+        for key in sorted(filter(is_key, stored_keys(layout, kind)))
+        if within is None or key in within
+    ]
+    failures = {key: record for key, record in _failures(layout).items() if within is None or key in within}
     found = [_node(layout, kind, key, failures) for kind, key in places if begins(key, wanted)]
     there = {key for _, key in places}
     only_failed = [_failed_node(layout, key, record) for key, record in failures.items() if key not in there]
@@ -234,6 +253,25 @@ def _failure(layout: Layout, wanted: str) -> str | None:
 
 def _several(wanted: str, what: str, found: Sequence[Found]) -> str:
     newest = sorted(found, key=lambda each: each.started_at, reverse=True)
-    lines = [f"  {each.key}  {each.label}  {each.date}".rstrip() for each in newest[:SHOWN]]
+    lines = ["  " + "  ".join(filter(None, (each.key, each.label, each.date, told))) for each, told in _told_apart(newest[:SHOWN])]
     more = [f"  and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
     return "\n".join([f"'{wanted}' names {len(found)} {what}, newest first:", *lines, *more])
+
+
+def _told_apart(found: Sequence[Found]) -> Iterator[tuple[Found, str]]:
+    """Each with what it was computed with and the others were not, and with its run."""
+    settings = [_flat({name: each.manifest.get(name) for name in ("axes", "config", "settings")}) for each in found]
+    names = dict.fromkeys(name for of_one in settings for name in of_one)
+    apart = [name for name in names if len({json.dumps(of_one.get(name), sort_keys=True) for of_one in settings}) > 1][:DIFFERENCES]
+    for each, of_one in zip(found, settings, strict=True):
+        said = [f"{name.partition('.')[2]}={printable(json.dumps(of_one.get(name)))}" for name in apart]
+        run = each.setting("provenance", "run")
+        yield each, ", ".join([*said, *([f"run {printable(str(run))}"] if run else [])])
+
+
+def _flat(value: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """The values of nested settings by their dotted names."""
+    found: dict[str, Any] = {}
+    for name, part in value.items():
+        found |= _flat(part, f"{before}{name}.") if isinstance(part, Mapping) else {f"{before}{name}": part}
+    return found

@@ -84,7 +84,7 @@ def measure_oracle(
     from wasp_cli.studies.oracle import Cell, assisted  # needs torch and MuJoCo: what is wrong with the spec is told before
 
     loaded = load(path, settings)
-    spec = restricted(loaded, _task_of(loaded.spec, task)).spec
+    spec = restricted(loaded, [_task_of(loaded.spec, task)]).spec
     variant, value = _operator_of(operator, spec)
     configs = [_planner(spec, name, tau_r) for name in dict.fromkeys(variants)]
     layout = Layout(results.absolute())

@@ -22,7 +22,7 @@ from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.video.encode import STILL, checked, write
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, WIDEST, MapPicture, Pose, along, draw_actions, font
-from wasp_cli.video.trace import Progress, Source, with_threads
+from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
 
 MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
 """In px: side of a map, between panels, height of the first line, of a title, and of what stands below a map."""
@@ -95,7 +95,7 @@ class BranchPair:
             ArtifactError: a model is damaged, or what is played is not what was recorded.
             TaskError: the task cannot be imported, or has no snapshots.
         """
-        with with_threads(source.threads):
+        with threads_of_evaluations():
             world = source.world()
             recording = _RecordingTask(world, episode)
             rerun = Rerun(recording, load_world_model(source.world_model), source.operator(world), source.recorded)

@@ -20,7 +20,7 @@ from wasp_cli.video.encode import checked, write
 from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font
 from wasp_cli.video.timeline import EpisodeTrace, Timeline, numbers
-from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, with_threads
+from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
 
 WIDTH, HEIGHT = 976, 704
 GAP, HEADER, TITLE = 12, 34, 18
@@ -230,7 +230,7 @@ def film_episode(
         progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
 
     times = [round(1000 * SLOWER * trace.decision_seconds * (after - t)) for t, after in pairwise(shown)]
-    with with_threads(source.threads):
+    with threads_of_evaluations():
         write(out, len(shown), frames.paint, [*times, LAST_MS], painted)
     names = ("forward", "left", "turn")
     r2 = None if played.readout is None else dict(zip(names, played.explained.tolist(), strict=True))
@@ -248,7 +248,7 @@ def frames_of(source: Source, trace: EpisodeTrace, episode: int, correction: Cor
     played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
     frames = _Frames(played, trace, horizon, correction)
     for index in range(len(shown)):
-        with with_threads(source.threads):
+        with threads_of_evaluations():
             frame = np.asarray(frames.paint(index))
         yield frame
 

@@ -20,6 +20,7 @@ from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.stages.evaluate import EvaluateStage
 from wasp_cli.tasks.base import Floats, Pixels, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.make import make_task
@@ -43,7 +44,7 @@ class Source:
     world_model: Path
     policies: Path
     threads: int = 1
-    """of matrix products when it was evaluated: rounding may depend on them"""
+    """of the simulator; they change nothing"""
     first: int = 0
     """number of the first of the episodes within their cell"""
 
@@ -60,10 +61,10 @@ class Source:
 
 
 @contextmanager
-def with_threads(threads: int) -> Iterator[None]:
-    """Let matrix products use so many threads meanwhile: rounding may depend on them."""
+def threads_of_evaluations() -> Iterator[None]:
+    """Let matrix products use as many threads meanwhile as in evaluations: rounding may depend on them."""
     before = torch.get_num_threads()
-    torch.set_num_threads(threads)
+    torch.set_num_threads(getattr(EvaluateStage, "torch_threads", 1))
     try:
         yield
     finally:
@@ -124,7 +125,7 @@ def play_episode(
         TaskError: the task cannot be imported.
         UnknownName: there is no such task or operator.
     """
-    with with_threads(source.threads):
+    with threads_of_evaluations():
         return _play_episode(source, episode, residuals, shown, horizon, progress)
 
 

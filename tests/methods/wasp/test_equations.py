@@ -28,6 +28,7 @@ def configured(**changes: Any) -> WASPConfig:
     sizes = {
         "horizon": 6, "residual_steps": 3, "candidates": 24, "probe": 24, "elites": 6, "feasible": 5, "iterations": 3, "rollouts": 2,
         "gate_rollouts": 3, "continuation": False, "takeover_shares": (), "probe_with": "random", "elites_kept": 0.0, "shrink": 1.0,
+        "task_search": True, "safety_search": True, "alpha": 0.1, "tau_c": 0.5,
     }  # fmt: skip
     return WASPConfig.model_validate(sizes | changes)
 

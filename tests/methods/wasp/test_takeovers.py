@@ -24,6 +24,7 @@ from wasp_cli.operators.laggy import LaggyOperator
 H, L, M = 6, 3, 4
 SIZES: dict[str, Any] = {
     "horizon": H, "residual_steps": L, "candidates": 16, "probe": 16, "elites": 4, "feasible": 4, "iterations": 2, "gate_rollouts": 8,
+    "takeover_shares": (1.0, 0.5), "takeover_rollouts": 2,
 }  # fmt: skip
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Group
 from rich.text import Text
 
 from wasp_cli.plan.reasons import few
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 TITLE = "The paper's claims"
-STYLES: dict[Outcome, str] = {"holds": "bold green", "fails": "bold red", "undecided": "bold yellow", "untested": "dim"}
 PLAIN: dict[Outcome, str] = {"holds": "holds", "fails": "does not hold", "undecided": "undecided", "untested": "not tested"}
 SIDES = {
     "lower": "below", "not_higher": "at most", "at_most": "at most",
@@ -134,31 +132,10 @@ def beyond_print(judged: Judged) -> str:
     return f"The paper's own means do not show it: {few(shown)}." if shown else ""
 
 
-def deciding(judged: Judged) -> list[Answer]:
-    """Return the answers that made the outcome, of a claim in part that of the part."""
-    outcome = judged.part if judged.outcome == "untested" else judged.outcome
-    return [answer for answers in judged.answers if any_of(answers) == outcome for answer in answers if answer.outcome == outcome]
-
-
-def verdict_terminal(verdict: VerdictReport) -> Group:
-    """Render the claims that were tested, each with the comparisons that decided it, and what the others lack."""
-    return Group(*(Text(line) if isinstance(line, str) else line for line in _terminal(verdict)))
-
-
-def _terminal(verdict: VerdictReport) -> Iterator[Text | str]:
-    yield Text(f"\n{TITLE}", style="bold")
-    yield headline(verdict)
-    for judged in verdict.claims:
-        if judged.outcome == judged.part == "untested":
-            continue
-        outcome = judged.part if judged.outcome == "untested" else judged.outcome
-        yield Text.assemble("  ", (label(verdict, judged), STYLES[outcome]), f"  {judged.claim.says} ({judged.claim.section})")
-        first, *more = deciding(judged)
-        yield Text(f"      {sentence(first)}{f', and {len(more)} more' if more else ''}", style="dim")
-    if text := untested(verdict):
-        yield text
-    for note in verdict.notes:
-        yield Text(f"- {note}", style="dim")
+def verdict_terminal(verdict: VerdictReport) -> Text:
+    """Count the claims in one line; the written report has each of them, with the comparisons that decide it."""
+    line = headline(verdict)
+    return Text.assemble((f"{TITLE}: ", "bold"), f"{line[0].lower()}{line[1:-1]}; report.html lists them.")
 
 
 def verdict_markdown(verdict: VerdictReport) -> str:

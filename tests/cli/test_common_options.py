@@ -1,0 +1,99 @@
+"""Options that commands share, and what a terminal, a pipe and a folder without permission get."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.compare.two_runs import episodes, write_results
+from wasp_cli.errors import UnknownName
+from wasp_cli.run.session import restricted
+from wasp_cli.spec.derived import sized
+from wasp_cli.spec.load import load
+
+NO_PICTURES = ("--no-films", "--no-trained")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("written") / "results"
+    write_results(path, lambda identity: episodes(identity, count=3))
+    return path
+
+
+@pytest.fixture
+def results(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "results"))
+
+
+def test_a_small_terminal_ends_with_the_main_table_and_one_line_of_claims(results: Path) -> None:
+    done = run_here("report", "--results", results, *NO_PICTURES, columns=80)
+    assert done.exit_code == 0, done.stderr
+    main, claims = done.stdout.index("Main results"), done.stdout.index("The paper's claims: of ")
+    assert main < claims
+    last = done.stdout[main:]
+    assert last.count("\n") < 24
+    assert "\u2026" not in done.stdout
+
+
+def test_a_pipe_gets_every_column(results: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "wasp_cli", "report", str(results), *NO_PICTURES], capture_output=True, text=True, timeout=240, check=True
+    )
+    heading = next(line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line)
+    assert heading.split()[-1] == "ms"
+    assert "hidden" not in done.stdout
+
+
+def test_without_a_paper_there_are_no_claims(results: Path, tmp_path: Path) -> None:
+    done = run_here("report", results, *NO_PICTURES, "--paper", "none", "--out", tmp_path / "out", columns=120)
+    assert done.exit_code == 0, done.stderr
+    assert "claims" not in done.stdout
+    assert (tmp_path / "out" / "tiny" / "report.html").is_file()
+    assert not (tmp_path / "out" / "tiny" / "paper.csv").exists()
+
+
+def test_where_the_files_cannot_be_written_the_tables_are_printed(results: Path) -> None:
+    (results / "reports").write_text("in the way")
+    done = run_here("report", results, *NO_PICTURES, columns=120)
+    assert done.exit_code == 1
+    assert "Main results" in done.stdout
+    assert "--out" in done.stderr
+
+
+def test_two_results_folders_are_refused_and_one_may_be_said_twice(results: Path) -> None:
+    assert run_here("status", results, "--results", "elsewhere", columns=120).exit_code == 2
+    assert run_here("status", results, "--results", results, columns=120).exit_code == 0
+
+
+def test_a_run_or_a_spec_narrows_what_a_label_names(results: Path) -> None:
+    label = "goal1 s0 human noisy=0.2"
+    assert run_here("show", label, "--results", results, "--run", "no-such-run", columns=120).exit_code == 2
+
+
+def test_tasks_methods_and_preset_restrict_a_spec() -> None:
+    loaded = load(Path("specs/assistants.yaml"), sized("smoke", ["episodes=3"]))
+    assert (loaded.spec.preset, loaded.spec.episodes) == ("smoke", 3)
+    some = restricted(loaded, ["race1", "goal1"], ["wasp", "human"]).spec
+    assert (some.tasks, some.methods) == (("goal1", "race1"), ("human", "wasp"))
+    assert restricted(loaded, None, None) is loaded
+    with pytest.raises(UnknownName):
+        restricted(loaded, None, ["nobody"])
+    with pytest.raises(UnknownName):
+        sized("enormous")
+
+
+def test_an_unknown_backend_is_refused_before_anything_is_planned(tmp_path: Path) -> None:
+    done = run_here("run", "specs/smoke.yaml", "--dry-run", "--backend", "slurm", "--results", tmp_path / "none", columns=120)
+    assert (done.exit_code, "slurm" in done.stderr) == (2, True)
+
+
+def test_debug_is_taken_after_the_command_too(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "wasp_cli", "status", str(tmp_path / "none"), "--debug"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert "Traceback" in done.stderr
