@@ -43,8 +43,8 @@ def mark_of(frame: Frame, sources: Iterable[Path]) -> str:
             add(values)
     for identity, judged in frame.judged.items():
         add((identity, judged.window, judged.tau_R))
-        for values in (*judged.worth, judged.episode):
-            add(values)
+        for column in (*judged.worth, judged.episode):
+            add(column)
     add((frame.order, frame.missing, frame.unbranched))
     for folder in sources:
         for path in sorted(folder.glob("*")):
