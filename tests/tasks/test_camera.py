@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from wasp_cli.tasks.camera import backdrop, discs, solids, upright
+from wasp_cli.tasks.camera import camera as module
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
 from wasp_cli.tasks.camera.camera import Camera
 from wasp_cli.tasks.camera.frame import FAR, FRONT_SLOPE, camera_axes, camera_rays, make_view
@@ -317,8 +318,9 @@ def test_what_is_left_out_changes_no_pixel(task, monkeypatch):
     images = Camera(APPEARANCES[task](1)).render(views)
 
     def everywhere(axes, centres, radii):
-        return np.ones((2, len(centres)), np.bool_), np.tile(np.array([0, 64, 0, 64]), (2, len(centres), 1))
+        return np.ones((len(centres), 2), np.bool_), np.tile(np.array([0, 64, 0, 64]), (len(centres), 2, 1))
 
+    monkeypatch.setattr(module, "rectangles", everywhere)
     monkeypatch.setattr(solids, "rectangles", everywhere)
     monkeypatch.setattr(discs, "rectangles", everywhere)
     monkeypatch.setattr(solids, "_LARGE", 10**9)

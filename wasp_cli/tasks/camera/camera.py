@@ -17,6 +17,7 @@ from wasp_cli.tasks.camera.appearance import Appearance, Kind, Scene, Shades
 from wasp_cli.tasks.camera.backdrop import Ahead, Backdrop
 from wasp_cli.tasks.camera.frame import Frame, Poses, camera_poses, column, make_view, open_frame
 from wasp_cli.tasks.camera.solids import Caster, Hits, Placed, Solids
+from wasp_cli.tasks.camera.spheres import rectangles
 
 
 class Plan(NamedTuple):
@@ -75,7 +76,16 @@ class Camera:
 
     def _plan(self, scene: Scene) -> Plan:
         poses = camera_poses(self._view, self._height, scene)
-        placed = [solids.place(poses, scene.things[kind.name]) for kind, solids in zip(self._kinds, self._solids, strict=True)]
+        near = [solids.near(poses, scene.things[kind.name]) for kind, solids in zip(self._kinds, self._solids, strict=True)]
+        placed, start = [], 0
+        if near:
+            radii = np.repeat([solids.radius for solids in self._solids], [len(each.rows) for each in near])
+            rows = np.concatenate([each.rows for each in near])
+            seen, edges = rectangles(poses.axes[rows], np.concatenate([each.middle for each in near]), radii)
+            for solids, each in zip(self._solids, near, strict=True):
+                part = slice(start, start + len(each.rows))
+                placed.append(solids.place(poses, each, seen[part], edges[part]))
+                start = part.stop
         return Plan(poses, self._backdrop.look_ahead(poses, scene), placed)
 
     def _draw(self, casters: list[Caster], plan: Plan, row: int) -> Frame:

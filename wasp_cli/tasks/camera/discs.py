@@ -19,17 +19,17 @@ class Discs:
         self._colour, self._alpha = column(kind.colour), np.float32(kind.alpha)
         rows, which = np.nonzero(things.shown)
         place, origin = rounded(things.position[rows, which]), poses.origin[rows]
-        seen, edges = rectangles(poses.axes[rows], place - origin, kind.painted + 1e-4)
         drop = origin[:, 2] - place[:, 2]
-        seen &= drop > 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = (origin[:, :2] - place[:, :2]) / drop[:, None]
-            limit = (kind.painted / drop) ** 2
+        above = np.flatnonzero(drop > 0.0)
+        rows, place, origin, drop = rows[above], place[above], origin[above], drop[above]
+        seen, edges = rectangles(poses.axes[rows], place - origin, np.full(len(rows), kind.painted + 1e-4))
+        shift = (origin[:, :2] - place[:, :2]) / drop[:, None]
+        limit = (kind.painted / drop) ** 2
         self._strips: list[list[tuple[int, int, np.float32, np.float32, np.float32]]] = [[] for _ in poses.origin]
         """By row of the scene: first pixel and last plus one, what to add to the rays' x and y, and the square of the radius."""
         for camera in range(2):
-            found = np.flatnonzero(seen[camera])
-            begin, end = ((camera * CAMERA_SIZE + edges[camera, found, :2]) * CAMERA_SIZE).T
+            found = np.flatnonzero(seen[:, camera])
+            begin, end = ((camera * CAMERA_SIZE + edges[found, camera, :2]) * CAMERA_SIZE).T
             columns = (rows[found], begin, end, shift[found, 0], shift[found, 1], limit[found])
             for row, first, last, x, y, radius2 in zip(*(each.tolist() for each in columns), strict=True):
                 self._strips[row].append((first, last, np.float32(x), np.float32(y), np.float32(radius2)))

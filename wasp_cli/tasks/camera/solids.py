@@ -48,6 +48,19 @@ class Box(NamedTuple):
     """Distance in m from which on it may begin."""
 
 
+class Near(NamedTuple):
+    """The things of one kind within reach of the cameras of their rows: k of them."""
+
+    rows: NDArray[np.intp]
+    """[k]"""
+    position: Floats
+    """[k, 3] world."""
+    rotation: Floats
+    """[k, 3, 3]"""
+    middle: Floats
+    """[k, 3] of the sphere around each, relative to the camera."""
+
+
 class Placed(NamedTuple):
     """The things of one kind that are in sight, of all rows: of each row the nearest first."""
 
@@ -73,23 +86,30 @@ class Solids:
         self._mass_position = model.body_ipos[1].copy()
         self._mass_rotation = data.ximat[1].reshape(3, 3).copy()
         self._centres, self._radii = bounding_spheres(kind)
+        self.radius = float(self._radii[0])
+        """Of the sphere around the whole thing."""
         self._reach2 = np.inf if kind.reach is None else kind.reach**2
 
-    def place(self, poses: Poses, things: Things) -> Placed:
-        """Find what is in sight of the cameras of all rows, within reach and in their fields of view."""
+    def near(self, poses: Poses, things: Things) -> Near:
+        """Find what is within reach."""
         rows, which = np.nonzero(things.shown)
         position = rounded(things.position[rows, which])
-        x, y, z = (position - poses.origin[rows]).T
-        near = np.flatnonzero(x * x + y * y + z * z < self._reach2)
-        rows, which, position = rows[near], which[near], position[near]
+        if self._reach2 < np.inf:
+            x, y, z = (position - poses.origin[rows]).T
+            found = np.flatnonzero(x * x + y * y + z * z < self._reach2)
+            rows, which, position = rows[found], which[found], position[found]
         rotation = rounded(things.rotation[rows, which])
-        middle = position + _turned(rotation, self._centres[0]) - poses.origin[rows]
-        seen, edges = rectangles(poses.axes[rows], middle, self._radii[0])
-        distance = np.sqrt(middle[:, 0] ** 2 + middle[:, 1] ** 2 + middle[:, 2] ** 2)
-        sight = np.flatnonzero(seen[0] | seen[1])
+        return Near(rows, position, rotation, position + _turned(rotation, self._centres[0]) - poses.origin[rows])
+
+    def place(self, poses: Poses, near: Near, seen: Bools, edges: NDArray[np.intp]) -> Placed:
+        """Order what is in sight, of things in the rectangles `seen` [k, 2], `edges` [k, 2, 4] that may show them."""
+        rows, position, rotation, middle = near
+        x, y, z = middle.T
+        distance = np.sqrt(x * x + y * y + z * z)
+        sight = np.flatnonzero(seen[:, 0] | seen[:, 1])
         sight = sight[np.lexsort((distance[sight], rows[sight]))]
         rows, position, rotation = rows[sight], position[sight], rotation[sight]
-        boxes = self._boxes(poses, rows, position, rotation, seen[:, sight], edges[:, sight], middle[sight], distance[sight])
+        boxes = self._boxes(poses, Near(rows, position, rotation, middle[sight]), seen[sight], edges[sight], distance[sight])
         turn = rotation[:, None]
         turned = np.repeat(rotation, len(self._geom_position), axis=0) if self._aligned else _product(turn, self._geom_rotation)
         return Placed(
@@ -103,35 +123,20 @@ class Solids:
             ),
         )
 
-    def _boxes(
-        self,
-        poses: Poses,
-        rows: NDArray[np.intp],
-        position: Floats,
-        rotation: Floats,
-        seen: Bools,
-        edges: NDArray[np.intp],
-        middle: Floats,
-        distance: Floats,
-    ) -> list[list[Box]]:
-        radius = float(self._radii[0])
-        # So close that the sphere around the whole thing fills the view: take its geoms one by one.
-        close = np.flatnonzero(distance < 1.5 * radius)
+    def _boxes(self, poses: Poses, near: Near, seen: Bools, edges: NDArray[np.intp], distance: Floats) -> list[list[Box]]:
+        rows, position, rotation, middle = near
         boxes: list[list[Box]] = [[] for _ in rows]
-        for camera in range(2):
-            whole = np.flatnonzero(seen[camera] & (distance >= 1.5 * radius))
-            columns = (whole, edges[camera, whole], middle[whole], distance[whole] - radius)
-            for thing, edge, centre, nearest in zip(*(each.tolist() for each in columns), strict=True):
-                boxes[thing].append(_box(camera, edge, centre, radius, nearest))
-        if len(close):
-            count = len(self._radii) - 1
-            centres = position[close, None] + _turned(rotation[close, None], self._centres[1:]) - poses.origin[rows[close], None]
-            centres, radii = centres.reshape(-1, 3), np.tile(self._radii[1:], len(close))
-            parts, part_edges = rectangles(np.repeat(poses.axes[rows[close]], count, axis=0), centres, radii)
-            for camera, part in np.argwhere(parts).tolist():
-                thing = int(close[part // count])
-                where = (part_edges[camera, part].tolist(), centres[part].tolist(), float(radii[part]))
-                boxes[thing].append(_box(camera, *where, distance[thing] - radius))
+        # So close that the sphere around the whole thing fills the view: take its geoms one by one.
+        close = distance < 1.5 * self.radius
+        columns = (seen & ~close[:, None], edges, middle, distance - self.radius)
+        for thing, (whole, edge, centre, nearest) in enumerate(zip(*(each.tolist() for each in columns), strict=True)):
+            boxes[thing] += [_box(camera, edge[camera], centre, self.radius, nearest) for camera in range(2) if whole[camera]]
+        for thing in np.flatnonzero(close).tolist():
+            centres = position[thing] + _turned(rotation[thing], self._centres[1:]) - poses.origin[rows[thing]]
+            parts, part_edges = rectangles(poses.axes[rows[thing]][None], centres, self._radii[1:])
+            for part, camera in np.argwhere(parts).tolist():
+                where = (part_edges[part, camera].tolist(), centres[part].tolist(), float(self._radii[1 + part]))
+                boxes[thing].append(_box(camera, *where, float(distance[thing]) - self.radius))
         return boxes
 
     def caster(self) -> Caster:

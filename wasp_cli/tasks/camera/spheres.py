@@ -19,33 +19,34 @@ def bounding_spheres(kind: Kind) -> tuple[Floats, Floats]:
     return np.concatenate([middle[None], centres]), np.concatenate([[whole], radii]) + 1e-6
 
 
-def rectangles(axes: Floats, centres: Floats, radii: Floats | float) -> tuple[Bools, NDArray[np.intp]]:
+def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDArray[np.intp]]:
     """Find where cameras with `axes` [m, 2, 3, 3] in the world see spheres: `radii` [m] in m, `centres` [m, 3] relative to the cameras.
 
     Returns:
-        Whether any pixel can show it [2, m], and the first and last-plus-one row and column [2, m, 4] of those that can.
+        Whether any pixel can show it [m, 2], and the first and last-plus-one row and column [m, 2, 4] of those that can.
     """
-    x, y, z = centres.T[:, None, None]
-    axes = np.moveaxis(axes, 0, -1)
-    ahead, right, up = np.moveaxis(axes[:, :, 0] * x + axes[:, :, 1] * y + axes[:, :, 2] * z, 0, 1)
-    half = CAMERA_SIZE / 2
-    bottom, top = _span(ahead, up, radii)
-    left, right_end = _span(ahead, right, radii)
-    # A pixel of slack: a candidate too many costs a ray, one too few would cut the thing.
-    edges = np.stack([(1.0 - top) * half, (1.0 - bottom) * half, (left + 1.0) * half, (right_end + 1.0) * half], axis=-1)
-    edges += [-1.0, 1.0, -1.0, 1.0]
-    inner = np.clip(edges, 0, CAMERA_SIZE).astype(np.intp)
-    seen = (ahead > -radii) & (inner[..., 0] < inner[..., 1]) & (inner[..., 2] < inner[..., 3])
+    # What is found here decides only which pixels are looked at, so that the last bits of a product do not count.
+    local = (axes @ centres[:, None, :, None])[..., 0]
+    ahead, across, radius = local[..., :1], local[..., :0:-1], radii[:, None, None]
+    radius2 = radius * radius
+    clear, beside = ahead * ahead - radius2, across * across - radius2
+    mixed, reach = across * ahead, radius * np.sqrt(np.maximum(beside + ahead * ahead, 0.0))
+    before = ahead > radius
+    # Least and greatest across / ahead, of up and right, at which spheres are seen: of the tangents to their outlines, if those lie ahead.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Twice the same quotient, once in the form that holds beside the camera and once in that which holds ahead of it.
+        low = np.where(across > radius, beside / (mixed + reach), np.where(before, (mixed - reach) / clear, -1e3))
+        high = np.where(across < -radius, beside / (mixed - reach), np.where(before, (mixed + reach) / clear, 1e3))
+    # First and last row count from the top. A pixel of slack: one too many costs a ray, one too few would cut the thing.
+    edges = np.empty((*ahead.shape[:2], 4))
+    edges[..., 0], edges[..., 1] = -high[..., 0], -low[..., 0]
+    edges[..., 2], edges[..., 3] = low[..., 1], high[..., 1]
+    edges += _MIDDLE
+    edges *= CAMERA_SIZE / 2
+    inner = np.minimum(np.maximum(edges, 0.0), CAMERA_SIZE).astype(np.intp)
+    seen = (ahead[..., 0] > -radii[:, None]) & (inner[..., ::2] < inner[..., 1::2]).all(axis=-1)
     return seen, inner
 
 
-def _span(ahead: Floats, across: Floats, radii: Floats | float) -> tuple[Floats, Floats]:
-    """Least and greatest across / ahead at which spheres are seen: of the tangents to their outlines, where they lie ahead."""
-    radii2 = radii * radii
-    reach = radii * np.sqrt(np.maximum(across * across + ahead * ahead - radii2, 0.0))
-    beside, clear, mixed = across * across - radii2, ahead * ahead - radii2, across * ahead
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # Twice the same quotient, once in the form that holds beside the camera and once in that which holds ahead of it.
-        low = np.where(across > radii, beside / (mixed + reach), np.where(ahead > radii, (mixed - reach) / clear, -1e3))
-        high = np.where(across < -radii, beside / (mixed - reach), np.where(ahead > radii, (mixed + reach) / clear, 1e3))
-    return low, high
+_MIDDLE = 1.0 + np.array([-1.0, 1.0, -1.0, 1.0]) / (CAMERA_SIZE / 2)
+"""From a tangent to half images from the left or top, and a pixel further."""
