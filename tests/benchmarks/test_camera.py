@@ -20,8 +20,8 @@ import pytest
 SCRIPT = Path(__file__).with_name("images.py")
 HERE = SCRIPT.parents[2]
 ROUNDS = 8
-LEAST = 1.3
-"""Times as fast as the checkout in which each row was drawn for itself; at 8 and more side by side."""
+LEAST = 1.15
+"""Times as fast as the checkout in which each row was drawn for itself, at 8 and more side by side: below what was measured, 1.3."""
 
 
 @pytest.fixture(scope="module")

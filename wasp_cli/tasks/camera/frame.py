@@ -141,7 +141,7 @@ def open_frame(view: View, poses: Poses, row: int) -> Frame:
 
 
 def turned_rays(turn: Shades, rays: Shades) -> Shades:
-    """[3, m] `rays` [3, m] turned from the robot's frame into the world by `turn` [3, 3]."""
+    """Turn `rays` [3, m] from the robot's frame into the world by `turn` [k, 3], its first k rows -> [k, m]."""
     x, y, z = turn.T[:, :, None]
     turned: Shades = x * rays[0]
     turned += y * rays[1]
