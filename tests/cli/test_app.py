@@ -64,7 +64,7 @@ def test_help_names_every_command_and_an_example() -> None:
         "bench",
         "tasks",
         "doctor",
-        "wasp run specs/quickstart.yaml",
+        "wasp run quickstart",
     ):
         assert word in done.stdout
 

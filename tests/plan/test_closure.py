@@ -107,6 +107,18 @@ def test_fields_of_config_models_do_not_count_since_their_values_do(write: Write
     assert source_hash("house.configs") != before
 
 
+@pytest.mark.usefixtures("at_home")
+def test_fields_in_a_folder_of_config_models_do_not_count_either(write: Write) -> None:
+    text = "LADDER = (1, 2)\nclass C(Config):\n    x: int = 1\n"
+    write("house/configs/__init__.py", "")
+    write("house/configs/some.py", text)
+    before = source_hash("house.configs.some")
+    write("house/configs/some.py", text.replace("x: int = 1", "x: int = 5"))
+    assert source_hash("house.configs.some") == before
+    write("house/configs/some.py", text.replace("(1, 2)", "(1, 3)"))
+    assert source_hash("house.configs.some") != before
+
+
 def test_in_packages_of_others_registries_and_configurations_count(write: Write) -> None:
     write("house/a.py", "from house import registry\nfrom house.config import Field\nfrom house.configs import SIZE\n")
     write("house/registry.py", "from house import b\n")

@@ -46,6 +46,15 @@ IMAGINATION = "models.coded models.packed"
 PPO = "learning.lagrangian learning.vec_env"
 BRANCHES = "store store.branches store.parquet store.recorded store.tables metrics metrics.episode metrics.necessity metrics.windows"
 
+SECTIONS = {
+    "recorded": "expert dataset rollouts",
+    "world": "world_model latents diagnostics",
+    "latent": "policies critics lookahead gate_signals clone",
+    "baselines": "ida_q denoiser residual",
+    "judged": "heldout coverage calibration evaluate counterfactual",
+}
+"""By file of `learning.configs`, the kinds whose sections are in it."""
+
 MAY_HAVE = {
     "expert": f"{POLICY} {PPO} learning.expert learning.privileged stages.finite",
     "dataset": f"{POLICY} learning.dataset learning.parts learning.contents learning.shards",
@@ -116,7 +125,8 @@ def closures() -> dict[str, frozenset[str]]:
 
 
 def patterns(kind: str) -> list[str]:
-    return f"{EVERY} stages.{kind} {MAY_HAVE[kind]}".split()
+    (file,) = (file for file, kinds in SECTIONS.items() if kind in kinds.split())
+    return f"{EVERY} learning.configs.shared learning.configs.{file} stages.{kind} {MAY_HAVE[kind]}".split()
 
 
 def short(modules: frozenset[str]) -> set[str]:
@@ -146,6 +156,8 @@ def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> Non
     reached = {module for module in short(closures()[kind]) if module.startswith("learning.")}
     known = {
         "configs",
+        "configs.judged",
+        "configs.shared",
         "assistants",
         "closed_loop",
         "device",

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from wasp_cli.tasks.camera import backdrop, discs, solids, upright
+from wasp_cli.tasks.camera import camera as module
 from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
 from wasp_cli.tasks.camera.camera import Camera
 from wasp_cli.tasks.camera.frame import FAR, FRONT_SLOPE, camera_axes, camera_rays, make_view
@@ -304,6 +306,48 @@ def test_a_tumbling_cube_is_seen_as_it_lies(cameras):
         thing = cyan(cameras["goal"].render(view)[0].reshape(2, 3, 64, 64).transpose(0, 2, 3, 1).astype(int)).reshape(-1)
         assert ((kinds == 3) != thing).sum() <= 3
         assert thing.sum() > 20
+
+
+@pytest.mark.parametrize("task", APPEARANCES)
+def test_what_is_left_out_changes_no_pixel(task, monkeypatch):
+    """The same pictures when every pixel is looked at for every thing and every disc, and no frame learns from another."""
+    views = stacked(some_scenes(task, 6, seed=5))
+    # Among them things that are cut by the image's border, that touch the camera, and that are as large as the view.
+    for kind in ("goal", APPEARANCES[task](1).kinds[-1].name):
+        views.things[kind].position[:3, 0, :2] = views.position[:3, :2] + [[0.35, 0.2], [-0.45, 0.0], [0.0, -0.6]]
+    images = Camera(APPEARANCES[task](1)).render(views)
+
+    def everywhere(axes, centres, radii):
+        return np.ones((len(centres), 2), np.bool_), np.tile(np.array([0, 64, 0, 64]), (len(centres), 2, 1))
+
+    monkeypatch.setattr(module, "rectangles", everywhere)
+    monkeypatch.setattr(solids, "rectangles", everywhere)
+    monkeypatch.setattr(discs, "rectangles", everywhere)
+    monkeypatch.setattr(solids, "_LARGE", 10**9)
+    monkeypatch.setattr(solids, "_MANY", 0)
+    monkeypatch.setattr(backdrop, "_SPARSE", 10**9)
+    monkeypatch.setattr(upright, "_BLOCK", 1)
+    for row in range(6):
+        one = Scene(
+            *(each[row : row + 1] for each in views[:2]), {n: Things(*(a[row : row + 1] for a in t)) for n, t in views.things.items()}
+        )
+        assert (images[row] == Camera(APPEARANCES[task](1)).render(one)[0]).all()
+
+
+def test_a_level_view_is_not_taken_for_another_height_or_tilt(cameras):
+    """Goal's floor and sky are kept from frame to frame while neither changes."""
+    level = scene("goal", goal=[(1.0, 0.2)], hazard=[(0.7, 0.0)])
+    others = [level._replace(position=level.position + np.array([0.0, 0.0, 0.05])), level._replace(rotation=turned(0.2, 0.1)[None]), level]
+    fresh = [Camera(APPEARANCES["goal"](1)).render(each) for each in others]
+
+    assert all((cameras["goal"].render(each) == image).all() for each, image in zip(others, fresh, strict=True))
+    assert (fresh[0] != fresh[2]).any()
+    assert (fresh[1] != fresh[2]).any()
+
+
+def test_a_scene_without_anything_in_sight_is_drawn(cameras):
+    behind_the_horizon = scene("formula", (25.0, -9.0), 3.0, vase=[(90.0, 90.0)])
+    assert cameras["formula"].render(behind_the_horizon).shape == (1, 6, 64, 64)
 
 
 # The same bytes

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from wasp_cli.config import Config
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.methods.base import Assistant, AssistantClass, Parts
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.policy import load_skills

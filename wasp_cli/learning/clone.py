@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from wasp_cli.learning.closed_loop import Loop
-from wasp_cli.learning.configs import CloneConfig
+from wasp_cli.learning.configs.latent import CloneConfig
 from wasp_cli.learning.sampling import generator
 from wasp_cli.methods.base import Decision
 from wasp_cli.models.base import Latent

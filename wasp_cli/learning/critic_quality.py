@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.methods.base import Heldout
 from wasp_cli.metrics.ranking import cluster_draws, correlations, percentiles
 from wasp_cli.models.base import Critics

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
+from wasp_cli.learning.configs.latent import CriticsConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.recorded_values import Segments, recorded_values
 from wasp_cli.learning.sampling import generator, gumbel, roll_prior

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.configs import DenoiserConfig
+from wasp_cli.learning.configs.baselines import DenoiserConfig
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import HELD_OUT, Recording

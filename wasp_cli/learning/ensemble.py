@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from wasp_cli.learning.configs import EnsembleConfig
+from wasp_cli.learning.configs.baselines import EnsembleConfig
 from wasp_cli.learning.critic_quality import Pairs, pairs
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator

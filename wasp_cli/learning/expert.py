@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from wasp_cli.errors import ArtifactError, TaskError
-from wasp_cli.learning.configs import ExpertConfig
+from wasp_cli.learning.configs.recorded import ExpertConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv, actor_layers
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privileged

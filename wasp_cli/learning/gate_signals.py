@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from wasp_cli.errors import WaspError
-from wasp_cli.learning.configs import GateSignalsConfig, ReturnsConfig
+from wasp_cli.learning.configs.latent import GateSignalsConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.learning.critics import train_critics
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.shards import Recording

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.learning.closed_loop import Loop
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.learning.critic_quality import whole_returns
 from wasp_cli.learning.gate_signals import GATE
 from wasp_cli.metrics.ranking import average_precision, average_precision_resampled, correlations, percentiles, recall_at

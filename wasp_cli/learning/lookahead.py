@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.configs import LookaheadConfig
+from wasp_cli.learning.configs.latent import LookaheadConfig
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.shards import HELD_OUT, Recording

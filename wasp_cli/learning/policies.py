@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
-from wasp_cli.learning.configs import PoliciesConfig
+from wasp_cli.learning.configs.latent import PoliciesConfig
 from wasp_cli.learning.dataset import Behaviour, Commander
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator, roll_prior

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from wasp_cli.learning.configs import WorldModelConfig
+from wasp_cli.learning.configs.world import WorldModelConfig
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import Recording
 from wasp_cli.learning.windows import in_mirror

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
+from wasp_cli.learning.configs.latent import CriticsConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import HELD_OUT, Recording

@@ -15,7 +15,7 @@ from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
-from wasp_cli.learning.configs import ReinforceConfig
+from wasp_cli.learning.configs.latent import ReinforceConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.vec_env import SeedStream

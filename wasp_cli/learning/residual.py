@@ -20,7 +20,7 @@ from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.configs import ResidualConfig
+from wasp_cli.learning.configs.baselines import ResidualConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule, ReturnRule, Rule
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
 from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers

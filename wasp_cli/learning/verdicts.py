@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.learning.configs import PoliciesConfig
+from wasp_cli.learning.configs.latent import PoliciesConfig
 
 Sums = NDArray[Any]
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from wasp_cli.errors import TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
-from wasp_cli.learning.configs import WorldModelConfig
+from wasp_cli.learning.configs.world import WorldModelConfig
 from wasp_cli.learning.device import mixed_precision
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.privileged_state import Mirror, Readout

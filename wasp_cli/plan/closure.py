@@ -23,7 +23,7 @@ ORCHESTRATION = frozenset(
 )
 """Parts of the package that move no number, so that a better message re-runs nothing."""
 CONFIGURATION = frozenset({"config", "configs"})
-"""Our modules of config models: the resolved values are in the key already, so defaults and constraints of fields do not count."""
+"""Our modules and folders of config models: the resolved values are in the key already, so fields and their defaults do not count."""
 
 
 def closure(roots: Iterable[str]) -> frozenset[str]:
@@ -82,7 +82,7 @@ def _fresh_hash(module: str) -> str:
 
 def _digest(module: str, tree: ast.Module) -> str:
     parts = module.split(".")
-    configured = parts[0] == PACKAGE and parts[-1] in CONFIGURATION
+    configured = parts[0] == PACKAGE and not CONFIGURATION.isdisjoint(parts[-2:])
     texts: list[str] = []
     _syntax(_configured(tree) if configured else tree, texts)
     return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.learning.configs import CriticsConfig, PoliciesConfig, ReturnsConfig, WorldModelConfig
+from wasp_cli.learning.configs.latent import CriticsConfig, PoliciesConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
+from wasp_cli.learning.configs.world import WorldModelConfig
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.load import Chain, Loaded, Override, chain_of, load, loaded, override, path_of, value_of

@@ -16,7 +16,7 @@ from pydantic_core.core_schema import ErrorType
 
 from wasp_cli.config import Config, assumed
 from wasp_cli.errors import WaspError
-from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.spec.names import (

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
-from wasp_cli.learning.configs import CalibrationConfig
+from wasp_cli.learning.configs.judged import CalibrationConfig
 from wasp_cli.stages.base import Job
 
 

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import CloneConfig
+from wasp_cli.learning.configs.latent import CloneConfig
 from wasp_cli.stages.base import Job
 
 DRIVING, TRAINING = 0.5, 0.7

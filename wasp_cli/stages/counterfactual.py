@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import CounterfactualConfig
+from wasp_cli.learning.configs.judged import CounterfactualConfig
 from wasp_cli.stages.base import Job
 
 

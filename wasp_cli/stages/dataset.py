@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import DatasetConfig
+from wasp_cli.learning.configs.recorded import DatasetConfig
 from wasp_cli.stages.base import Job
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import DiagnosticsConfig
+from wasp_cli.learning.configs.world import DiagnosticsConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import GateSignalsConfig
+from wasp_cli.learning.configs.latent import GateSignalsConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 

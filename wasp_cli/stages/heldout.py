@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import HeldoutConfig
+from wasp_cli.learning.configs.judged import HeldoutConfig
 from wasp_cli.stages.base import Job
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from wasp_cli.learning.configs import LatentsConfig
+from wasp_cli.learning.configs.world import LatentsConfig
 from wasp_cli.stages.base import Job
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import PoliciesConfig
+from wasp_cli.learning.configs.latent import PoliciesConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 

@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import ResidualConfig
+from wasp_cli.learning.configs.baselines import ResidualConfig
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from wasp_cli.learning.configs import RolloutsConfig
+from wasp_cli.learning.configs.recorded import RolloutsConfig
 from wasp_cli.stages.base import Job
 
 BEHAVIOUR = "wasp"

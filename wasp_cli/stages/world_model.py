@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs import WorldModelConfig
+from wasp_cli.learning.configs.world import WorldModelConfig
 from wasp_cli.stages.base import Job
 
 TERMS = {

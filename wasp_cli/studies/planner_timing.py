@@ -15,7 +15,9 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode
 
-from wasp_cli.learning.configs import CriticsConfig, PoliciesConfig, ReturnsConfig, WorldModelConfig
+from wasp_cli.learning.configs.latent import CriticsConfig, PoliciesConfig
+from wasp_cli.learning.configs.shared import ReturnsConfig
+from wasp_cli.learning.configs.world import WorldModelConfig
 from wasp_cli.learning.world_model import build
 from wasp_cli.memory import keep_memory
 from wasp_cli.methods.configs import WASPConfig

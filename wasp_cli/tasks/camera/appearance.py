@@ -5,6 +5,7 @@ n = episodes drawn, K = things of one kind in each.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -88,11 +89,15 @@ class Landmark(NamedTuple):
     colour: Colour
 
 
+Painter = Callable[[Shades, Shades], Shades]
+"""Colours float32 [3, m] at world places x, y [m] in m."""
+
+
 class Floor(Protocol):
     """The colours of the ground."""
 
-    def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m: nothing may flicker far away."""
+    def painter(self, footprint: Shades) -> Painter:
+        """Return what paints pixels that are `footprint` [m] in m on the ground, smoothed over that: nothing may flicker far away."""
         ...
 
 

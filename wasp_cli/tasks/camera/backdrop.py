@@ -10,132 +10,180 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import CAMERA_SIZE, Floats
-from wasp_cli.tasks.camera.appearance import Appearance, Kind, Scene, Shades, Things
-from wasp_cli.tasks.camera.frame import FAR, Frame, View, column, put, rounded
-from wasp_cli.tasks.camera.panorama import DIRECTIONS, Columns, column_sides, directions, draw_panorama, join, make_columns, wall_sides
+from wasp_cli.tasks.base import CAMERA_SIZE
+from wasp_cli.tasks.camera.appearance import Appearance, Painter, Scene, Shades
+from wasp_cli.tasks.camera.discs import Discs
+from wasp_cli.tasks.camera.frame import FAR, Frame, Poses, View, column, turned_rays
+from wasp_cli.tasks.camera.panorama import DIRECTIONS, NOTHING, Panorama, directions
+from wasp_cli.tasks.camera.upright import Upright
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_SPARSE = 4
+"""A layer with something in less than one of so many directions is looked at pixel by pixel."""
 
 
 class _Ground(NamedTuple):
-    """The pixels that see the floor."""
+    """The pixels that see the floor. All of it depends on the cameras' height and tilt alone, not on where they are."""
 
     pixels: NDArray[np.intp]
     """[m]"""
-    depth: Shades
-    """[m] in m."""
     fall: Shades
     """[m] length of the ray on which it falls by 1 m."""
-    run_x: Shades
-    run_y: Shades
-    """[m] how far it goes in x and y meanwhile."""
+    paint: Painter
+    """Of the floor, for the size of these pixels on it."""
+    left: Shades
+    """[m] the share of the colour that haze leaves."""
+
+
+class _Level(NamedTuple):
+    """What a robot of one height and tilt sees of sky, floor and itself, wherever it is, where nothing stands upright."""
+
+    tilt: bytes
+    """Of the pose that this was made for."""
+    depth: Shades
+    """[P]"""
+    image: Shades
+    """[3, P] sky and the robot itself."""
+    ground: _Ground
+    rays: Shades
+    """[3, m] of the floor's pixels, in the robot's frame."""
+
+
+class Ahead(NamedTuple):
+    """What was found out about all rows of a scene at once, before any pixel is."""
+
+    panoramas: list[Panorama] | None
+    """None: nothing stands upright."""
+    discs: list[Discs]
+    """Of each kind that is painted onto the floor."""
 
 
 class Backdrop:
     """Draws it for one appearance and the view of its robot."""
 
     def __init__(self, appearance: Appearance, view: View) -> None:
-        self._appearance, self._view = appearance, view
-        self._walls, self._wall_layers = wall_sides(appearance.walls, appearance.haze)
-        marks = appearance.landmarks
-        shapes, colours = [(mark.radius, mark.top) for mark in marks], [mark.colour for mark in marks]
-        self._landmarks = make_columns([mark.xy for mark in marks], shapes, colours, self._wall_layers)
-        self._columns = [kind for kind in appearance.kinds if kind.column is not None]
+        self._view, self._floor, self._haze = view, appearance.floor, appearance.haze
+        self._upright = Upright(appearance)
         self._painted = [kind for kind in appearance.kinds if kind.painted is not None]
-        self._anything_upright = bool(appearance.walls or appearance.landmarks or self._columns)
+        self._horizon, self._zenith = column(appearance.horizon), column(appearance.zenith)
+        self._level: _Level | None = None
 
-    def draw(self, frame: Frame, scene: Scene, row: int) -> None:
-        """Fill every pixel of a frame with what is behind the things of one row of a scene, in image and depth (m)."""
-        appearance, rays, depth = self._appearance, frame.rays, frame.depth
-        # A ray meets the floor at `height * fall`; above the horizon that is so far away that it never counts.
-        fall = _ONE / np.maximum(-rays[2], np.float32(1e-6))
-        floor_depth = np.float32(frame.origin[2]) * fall
-        np.copyto(depth, floor_depth, where=floor_depth < depth)
-        if self._anything_upright:
-            frame.put(*self._upright(frame, scene, row))
-        pixels = np.flatnonzero(depth == floor_depth)
-        if len(pixels):
-            fall = fall[pixels]
-            ground = _Ground(pixels, floor_depth[pixels], fall, rays[0][pixels] * fall, rays[1][pixels] * fall)
-            frame.put(pixels, self._floor(ground, frame.origin, scene, row))
-        sky = np.flatnonzero(depth >= np.float32(FAR))
-        horizon = column(appearance.horizon)
-        frame.put(sky, horizon + (column(appearance.zenith) - horizon) * np.clip(rays[2][sky] * np.float32(2.0), _ZERO, _ONE))
-        frame.put(self._view.own, self._view.own_colour)
+    def look_ahead(self, poses: Poses, scene: Scene) -> Ahead:
+        """Find what concerns all rows of a scene and no pixel yet."""
+        return Ahead(self._upright.panoramas(poses, scene), [Discs(kind, poses, scene.things[kind.name]) for kind in self._painted])
 
-    def _floor(self, ground: _Ground, origin: Floats, scene: Scene, row: int) -> Shades:
-        """Colours [3, m]."""
-        x, y, z = (np.float32(value) for value in origin)
+    def draw(self, frame: Frame, ahead: Ahead, row: int) -> None:
+        """Fill every pixel of a frame with what is behind the things of one row, in image and depth (m)."""
+        if ahead.panoramas is None:
+            level = self._level_view(frame)
+            np.copyto(frame.depth, level.depth)
+            np.copyto(frame.image, level.image)
+            run = turned_rays(frame.turn[:2], level.rays)
+            self._draw_floor(frame, level.ground, run, ahead, row)
+        else:
+            rays = frame.rays()
+            floor_depth, fall = _to_floor(frame, rays[2])
+            frame.put(*_see_upright(frame, rays, ahead.panoramas[row]))
+            ground = self._ground(np.flatnonzero(frame.depth == floor_depth), floor_depth, fall)
+            self._draw_floor(frame, ground, np.take(rays[:2], ground.pixels, axis=1), ahead, row)
+            self._draw_sky_and_robot(frame, rays[2])
+
+    def _level_view(self, frame: Frame) -> _Level:
+        """What depends on height and tilt alone: found again only where those differ from the frame's before."""
+        tilt = frame.turn[2].tobytes() + frame.origin[2].tobytes()
+        level = self._level
+        if level is None or level.tilt != tilt:
+            height = frame.rays()[2]
+            floor_depth, fall = _to_floor(frame, height)
+            seen = (frame.depth == floor_depth) & (frame.depth < np.float32(FAR))
+            seen[self._view.own] = False
+            ground = self._ground(np.flatnonzero(seen), floor_depth, fall)
+            self._draw_sky_and_robot(frame, height)
+            level = _Level(tilt, frame.depth.copy(), frame.image.copy(), ground, np.take(frame.body_rays, ground.pixels, axis=1))
+            self._level = level
+        return level
+
+    def _ground(self, pixels: NDArray[np.intp], floor_depth: Shades, fall: Shades) -> _Ground:
+        depth, fall = floor_depth[pixels], fall[pixels]
         # A pixel's size on the floor, along its longer side.
-        footprint = ground.depth * ground.fall
+        footprint = depth * fall
         footprint *= np.float32(2.0 / CAMERA_SIZE)
-        colours = self._appearance.floor.paint(x + z * ground.run_x, y + z * ground.run_y, footprint)
-        for kind in self._painted:
-            _paint_discs(colours, kind, scene.things[kind.name], row, ground, origin)
-        left = ground.depth * np.float32(1.0 / self._appearance.haze)
+        left = depth * np.float32(1.0 / self._haze)
         left *= left
         left += _ONE
         np.divide(_ONE, left, out=left)
-        horizon = column(self._appearance.horizon)
-        colours -= horizon
-        colours *= left
-        colours += horizon
-        return colours
+        return _Ground(pixels, fall, self._floor.painter(footprint), left)
 
-    def _upright(self, frame: Frame, scene: Scene, row: int) -> tuple[NDArray[np.intp], Shades]:
-        """Walls and columns: brings the depth up to date; the pixels [m] that see them and their colours [3, m]."""
-        rays, depth = frame.rays, frame.depth
+    def _draw_floor(self, frame: Frame, ground: _Ground, run: Shades, ahead: Ahead, row: int) -> None:
+        """`run` [2, m]: x and y of the rays to the floor's pixels; scaled here to how far they go while they fall by 1 m."""
+        if not len(ground.pixels):
+            return
+        run *= ground.fall
         x, y, z = (np.float32(value) for value in frame.origin)
-        columns, layers = self._all_columns(scene, row)
-        panorama = draw_panorama(join([self._walls, column_sides(columns, x, y)]), layers, x, y, column(self._appearance.horizon))
-        step = directions(rays[0], rays[1]).astype(np.intp)
-        step &= DIRECTIONS - 1
-        # Length of a ray per length of the direction's vector on the square.
-        stretch = np.maximum(np.abs(rays[0]), np.abs(rays[1]))
-        np.maximum(stretch, np.float32(1e-6), out=stretch)
-        np.divide(_ONE, stretch, out=stretch)
-        place = np.full(len(depth), -1, np.intp)
-        for layer in range(layers):
-            away = np.take(panorama.reach[layer], step)
+        colours = ground.paint(x + z * run[0], y + z * run[1])
+        for discs in ahead.discs:
+            discs.paint(colours, row, ground.pixels, run)
+        colours -= self._horizon
+        colours *= ground.left
+        colours += self._horizon
+        frame.put(ground.pixels, colours)
+
+    def _draw_sky_and_robot(self, frame: Frame, height: Shades) -> None:
+        """The sky's colours go by the rays' rise `height` [P]."""
+        pixels = np.flatnonzero(frame.depth >= np.float32(FAR))
+        rise = height[pixels]
+        rise *= np.float32(2.0)
+        np.maximum(rise, _ZERO, out=rise)
+        np.minimum(rise, _ONE, out=rise)
+        colours = (self._zenith - self._horizon) * rise
+        colours += self._horizon
+        frame.put(pixels, colours)
+        frame.put(self._view.own, self._view.own_colour)
+
+
+def _to_floor(frame: Frame, height: Shades) -> tuple[Shades, Shades]:
+    """Depth [P] of the floor, entered into the frame's where it is nearer, and the length of rays on which they fall by 1 m."""
+    # A ray meets the floor at `height * fall`; above the horizon that is so far away that it never counts.
+    fall = np.negative(height)
+    np.maximum(fall, np.float32(1e-6), out=fall)
+    np.divide(_ONE, fall, out=fall)
+    floor_depth: Shades = np.float32(frame.origin[2]) * fall
+    np.minimum(frame.depth, floor_depth, out=frame.depth)
+    return floor_depth, fall
+
+
+def _see_upright(frame: Frame, rays: Shades, panorama: Panorama) -> tuple[NDArray[np.intp], Shades]:
+    """Walls and columns: brings the depth up to date; the pixels [m] that see them and their colours [3, m]."""
+    depth, z = frame.depth, np.float32(frame.origin[2])
+    at, stretch = directions(rays[0], rays[1])
+    step = (at.astype(np.int32) & (DIRECTIONS - 1)).astype(np.intp)
+    # Length of a ray per length of the direction's vector on the square.
+    np.maximum(stretch, np.float32(1e-6), out=stretch)
+    np.divide(_ONE, stretch, out=stretch)
+    place = np.full(len(depth), -1, np.intp)
+    for layer, (reach, top) in enumerate(zip(panorama.reach, panorama.top, strict=True)):
+        there = reach < NOTHING
+        if np.count_nonzero(there) < DIRECTIONS // _SPARSE:
+            # Few directions have anything: only their pixels.
+            some = np.flatnonzero(np.take(there, step))
+            towards = step[some]
+            away = np.take(reach, towards)
+            away *= stretch[some]
+            height = away * rays[2][some]
+            height += z
+            seen = height <= np.take(top, towards)
+            seen &= away < depth[some]
+            chosen = np.flatnonzero(seen)
+            pixels = some[chosen]
+        else:
+            away = np.take(reach, step)
             away *= stretch
             height = away * rays[2]
             height += z
-            seen = height <= np.take(panorama.top[layer], step)
+            seen = height <= np.take(top, step)
             seen &= away < depth
-            np.copyto(depth, away, where=seen)
-            np.add(step, layer * DIRECTIONS, out=place, where=seen)
-        pixels = np.flatnonzero(place >= 0)
-        return pixels, np.take(panorama.colour, place[pixels], axis=1)
-
-    def _all_columns(self, scene: Scene, row: int) -> tuple[Columns, int]:
-        """Landmarks and things drawn as columns, and the number of layers: the walls' own, the landmarks', and one for each kind."""
-        parts, layers = [self._landmarks], self._wall_layers + 1
-        for kind in self._columns:
-            assert kind.column is not None
-            things = scene.things[kind.name]
-            places = things.position[row, np.flatnonzero(things.shown[row]), :2]
-            parts.append(make_columns(places, [kind.column] * len(places), [kind.colour] * len(places), layers))
-            layers += 1
-        return join(parts), layers
-
-
-def _paint_discs(colours: Shades, kind: Kind, things: Things, row: int, ground: _Ground, origin: Floats) -> None:
-    """Blend a kind's discs over the floor's colours [3, m]. Nothing tells from the picture whether a cost is being paid."""
-    assert kind.painted is not None
-    inside = np.zeros(len(ground.pixels), np.bool_)
-    from_x, from_y, from_z = origin.tolist()
-    for x, y, z in rounded(things.position[row, np.flatnonzero(things.shown[row])]).tolist():
-        drop = from_z - z
-        if drop > 0.0:
-            dx = ground.run_x + np.float32((from_x - x) / drop)
-            dy = ground.run_y + np.float32((from_y - y) / drop)
-            dx *= dx
-            dy *= dy
-            dx += dy
-            inside |= dx < np.float32((kind.painted / drop) ** 2)
-    pixels = np.flatnonzero(inside)
-    if len(pixels):
-        mixed = np.take(colours, pixels, axis=1)
-        mixed += np.float32(kind.alpha) * (column(kind.colour) - mixed)
-        put(colours, pixels, mixed)
+            pixels = chosen = np.flatnonzero(seen)
+        depth[pixels] = away[chosen]
+        place[pixels] = step[pixels] + layer * DIRECTIONS
+    pixels = np.flatnonzero(place >= 0)
+    return pixels, np.take(panorama.colour, place[pixels], axis=1)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.tasks.base import CAMERA_SIZE, Bools, Floats
+from wasp_cli.tasks.base import CAMERA_SIZE, Floats
 from wasp_cli.tasks.camera.appearance import Appearance, Colour, Scene, Shades
 
 FRONT_SLOPE = 0.4
@@ -87,41 +87,29 @@ def shade(normals: Floats, rays: Floats) -> Shades:
     return bright
 
 
-def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDArray[np.intp]]:
-    """Find where cameras with `axes` [2, 3, 3] in the world see spheres: `radii` [m] in m, `centres` [m, 3] relative to the cameras.
-
-    Returns:
-        Whether any pixel can show it [2, m], and the first and last-plus-one row and column [2, m, 4] of those that can.
-    """
-    ahead, right, up = (
-        axes[:, axis, 0, None] * centres[:, 0] + axes[:, axis, 1, None] * centres[:, 1] + axes[:, axis, 2, None] * centres[:, 2]
-        for axis in range(3)
-    )
-    half = CAMERA_SIZE / 2
-    bottom, top = _span(ahead, up, radii)
-    left, right_end = _span(ahead, right, radii)
-    # A pixel of slack: a candidate too many costs a ray, one too few would cut the thing.
-    edges = np.stack([(1.0 - top) * half, (1.0 - bottom) * half, (left + 1.0) * half, (right_end + 1.0) * half], axis=-1)
-    edges += [-1.0, 1.0, -1.0, 1.0]
-    inner = np.clip(edges, 0, CAMERA_SIZE).astype(np.intp)
-    seen = (ahead > -radii) & (inner[..., 0] < inner[..., 1]) & (inner[..., 2] < inner[..., 3])
-    return seen, inner
-
-
-def _span(ahead: Floats, across: Floats, radii: Floats) -> tuple[Floats, Floats]:
-    """Least and greatest across / ahead at which spheres are seen: of the tangents to their outlines, where they lie ahead."""
-    radii2 = radii * radii
-    reach = radii * np.sqrt(np.maximum(across * across + ahead * ahead - radii2, 0.0))
-    beside, clear, mixed = across * across - radii2, ahead * ahead - radii2, across * ahead
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # Twice the same quotient, once in the form that holds beside the camera and once in that which holds ahead of it.
-        low = np.where(across > radii, beside / (mixed + reach), np.where(ahead > radii, (mixed - reach) / clear, -1e3))
-        high = np.where(across < -radii, beside / (mixed - reach), np.where(ahead > radii, (mixed + reach) / clear, 1e3))
-    return low, high
-
-
 _LOWEST = 0.02
 """Height in m below which no camera sinks, even that of a car on its back."""
+
+
+class Poses(NamedTuple):
+    """Where the cameras of n rows are."""
+
+    origin: Floats
+    """[n, 3] where both cameras are."""
+    turn: Floats
+    """[n, 3, 3] robot body to world."""
+    axes: Floats
+    """[n, 2, 3, 3] for each camera its forward, right and up unit vectors."""
+
+
+def camera_poses(view: View, camera_height: float, scene: Scene) -> Poses:
+    """Place the cameras (`camera_height` in m) of every row of a scene."""
+    turn = rounded(scene.rotation)
+    origin = rounded(scene.position) + turn[:, :, 2] * camera_height
+    np.maximum(origin[:, 2], _LOWEST, out=origin[:, 2])
+    x, y, z = (turn[:, None, None, :, axis] for axis in range(3))
+    axes = view.axes[..., 0, None] * x + view.axes[..., 1, None] * y + view.axes[..., 2, None] * z
+    return Poses(origin, turn, axes)
 
 
 class Frame(NamedTuple):
@@ -129,31 +117,36 @@ class Frame(NamedTuple):
 
     origin: Floats
     """[3] where both cameras are."""
-    axes: Floats
-    """[2, 3, 3] for each camera its forward, right and up unit vectors."""
-    rays: Shades
-    """[3, P] unit vectors."""
+    turn: Shades
+    """[3, 3] robot body to world."""
+    body_rays: Shades
+    """[3, P] unit vectors in the robot's frame."""
     depth: Shades
     """[P] distance in m of what is seen; FAR in the sky."""
     image: Shades
     """[3, P] in [0, 1]; nothing is in it at first."""
+
+    def rays(self, pixels: NDArray[np.intp] | None = None) -> Shades:
+        """Return unit vectors [3, m] in the world through these pixels, or [3, P] through all."""
+        return turned_rays(self.turn, self.body_rays if pixels is None else np.take(self.body_rays, pixels, axis=1))
 
     def put(self, pixels: NDArray[np.intp], colours: Shades) -> None:
         """Enter colours [3, m] at pixels [m]."""
         put(self.image, pixels, colours)
 
 
-def open_frame(view: View, camera_height: float, scene: Scene, row: int) -> Frame:
-    """Place the cameras (`camera_height` in m) of one row; nothing is drawn yet but the depth of the robot's own body."""
-    turn = rounded(scene.rotation[row])
-    origin = rounded(scene.position[row]) + turn[:, 2] * camera_height
-    origin[2] = max(origin[2], _LOWEST)
-    axes = view.axes[..., 0, None] * turn[:, 0] + view.axes[..., 1, None] * turn[:, 1] + view.axes[..., 2, None] * turn[:, 2]
-    x, y, z = turn.astype(np.float32).T[:, :, None]
-    rays = x * view.rays[0]
-    rays += y * view.rays[1]
-    rays += z * view.rays[2]
-    return Frame(origin, axes, rays, view.depth.copy(), np.empty_like(rays))
+def open_frame(view: View, poses: Poses, row: int) -> Frame:
+    """Begin one row; nothing is drawn yet but the depth of the robot's own body."""
+    return Frame(poses.origin[row], poses.turn[row].astype(np.float32), view.rays, view.depth.copy(), np.empty_like(view.rays))
+
+
+def turned_rays(turn: Shades, rays: Shades) -> Shades:
+    """Turn `rays` [3, m] from the robot's frame into the world by `turn` [k, 3], its first k rows -> [k, m]."""
+    x, y, z = turn.T[:, :, None]
+    turned: Shades = x * rays[0]
+    turned += y * rays[1]
+    turned += z * rays[2]
+    return turned
 
 
 def put(image: Shades, pixels: NDArray[np.intp], colours: Shades) -> None:

@@ -108,8 +108,8 @@ def make_columns(places: ArrayLike, shapes: Sequence[tuple[float, float]], colou
     )
 
 
-def column_sides(columns: Columns, ox: np.float32, oy: np.float32) -> Sides:
-    """Turn columns into boards that face the viewer at (ox, oy) in m, at least a pixel wide."""
+def column_sides(columns: Columns, ox: Shades, oy: Shades) -> Sides:
+    """Turn columns into boards at least a pixel wide, each facing its viewer at ox, oy [S] in m."""
     dx, dy = columns.centre[0] - ox, columns.centre[1] - oy
     distance = np.maximum(np.sqrt(dx * dx + dy * dy), np.float32(1e-6))
     # Five quarters of a pixel at the middle of the image, where a pixel sees the least.
@@ -129,11 +129,11 @@ def join(parts: Sequence[_Parts]) -> _Parts:
     return first if len(parts) == 1 else type(first)(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
 
 
-def directions(x: Shades, y: Shades) -> Shades:
-    """Return where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N]."""
+def directions(x: Shades, y: Shades) -> tuple[Shades, Shades]:
+    """Return where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N], and max(|x|, |y|) [m]."""
     steep = np.abs(y) > np.abs(x)
     along, ahead = np.where(steep, -x, y), np.where(steep, y, x)
-    quarter = np.where(ahead > 0, np.float32(0.0), np.float32(2.0))
+    quarter = np.multiply(ahead <= 0, np.float32(2.0))
     quarter += steep
     with np.errstate(divide="ignore", invalid="ignore"):
         along /= ahead
@@ -141,7 +141,7 @@ def directions(x: Shades, y: Shades) -> Shades:
     along *= np.float32(0.5)
     along += quarter
     along *= np.float32(DIRECTIONS / 4)
-    return along
+    return along, np.abs(ahead, out=ahead)
 
 
 def _unit_square() -> Shades:
@@ -155,62 +155,89 @@ _TOWARDS = _unit_square()
 _LENGTH = np.sqrt(_TOWARDS[0] * _TOWARDS[0] + _TOWARDS[1] * _TOWARDS[1])
 
 
-def draw_panorama(sides: Sides, layers: int, ox: np.float32, oy: np.float32, horizon: Shades) -> Panorama:
-    """Find what there is to see from (ox, oy) in m, fading into `horizon` [3, 1]. A place inside of a solid sees its walls from behind."""
-    x0, y0, x1, y1 = sides.start[0] - ox, sides.start[1] - oy, sides.end[0] - ox, sides.end[1] - oy
+class Views(NamedTuple):
+    """The sides that n viewers have around them, T in all."""
+
+    start: Shades
+    """[2, T] relative to the viewer."""
+    end: Shades
+    """[2, T]"""
+    viewer: NDArray[np.intp]
+    """[T] in [0, n)."""
+    side: NDArray[np.intp]
+    """[T] which of the sides it is."""
+
+
+def draw_panoramas(views: Views, count: int, sides: Sides, layers: int, horizon: Shades) -> list[Panorama]:
+    """Find what `count` viewers see of `sides` in `layers` L, fading into `horizon` [3, 1].
+
+    Of several as near as each other the last one is seen. A viewer inside of a solid sees its walls from behind.
+    """
+    (x0, y0), (x1, y1) = views.start, views.end
     # A viewer exactly on a corner: any direction will do for it.
     x0[(x0 == 0) & (y0 == 0)] = x1[(x1 == 0) & (y1 == 0)] = np.float32(1e-6)
     behind = x0 * y1 - y0 * x1 < 0
-    a, b = np.split(directions(np.concatenate([x0, x1]), np.concatenate([y0, y1])), 2)
+    a, b = np.split(directions(np.concatenate([x0, x1]), np.concatenate([y0, y1]))[0], 2)
     first = np.where(behind, b, a)
     last = np.where(behind, a, b)
     # Half-open intervals of step middles: sides that share a corner leave neither a gap nor an overlap.
     first_step = np.ceil(first - np.float32(0.5)).astype(np.intp)
-    count = (np.ceil(last - np.float32(0.5)).astype(np.intp) - first_step) % DIRECTIONS
+    steps = (np.ceil(last - np.float32(0.5)).astype(np.intp) - first_step) % DIRECTIONS
     # A side spans less than half a turn; what seems to span more is a side seen edge on.
-    count[count > DIRECTIONS // 2] = 0
-    side = np.repeat(np.arange(len(count)), count)
-    step = np.arange(len(side)) - np.repeat(np.cumsum(count) - count - first_step, count)
-    step %= DIRECTIONS
+    steps[steps > DIRECTIONS // 2] = 0
+    side = np.repeat(np.arange(len(steps)), steps)
+    step = np.arange(len(side)) - np.repeat(np.cumsum(steps) - steps - first_step, steps)
+    step &= DIRECTIONS - 1
 
     ex, ey = x1 - x0, y1 - y0
     edge = np.maximum(np.sqrt(ex * ex + ey * ey), np.float32(1e-9))
     ex, ey = ex / edge, ey / edge
+    reach = np.take(ey * x0 - ex * y0, side)
+    slant = np.take(ey, side)
+    slant *= np.take(_TOWARDS[0], step)
+    across = np.take(ex, side)
+    across *= np.take(_TOWARDS[1], step)
+    slant -= across
     with np.errstate(divide="ignore", invalid="ignore"):
-        reach = (ey * x0 - ex * y0)[side] / (ey[side] * _TOWARDS[0, step] - ex[side] * _TOWARDS[1, step])
-    reach = np.where(reach > 0, reach, np.float32(NOTHING)).astype(np.float32)
-    place = sides.layer[side] * DIRECTIONS + step
-    nearest = np.full(layers * DIRECTIONS, NOTHING, np.float32)
+        reach /= slant
+        reach[~(reach > 0)] = NOTHING
+    place = np.take((views.viewer * layers + sides.layer[views.side]) * DIRECTIONS, side)
+    place += step
+    size = layers * DIRECTIONS
+    nearest = np.full(count * size, NOTHING, np.float32)
     np.minimum.at(nearest, place, reach)
-    wins = reach == nearest[place]
-    owner = np.zeros(layers * DIRECTIONS, np.intp)
+    wins = np.flatnonzero(reach == np.take(nearest, place))
+    owner = np.zeros(count * size, np.intp)
     owner[place[wins]] = side[wins]
 
     found = np.flatnonzero(nearest < NOTHING)
-    owner, step, distance = owner[found], found % DIRECTIONS, nearest[found]
-    tx, ty = _TOWARDS[0, step], _TOWARDS[1, step]
+    owner, step, distance = owner[found], found & (DIRECTIONS - 1), nearest[found]
+    tx, ty, length = _TOWARDS[0, step], _TOWARDS[1, step], _LENGTH[step]
     ex, ey = ex[owner], ey[owner]
-    facing = np.abs(ey * tx - ex * ty) / _LENGTH[step]
+    facing = np.abs(ey * tx - ex * ty) / length
     # Position along the outline in stripes; stripes narrower than a pixel fade into their mean.
+    x0, y0, owner = x0[owner], y0[owner], views.side[owner]
     stripe = sides.stripe[owner]
-    along = sides.offset[owner] + (ex * (distance * tx - x0[owner]) + ey * (distance * ty - y0[owner])) / stripe
-    width = distance * _LENGTH[step] * np.float32(2.0 / CAMERA_SIZE) / np.maximum(facing, np.float32(0.05)) / stripe
+    along = sides.offset[owner] + (ex * (distance * tx - x0) + ey * (distance * ty - y0)) / stripe
+    width = distance * length * np.float32(2.0 / CAMERA_SIZE) / np.maximum(facing, np.float32(0.05)) / stripe
     wave = np.clip(np.float32(1.6) - np.float32(2.4) * width, np.float32(0.0), np.float32(1.0))
     along *= np.float32(0.5)
     np.negative(wave, out=wave, where=along - np.floor(along) >= np.float32(0.5))
     light = np.float32(0.65) + np.float32(0.35) * facing
-    away = distance * _LENGTH[step]
+    away = distance * length
     left = np.float32(1.0) / (np.float32(1.0) + sides.fading[owner] * away * away)
     colours = np.take(sides.amplitude, owner, axis=1)
     colours *= wave
     colours += np.take(sides.mean, owner, axis=1)
     colours *= light * left
     colours += horizon * (np.float32(1.0) - left)
-    top, colour = np.zeros(layers * DIRECTIONS, np.float32), np.zeros((3, layers * DIRECTIONS), np.float32)
+    top, colour = np.zeros(count * size, np.float32), np.zeros((count, 3, size), np.float32)
     top[found] = sides.top[owner]
+    flat, at = colour.reshape(-1), found + found // size * (2 * size)
     for channel in range(3):
-        colour[channel][found] = colours[channel]
-    return Panorama(nearest.reshape(layers, DIRECTIONS), top.reshape(layers, DIRECTIONS), colour)
+        flat[at + channel * size] = colours[channel]
+    shape = (count, layers, DIRECTIONS)
+    return [Panorama(*each) for each in zip(nearest.reshape(shape), top.reshape(shape), colour, strict=True)]
 
 
 def _sides(

@@ -108,7 +108,7 @@ def draw_map(appearance: Appearance, scene: Scene, row: int, size: int, around: 
 
 def _draw_ground(canvas: _Canvas, appearance: Appearance) -> None:
     x, y = (each.ravel().astype(np.float32) for each in np.meshgrid(canvas.x, canvas.y))
-    colours = appearance.floor.paint(x, y, np.full(x.shape, canvas.pixel, np.float32))
+    colours = appearance.floor.painter(np.full(x.shape, canvas.pixel, np.float32))(x, y)
     canvas.image[:] = colours.T.reshape(canvas.image.shape)
     for wall in appearance.walls:
         first, second = (np.array(colour) for colour in wall.colours)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.camera.appearance import Appearance, Kind, Landmark, Shades, Wall
+from wasp_cli.tasks.camera.appearance import Appearance, Kind, Landmark, Painter, Shades, Wall
 from wasp_cli.tasks.camera.raster import filled, near_sides
 from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
 from wasp_cli.tasks.formula import track
@@ -35,22 +35,25 @@ _RUN_OFF_WIDTH, _ROAD_MARGIN, _SEARCH = 0.3, 0.4, 5.0
 class Ground:
     """The texture, looked up."""
 
-    def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
+    def painter(self, footprint: Shades) -> Painter:
+        """Return what paints [m] places, smoothed over `footprint` [m] in m."""
         texture = _texture()
         level = (footprint > np.float32(2.0 * CELL)).astype(np.intp)
         level += footprint > np.float32(2.0 * CELL * _COARSER)
-        per_metre = texture.per_metre[level]
-        columns = texture.columns[level]
-        column = ((x - np.float32(_WEST)) * per_metre).astype(np.intp)
-        row = ((y - np.float32(_SOUTH)) * per_metre).astype(np.intp)
-        np.clip(column, 0, columns - 1, out=column)
-        np.clip(row, 0, texture.rows[level] - 1, out=row)
-        row *= columns
-        row += column
-        row += texture.start[level]
-        colours: Shades = np.take(texture.colours, row, axis=1)
-        return colours
+        per_metre, columns, rows, start = texture.per_metre[level], texture.columns[level], texture.rows[level], texture.start[level]
+
+        def paint(x: Shades, y: Shades) -> Shades:
+            column = ((x - np.float32(_WEST)) * per_metre).astype(np.intp)
+            row = ((y - np.float32(_SOUTH)) * per_metre).astype(np.intp)
+            np.clip(column, 0, columns - 1, out=column)
+            np.clip(row, 0, rows - 1, out=row)
+            row *= columns
+            row += column
+            row += start
+            colours: Shades = np.take(texture.colours, row, axis=1)
+            return colours
+
+        return paint
 
 
 class _Texture(NamedTuple):

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.tasks.camera.appearance import Appearance, Kind, Part, Shades
+from wasp_cli.tasks.camera.appearance import Appearance, Kind, Painter, Part, Shades
 from wasp_cli.tasks.goal import model
 
 CAMERA_HEIGHT = 0.15
@@ -27,15 +27,20 @@ class Checker:
     _mean = (np.array(TILE_LIGHT, np.float32) + np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
     _amplitude = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[:, None] * np.float32(0.5)
 
-    def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
+    def painter(self, footprint: Shades) -> Painter:
+        """Return what paints [m] places, smoothed over `footprint` [m] in m."""
         sharpness: Shades = np.divide(np.float32(4.0 * TILE_SIDE), np.maximum(footprint, np.float32(1e-6)))
-        mix = _wave(x, sharpness)
-        mix *= _wave(y, sharpness)
-        mix *= np.clip(np.float32(2.0) - footprint * np.float32(2.0 / TILE_SIDE), np.float32(0.0), np.float32(1.0))
-        image: Shades = self._amplitude * mix
-        image += self._mean
-        return image
+        visible = np.clip(np.float32(2.0) - footprint * np.float32(2.0 / TILE_SIDE), np.float32(0.0), np.float32(1.0))
+
+        def paint(x: Shades, y: Shades) -> Shades:
+            mix = _wave(x, sharpness)
+            mix *= _wave(y, sharpness)
+            mix *= visible
+            image: Shades = self._amplitude * mix
+            image += self._mean
+            return image
+
+        return paint
 
 
 def _wave(place: Shades, sharpness: Shades) -> Shades:
@@ -43,9 +48,12 @@ def _wave(place: Shades, sharpness: Shades) -> Shades:
     phase = place * np.float32(0.5 / TILE_SIDE)
     phase += np.float32(0.25)
     phase -= np.floor(phase)
-    wave: Shades = np.float32(0.25) - np.abs(phase - np.float32(0.5))
+    phase -= np.float32(0.5)
+    np.abs(phase, out=phase)
+    wave: Shades = np.subtract(np.float32(0.25), phase, out=phase)
     wave *= sharpness
-    np.clip(wave, np.float32(-1.0), np.float32(1.0), out=wave)
+    np.maximum(wave, np.float32(-1.0), out=wave)
+    np.minimum(wave, np.float32(1.0), out=wave)
     return wave
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.tasks.camera.appearance import Appearance, Colour, Kind, Landmark, Shades, Wall
+from wasp_cli.tasks.camera.appearance import Appearance, Colour, Kind, Landmark, Painter, Shades, Wall
 from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
 from wasp_cli.tasks.race.model import SCENERY
 
@@ -31,28 +31,33 @@ class Cobbles:
     _mean = np.array([[0.47], [0.44], [0.40]], np.float32)
     _amplitude = np.array([[0.05], [0.05], [0.055]], np.float32)
 
-    def paint(self, x: Shades, y: Shades, footprint: Shades) -> Shades:
-        """Return colours float32 [3, m] at world places x, y [m] in m, smoothed over `footprint` [m] in m."""
-        across = y * np.float32(1.0 / self.side)
-        row = np.floor(across)
-        # Every other row is shifted by half a stone, as masons lay them.
-        along = x * np.float32(1.0 / self.side)
-        along += row * np.float32(0.5)
-        stone = np.floor(along)
-        across -= row
-        along -= stone
-        stone += row
-        stone *= np.float32(0.5)
-        mix = np.where(stone > np.floor(stone), np.float32(1.0), np.float32(-1.0))
-        # Distance to the nearest joint, in stones; a joint is as dark as it fills the pixel.
-        edge = np.minimum(np.minimum(along, np.float32(1.0) - along), np.minimum(across, np.float32(1.0) - across))
+    def painter(self, footprint: Shades) -> Painter:
+        """Return what paints [m] places, smoothed over `footprint` [m] in m."""
         width = footprint * np.float32(1.0 / self.side)
         blur = np.float32(self._joint) + width
-        mix -= np.float32(3.0) * np.clip((blur - edge) / blur, np.float32(0.0), np.float32(1.0))
-        mix *= np.clip(np.float32(2.0) - np.float32(2.0) * width, np.float32(0.0), np.float32(1.0))
-        image: Shades = self._amplitude * mix
-        image += self._mean
-        return image
+        visible = np.clip(np.float32(2.0) - np.float32(2.0) * width, np.float32(0.0), np.float32(1.0))
+
+        def paint(x: Shades, y: Shades) -> Shades:
+            across = y * np.float32(1.0 / self.side)
+            row = np.floor(across)
+            # Every other row is shifted by half a stone, as masons lay them.
+            along = x * np.float32(1.0 / self.side)
+            along += row * np.float32(0.5)
+            stone = np.floor(along)
+            across -= row
+            along -= stone
+            stone += row
+            stone *= np.float32(0.5)
+            mix = np.where(stone > np.floor(stone), np.float32(1.0), np.float32(-1.0))
+            # Distance to the nearest joint, in stones; a joint is as dark as it fills the pixel.
+            edge = np.minimum(np.minimum(along, np.float32(1.0) - along), np.minimum(across, np.float32(1.0) - across))
+            mix -= np.float32(3.0) * np.clip((blur - edge) / blur, np.float32(0.0), np.float32(1.0))
+            mix *= visible
+            image: Shades = self._amplitude * mix
+            image += self._mean
+            return image
+
+        return paint
 
 
 def _bush(radius: float, height: float, knobs: float) -> str:

@@ -1,0 +1,142 @@
+"""Sections of what is learned on latents: policies, critics, the direct look ahead, clones of operators, signals at the gates."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from wasp_cli.config import Config, assumed, deviates, from_paper
+from wasp_cli.learning.configs.shared import Layers
+
+
+class ReinforceConfig(Config):
+    """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where labels alone did not reach the bounds."""
+
+    interactions: int = assumed(200_000, "decision steps; 0 leaves the latent expert as it was distilled", ge=0)
+    return_share: float = assumed(
+        0.85, "latent return / privileged return from which, within the cost, nothing is reinforced; labels may aim higher", gt=0.0
+    )
+    envs: int = assumed(32, "episodes side by side", ge=1)
+    rollout: int = assumed(128, "decision steps per environment and update", ge=1)
+    epochs: int = assumed(4, "passes over a rollout", ge=1)
+    batch: int = assumed(512, "minibatch", ge=2)
+    learning_rate: float = assumed(2e-4, "Adam; decays linearly to a tenth; low, so that what was distilled is kept", gt=0.0)
+    gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
+    log_std_init: float = assumed(-1.2, "initial exploration")
+    log_std_floor: float = assumed(-1.6, "keeps exploring")
+    value_warmup: float = assumed(0.08, "share of the interactions that train only the value function", ge=0.0, lt=1.0)
+    multiplier_init: float = assumed(0.2, "penalty per costly decision step", ge=0.0)
+    multiplier_lr: float = assumed(0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_min: float = assumed(0.05, "bound of the multiplier from below", ge=0.0)
+    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+
+
+class PoliciesConfig(Config):
+    """Latent actors distilled from the expert checkpoints, rounds in which they drive and the checkpoints label, and reinforcement."""
+
+    hidden: Layers = assumed((128, 128), "layers of a latent actor")
+    updates: int = assumed(1500, "gradient steps of the distillation", ge=1)
+    batch: int = assumed(512, "latents per update", ge=1)
+    learning_rate: float = assumed(1e-3, "Adam, linear decay", gt=0.0)
+    imagined_share: float = assumed(
+        0.25, "share of the latents that are prior samples, as operators meet them in imagination", ge=0.0, le=1.0
+    )
+    imagined_depth: int = assumed(5, "most prior steps from a recorded latent to such a sample", ge=1)
+    labelling_rounds: int = assumed(3, "most on-policy labelling rounds; they end when return and cost are reached", ge=0)
+    labelling_episodes: int = assumed(48, "episodes per round; what the labels teach grows with the layouts met", ge=1)
+    labelling_updates: int = assumed(1500, "gradient steps per round", ge=1)
+    labelled_share: float = assumed(0.5, "share of a round's batches that comes from the rounds so far", ge=0.0, le=1.0)
+    driver_share: float = assumed(0.4, "share of a round's episodes driven by impaired experts and earlier skills", ge=0.0, le=1.0)
+    reinforce: ReinforceConfig = ReinforceConfig()
+    return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
+    cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
+    cost_allowance: float = assumed(2.5, "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10", ge=0.0)
+    evaluation_episodes: int = assumed(
+        48, "episodes that judge a round, and others that evaluate each skill; the share of the return is then known to .05", ge=1
+    )
+
+
+class CriticsConfig(Config):
+    """V_r and V_c of the nominal expert, from imagined rollouts and from recorded transitions."""
+
+    hidden: Layers = assumed((128, 128), "layers of a critic")
+    updates: int = assumed(1000, "gradient steps; curve.json shows whether V_r has converged", ge=1)
+    starts: int = assumed(128, "imagined rollouts per update, and as many recorded segments", ge=1)
+    cost_starts: float = assumed(
+        0.0, "share of the rollouts that begin where a cost followed within H recorded steps; 0.3 ranked no better", ge=0.0, le=1.0
+    )
+    horizon: int = from_paper(15, "H", ge=1)
+    bins: int = assumed(63, "values as distributions over bins spaced evenly in symlog; odd", ge=3)
+    reach: float = assumed(1000.0, "largest value that the bins can say", gt=0.0)
+    learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    slow: float = assumed(
+        0.2, "share of the online critic that enters the target critic per update; at 0.02 V_r takes thousands", gt=0.0, le=1.0
+    )
+    recorded: float = deviates(
+        0.3,
+        "weight of Q of recorded transitions, read at the expert's action, as a second target of V; the paper has latent roll-outs alone "
+        "(0), whose drift V then learns; as the replay loss of DreamerV3's critic",
+        ge=0.0,
+    )
+    q_updates: int = assumed(2500, "gradient steps of Q", ge=1)
+    q_batch: int = assumed(256, "recorded transitions per update of Q", ge=1)
+    q_learning_rate: float = assumed(5e-4, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    q_slow: float = assumed(
+        0.1, "share of the online Q that enters the target per update; a reward travels back one decision in 1 / q_slow", gt=0.0, le=1.0
+    )
+
+
+class LookaheadConfig(Config):
+    """A direct look ahead: the probability of any cost within the next decisions, from the latent and the next commands."""
+
+    horizon: int = from_paper(15, "decisions ahead; H and W", ge=1)
+    commands: int = assumed(
+        5, "next commands that it reads; L. One, ten and fifteen ranked alike under imagined commands (Goal1, quick)", ge=1
+    )
+    members: int = assumed(3, "heads, one batched product; their mean is what counts", ge=1)
+    hidden: Layers = assumed((128, 128), "layers of a head")
+    dropout: float = assumed(0.3, "hidden units left out while learning: episodes are few, and learned by heart", ge=0.0, lt=1.0)
+    updates: int = assumed(1500, "gradient steps; more of them learn the episodes by heart", ge=1)
+    batch: int = assumed(256, "recorded rows per update", ge=1)
+    learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
+    samples: int = assumed(4, "imagined futures of the rolled-out sum that it is compared with", ge=1)
+
+    @model_validator(mode="after")
+    def _commands_fit(self) -> LookaheadConfig:
+        if self.commands > self.horizon:
+            raise ValueError(f"commands ({self.commands}) are more than the decisions of the horizon ({self.horizon})")
+        return self
+
+
+class CloneConfig(Config):
+    """A policy fitted to recorded commands of one operator, for planners that are not to know its rule."""
+
+    episodes: int = assumed(20, "Human-only episodes of the operator to learn from, on seeds of their own", ge=1)
+    heldout_episodes: int = assumed(8, "others that judge the clone", ge=1)
+    hidden: Layers = assumed((64,), "layers of the correction of the expert's command")
+    updates: int = assumed(1000, "gradient steps", ge=1)
+    batch: int = assumed(256, "commands per update", ge=1)
+    learning_rate: float = assumed(2e-3, "Adam; decays linearly", gt=0.0)
+    weight_decay: float = assumed(0.1, "AdamW: episodes are few", ge=0.0)
+    draws: int = assumed(256, "of the next command, by which every model of the operator is judged", ge=1)
+
+
+class GateSignalsConfig(Config):
+    """Which number foresees costs best at the safety gate, and the return at the task gate, on fresh Human-only episodes."""
+
+    operators: dict[str, tuple[float, ...]] = assumed(
+        {"laggy": (0.7,), "noisy": (0.4,), "reaction-time": (0.24,), "limited-skill": (0.25,)},
+        "who drives, besides the unimpaired operator; a skill that the expert has no checkpoint of is left out",
+    )
+    episodes: int = assumed(8, "fresh episodes of each operator", ge=1)
+    window: int = from_paper(15, "W, section 5.3: a cost within it is to be foreseen", ge=1)
+    horizon: int = from_paper(15, "H, section 5.1", ge=1)
+    rollouts: int = assumed(8, "M: imagined futures of the operator, the same for every signal", ge=1)
+    first_steps: int = assumed(5, "imagined steps of the short sum; L", ge=1)
+    gammas: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = assumed(
+        (0.9, 0.95, 0.99, 0.997),
+        "discounts at which V_c and V_r are compared, besides gamma_c and gamma_r; critics at others are trained here",
+    )
+    threshold: float = assumed(0.5, "tau_c, at which the gate is judged", gt=0.0)
+    critics: CriticsConfig = CriticsConfig(updates=500)

@@ -1,0 +1,93 @@
+"""Sections of the privileged expert and of the data that it and others record."""
+
+from __future__ import annotations
+
+from pydantic import model_validator
+
+from wasp_cli.config import Config, assumed
+from wasp_cli.learning.configs.shared import LADDER, Layers
+
+
+class ExpertConfig(Config):
+    """PPO with an adaptive Lagrange multiplier on privileged observations."""
+
+    interactions: int = assumed(400_000, "decision steps", ge=1)
+    envs: int = assumed(32, "episodes side by side", ge=1)
+    rollout: int = assumed(64, "decision steps per environment and update", ge=1)
+    epochs: int = assumed(8, "passes over a rollout", ge=1)
+    batch: int = assumed(1024, "minibatch", ge=2)
+    learning_rate: float = assumed(4e-4, "decays linearly to a tenth", gt=0.0)
+    gamma: float = assumed(0.98, "discount per decision step", gt=0.0, le=1.0)
+    gae_lambda: float = assumed(0.95, "GAE", gt=0.0, le=1.0)
+    hidden: Layers = assumed((128, 128), "layers of actor and value network")
+    entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
+    log_std_init: float = assumed(-0.3, "initial exploration")
+    log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
+    cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
+    multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
+    multiplier_lr: float = assumed(0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
+    multiplier_min: float = assumed(
+        0.05,
+        "bound of the multiplier from below: untrained policies cost little, and would lower it to nothing before it is needed",
+        ge=0.0,
+    )
+    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+    checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
+    evaluation_episodes: int = assumed(64, "episodes of the final evaluation of each checkpoint", ge=1)
+
+    @model_validator(mode="after")
+    def _checkpoints_rise_to_one(self) -> ExpertConfig:
+        rising = list(self.checkpoints) == sorted(set(self.checkpoints))
+        if not rising or not self.checkpoints or self.checkpoints[-1] != 1.0 or self.checkpoints[0] <= 0:
+            raise ValueError("checkpoints must rise and end at 1.0")
+        return self
+
+
+class MixtureConfig(Config):
+    """Shares of the behaviours in the dataset; they must sum to 1."""
+
+    expert: float = assumed(0.23, "expert with Gaussian noise 0.25", ge=0.0, le=1.0)
+    noisy: float = assumed(0.10, "uniform replacement with probability 0.2, 0.4 or 0.6", ge=0.0, le=1.0)
+    laggy: float = assumed(0.12, "repetition with probability 0.5, 0.7 or 0.85", ge=0.0, le=1.0)
+    delayed: float = assumed(0.14, "the command for what was seen 2, 3 or 5 decision steps ago", ge=0.0, le=1.0)
+    tardy: float = assumed(0.00, "the same with 2 to 6 decision steps and Gaussian noise 0.15 to 0.5", ge=0.0, le=1.0)
+    early: float = assumed(0.05, "the first two checkpoints", ge=0.0, le=1.0)
+    between: float = assumed(0.00, "the mean of one of them and the expert", ge=0.0, le=1.0)
+    bursts: float = assumed(0.08, "expert interrupted by random commands held for 2-11 steps", ge=0.0, le=1.0)
+    careless: float = assumed(0.20, "repetition with probability 0.9 or 0.95: commands held for a second and more", ge=0.0, le=1.0)
+    wandering: float = assumed(0.00, "noise of 0.6 to 1.3 that persists for half a second to three", ge=0.0, le=1.0)
+    biased: float = assumed(0.00, "a constant of 0.3, 0.4 or 0.8 added to one component", ge=0.0, le=1.0)
+    scaled: float = assumed(0.00, "half or twice the command, with Gaussian noise 0.15", ge=0.0, le=1.0)
+    random: float = assumed(0.08, "uniform random commands", ge=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _shares_sum_to_one(self) -> MixtureConfig:
+        total = sum(getattr(self, name) for name in type(self).model_fields)
+        if abs(total - 1.0) > 1e-6:
+            raise ValueError(f"the shares sum to {total:g}, not 1")
+        return self
+
+
+class DatasetConfig(Config):
+    """Episodes with images from a mixture of behaviours."""
+
+    steps: int = assumed(100_000, "decision steps", ge=1)
+    envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    decisions: int | None = assumed(
+        None,
+        "recorded of an episode: one of its parts of so many decisions, so that the same images show more layouts; null: whole episodes, "
+        "which hold more costs; parts of 50 with a wider mixture foresaw costs of unseen operators no better",
+        ge=2,
+    )
+    whole_share: float = assumed(0.1, "share of the episodes that are recorded whole all the same", ge=0.0, le=1.0)
+    mixture: MixtureConfig = MixtureConfig()
+
+
+class RolloutsConfig(Config):
+    """Data of a further round: full WASP assists the operators in the real task, with thresholds that nobody has calibrated yet."""
+
+    steps: int = assumed(20_000, "decision steps that a round adds to the dataset", ge=1)
+    envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
+    operators: dict[str, tuple[float, ...]] = assumed(
+        LADDER, "operators, one per episode in turn; the unimpaired one comes first", min_length=1
+    )
