@@ -24,6 +24,7 @@ ALLOWED: Mapping[str, str] = {
     "plan/grid.py": "the stage that a node's registry entry names",
     "run/worker.py": "the stage that a node names, in the process that runs it",
     "run/cluster.py": "whether dask or ray is installed, without importing it",
+    "learning/configs/__init__.py": "the file of a section that is asked for, so that a stage's closure has its own group alone",
     "plan/closure.py": "where the source of a package lies, without importing it",
     "cli/doctor.py": "whether each library imports is what the command reports",
     "tasks/foreign/examine.py": "a spec may name a gymnasium environment of a package that nobody has imported",

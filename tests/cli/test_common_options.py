@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -42,9 +43,9 @@ def test_a_small_terminal_ends_with_the_main_table_and_one_line_of_claims(result
 
 
 def test_a_pipe_gets_every_column(results: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "wasp_cli", "report", str(results), *NO_PICTURES], capture_output=True, text=True, timeout=240, check=True
-    )
+    command = [sys.executable, "-m", "wasp_cli", "report", str(results), *NO_PICTURES]
+    here = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=True, env=here)
     heading = next(line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line)
     assert heading.split()[-1] == "ms"
     assert "hidden" not in done.stdout

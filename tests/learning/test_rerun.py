@@ -127,5 +127,5 @@ def test_an_error_counts_episodes_within_their_cell(cell: Evaluated) -> None:
 
 def test_actions_of_another_size_are_of_another_task(cell: Evaluated) -> None:
     recorded = Recorded(**read_recorded(cell.path))
-    with pytest.raises(ArtifactError, match="an action of the task has 2 numbers"):
+    with pytest.raises(ArtifactError, match="an action has 2 numbers"):
         again(cell, a=[actions[:, :1] for actions in recorded.a])

@@ -177,7 +177,7 @@ def test_nothing_is_spent_where_nothing_is_reused(fakes: Fakes, small_spec: Path
 
 def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
     moved(COMMON)
-    swept = read_sweep(small_spec, "wasp.tau_c=0.3,0.5", ("human", "wasp"), ("reuse=published",))
+    swept = read_sweep(small_spec, "wasp.tau_c=0.3,0.7", ("human", "wasp"), ("reuse=published",))
     done = run_sweep(swept, here, RunOptions(jobs=0))
     assert done.session.summary.complete
     # Nothing is trained, Human-only is there, and so is WASP under one of the values.

@@ -14,7 +14,7 @@ import pytest
 
 from tests.commands import run_here
 from wasp_cli.spec.load import load
-from wasp_cli.spec.shipped import copy_specs, find_spec, published_folder, shipped_names, specs_folder
+from wasp_cli.spec.shipped import copy_specs, published_folder, shipped_names, spec_path, specs_folder
 
 ROOT = Path(__file__).parents[2]
 
@@ -33,22 +33,22 @@ def test_the_names_are_those_of_the_specs() -> None:
 
 @pytest.mark.parametrize("typed", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml", "specs/quickstart"])
 def test_a_spec_is_found_by_its_name(typed: str, elsewhere: Path) -> None:
-    assert find_spec(Path(typed)) == ROOT / "specs" / "quickstart.yaml"
+    assert spec_path(Path(typed)) == ROOT / "specs" / "quickstart.yaml"
     assert load(Path(typed)).spec.name == "quickstart"
 
 
 @pytest.mark.parametrize("typed", ["mine/quickstart.yaml", "../quickstart", "quickstart.txt", "/quickstart", "quick\nstart", "nothing", ""])
 def test_nothing_else_is_taken_for_a_name(typed: str, elsewhere: Path) -> None:
-    assert find_spec(Path(typed)) == Path(typed)
+    assert spec_path(Path(typed)) == Path(typed)
 
 
 def test_a_file_that_is_there_comes_first(elsewhere: Path) -> None:
     written, kept = copy_specs(Path("specs"))
     assert {path.name for path in written} == {path.name for path in (*specs_folder().glob("*.yaml"), *specs_folder().glob("*.json"))}
     assert not kept
-    assert find_spec(Path("smoke")) == Path("specs/smoke.yaml")
+    assert spec_path(Path("smoke")) == Path("specs/smoke.yaml")
     Path("smoke").write_text("name: own\n")
-    assert find_spec(Path("smoke")) == Path("smoke")
+    assert spec_path(Path("smoke")) == Path("smoke")
 
 
 def test_a_spec_that_extends_another_is_found_with_it(elsewhere: Path) -> None:

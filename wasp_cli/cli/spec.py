@@ -65,9 +65,9 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     from wasp_cli.spec.load import load
     from wasp_cli.spec.paper import is_paper, paper_of
     from wasp_cli.spec.read import read
-    from wasp_cli.spec.shipped import find_spec
+    from wasp_cli.spec.shipped import spec_path
 
-    path = find_spec(path)
+    path = spec_path(path)
     source = read(path)
     if is_paper(source):
         paper = paper_of(source)

@@ -18,7 +18,7 @@ from wasp_cli.spec.names import EXTENDS, SHORT
 from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem, locate
 from wasp_cli.spec.presets import merged
 from wasp_cli.spec.read import Source, beside, dotted, kind_of, parse, plain, read
-from wasp_cli.spec.shipped import find_spec
+from wasp_cli.spec.shipped import spec_path
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
         UsageError: a setting is not of the form `a.b=value`.
     """
     overrides = tuple(override(number, text) for number, text in enumerate(settings, start=1))
-    return loaded(chain_of(read(find_spec(path))), overrides)
+    return loaded(chain_of(read(spec_path(path))), overrides)
 
 
 def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:

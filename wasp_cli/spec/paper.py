@@ -194,8 +194,9 @@ class Paper(Config):
 
     @property
     def tasks(self) -> frozenset[str]:
-        """Return the tasks of which it prints numbers."""
-        return frozenset(task for table in self.tables for task in table.rows)
+        """Return the tasks of which it prints numbers or states something."""
+        stated = (task for claim in self.claims for statement in claim.statements for task in statement.tasks)
+        return frozenset(task for table in self.tables for task in table.rows).union(stated)
 
     def printed(self, task: str, who: Who, column: str) -> Printed | None:
         """Return the printed number of a row, from the first table that has it."""

@@ -34,7 +34,7 @@ def shipped_names() -> list[str]:
     return sorted(path.stem for path in specs_folder().glob(f"*{SUFFIX}") if path.stem != PAPER)
 
 
-def find_spec(typed: Path) -> Path:
+def spec_path(typed: Path) -> Path:
     """Return the file that was meant: the typed one, else one of that name in `specs/`, else the one that comes with the package."""
     if typed.exists() or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
         return typed
