@@ -119,6 +119,7 @@ def test_the_page_shows_an_episode_under_every_method(results: Path, tmp_path: P
         ("claims: [\n", "not valid YAML"),
         ("title: x\ntables: []\nclaims: 7\n", "claims"),
         ("name: x\npreset: smoke\n", "missing key 'title'"),
+        ("title: x\ntables: []\nclaims: [{says: x}]\n", "missing key 'id' in 'claims.0'"),
     ],
 )
 @pytest.mark.usefixtures("without_figures")

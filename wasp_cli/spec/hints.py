@@ -225,7 +225,8 @@ def _worded(loc: Loc, entries: list[dict[str, Any]], key_hint: Hint, description
     if first["type"] == "extra_forbidden":
         return Finding(loc, f"unknown key '{name}'", key_hint(loc), at_key=True)
     if first["type"] == "missing":
-        return Finding(loc, f"missing key '{name}'" if loc[-1:] != (KEY,) else first["msg"], description(loc))
+        inside = f" in '{'.'.join(map(str, loc[:-1]))}'" if len(loc) > 1 else ""
+        return Finding(loc, f"missing key '{name}'{inside}" if loc[-1:] != (KEY,) else first["msg"], description(loc))
     if "hint" in context or first["type"] in ("repeated", "no_operator", "severity_range"):
         value = "" if first["type"] != "severity_range" else f", not {_shown(first['input'])}"
         return Finding(loc, first["msg"] + value, context.get("hint"))
