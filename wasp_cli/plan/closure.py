@@ -56,7 +56,9 @@ def source_hashes(roots: Iterable[str]) -> dict[str, str]:
 @cache
 def source_hash(module: str) -> str:
     """Return the hash of one module's syntax without docstrings."""
-    return _digest(module, _tree(module))
+    stamp, tree = _tree(module)
+    _seen[module] = stamp, _digest(module, tree)
+    return _seen[module][1]
 
 
 def changed_since(hashes: Mapping[str, str]) -> list[str]:
@@ -65,19 +67,25 @@ def changed_since(hashes: Mapping[str, str]) -> list[str]:
 
 
 _seen: dict[str, tuple[tuple[int, int], str]] = {}
-"""Stamp and hash of each module that `changed_since` has read."""
+"""Stamp and hash of each module that was read: what `changed_since` finds unwritten since then is not read again."""
 
 
 def _fresh_hash(module: str) -> str:
-    file = _file(module)
     try:
-        state = file.stat() if file is not None else None
-        stamp = (state.st_mtime_ns, state.st_size) if state is not None else (0, 0)
+        stamp = _stamp(module)
         if _seen.get(module, (None, ""))[0] != stamp:
+            file = _file(module)
             _seen[module] = stamp, _digest(module, ast.Module([], []) if file is None else ast.parse(file.read_bytes()))
     except (OSError, SyntaxError, ValueError):  # removed, or half saved
         return ""
     return _seen[module][1]
+
+
+def _stamp(module: str) -> tuple[int, int]:
+    """Time of the last write and size of a module's file; zeros where it has none."""
+    file = _file(module)
+    state = file.stat() if file is not None else None
+    return (state.st_mtime_ns, state.st_size) if state is not None else (0, 0)
 
 
 def _digest(module: str, tree: ast.Module) -> str:
@@ -107,7 +115,7 @@ def _imports(module: str) -> frozenset[str]:
     package = module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
     own = module.partition(".")[0]
     found: set[str] = set()
-    for node in _running(_tree(module)):
+    for node in _running(_tree(module)[1]):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -208,10 +216,11 @@ def _is_text(item: object) -> bool:
 
 
 @cache
-def _tree(module: str) -> ast.Module:
-    file = _file(module)
+def _tree(module: str) -> tuple[tuple[int, int], ast.Module]:
+    """Stamp and syntax of a module; the stamp first, so that a write in between is noticed."""
+    stamp, file = _stamp(module), _file(module)
     # A namespace package has no source of its own.
-    return ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
+    return stamp, ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
 
 
 @cache
