@@ -118,7 +118,7 @@ def test_light_commands_import_nothing_heavy(arguments: list[str], tmp_path: Pat
 def test_plan_lays_table_1_out_in_full() -> None:
     done = wasp("plan", "specs/table1.yaml", "--results", "/nowhere")
     assert done.returncode == 0
-    assert "864 grid points, 765 cells to evaluate" in done.stdout
+    assert "288 grid points, 261 cells to evaluate" in done.stdout
 
 
 def test_plan_as_json_is_json_alone() -> None:
@@ -148,7 +148,7 @@ def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
     bad = spec_with(tmp_path, "[goal1]", "[goal7]")
     done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
     assert done.returncode == 3
-    assert "specs/table1.yaml: ok, 765 cells" in done.stdout
+    assert "specs/table1.yaml: ok, 261 cells" in done.stdout
     assert f"{bad}:5:9: unknown task 'goal7'" in done.stderr
     assert "absent.yaml:1:1: no such file" in done.stderr
     assert wasp("check", SMOKE).returncode == 0
@@ -317,21 +317,22 @@ def test_ablate_says_first_what_it_will_compute(fakes: Fakes, tmp_path: Path) ->
     ]
     planned = wasp("ablate", *options, "--results", tmp_path / "results", "--dry-run", fake=True)
     assert planned.returncode == 0
-    assert "2 grid points, 2 cells to evaluate" in planned.stdout
+    assert "3 grid points, 3 cells to evaluate" in planned.stdout
     assert not (tmp_path / "results").exists()
     done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)
-    assert "2 grid points, 2 cells to evaluate" in done.stderr
-    assert len(list((tmp_path / "results").glob("store/evaluate/*/_manifest.json"))) == 2
+    assert "3 grid points, 3 cells to evaluate" in done.stderr
+    assert len(list((tmp_path / "results").glob("store/evaluate/*/_manifest.json"))) == 3
 
 
-def test_ablate_runs_the_whole_method_and_the_variant(fakes: Fakes, tmp_path: Path) -> None:
+def test_ablate_runs_the_whole_method_and_the_variant_beside_the_operators_alone(fakes: Fakes, tmp_path: Path) -> None:
     options = ["--variant", "no-case2", "--task", "goal1", "--preset", "smoke", "--set", "seeds=[0]", "-j", "0"]
     done = wasp("ablate", *options, "--results", tmp_path / "results", fake=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "24 cells\n"
+    assert done.stdout == "12 cells\n"
     evaluations = [line for line in fakes.executions() if "evaluate" in line]
-    assert sum("no-case2" in line for line in evaluations) == 12
-    assert sum("'full'" in line for line in evaluations) == 12
+    assert len(evaluations) == 12
+    assert sum("no-case2" in line for line in evaluations) == 4
+    assert sum("human" in line for line in evaluations) == 4
 
 
 def test_doctor_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:

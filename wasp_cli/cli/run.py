@@ -141,7 +141,7 @@ def ablate(
     scheduler: SchedulerOption = None,
     set_: SetOption = None,
 ) -> None:
-    """Compare a method with one of its ablations.
+    """Compare a method with one of its ablations, and with the operators alone.
 
     Operators, seeds and episodes are those of the spec. With many of them this takes long: --dry-run says how long, --set changes them.
     """

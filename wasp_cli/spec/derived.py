@@ -41,7 +41,7 @@ def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str
 def ablation(
     path: Path, variant: str, tasks: Sequence[str] | None = None, preset: str | None = None, settings: Sequence[str] = ()
 ) -> Loaded:
-    """Return the spec at `path` with the method that has `variant`, run whole and as that variant.
+    """Return the spec at `path` with the method that has `variant`, run whole and as that variant, beside the operators alone.
 
     Raises:
         UnknownName: no such variant, task or preset.
@@ -51,7 +51,7 @@ def ablation(
         raise UnknownName("assistant variant", variant, assistant_variants())
     # The whole method is in every ablation; for `full` itself, it is the method that can be ablated.
     method = next(info.name for info in METHODS.values() if variant in info.variants and len(info.variants) > 1)
-    narrowed = [f"name=ablate-{variant}", f"methods=[{method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
+    narrowed = [f"name=ablate-{variant}", f"methods=[human, {method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
     return load(path, [*narrowed, *sized(preset, settings)])
