@@ -67,6 +67,6 @@ def test_a_section_with_the_recipe_is_the_variant() -> None:
     assert section == variant
 
 
-def test_ablate_runs_the_two() -> None:
+def test_ablate_runs_the_two_beside_the_operators_alone() -> None:
     spec = ablation(Path("specs/quickstart.yaml"), "as-printed").spec
-    assert (spec.methods, spec.variants) == (("wasp",), ("full", "as-printed"))
+    assert (spec.methods, spec.variants) == (("human", "wasp"), ("full", "as-printed"))
