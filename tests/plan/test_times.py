@@ -59,7 +59,7 @@ def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch
 
 
 def test_a_later_round_of_the_world_model_has_updates_of_its_own(tmp_path: Path) -> None:
-    plan = planned("worldmodel.yaml", tmp_path, "tasks=[goal1]")
+    plan = planned("worldmodel.yaml", tmp_path, "tasks=[goal1]", "rounds=2")
     first, later = (node for node in plan.to_run() if node.kind == "world_model")
     ratio = later.config["later_updates"] / later.config["updates"]
     assert ratio < 1

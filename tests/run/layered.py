@@ -21,6 +21,7 @@ from wasp_cli.run.publish import carry_publication, publication
 from wasp_cli.run.session import RunOptions, Session, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import Slimming
 
 SPECIFIC = "wasp_cli.methods.ida"
 """A module that some nodes run, none of them one that others read but a calibration."""
@@ -66,7 +67,7 @@ def here(fakes: Fakes, small_spec: Path, tmp_path: Path) -> Path:
 
 def publish(spec: Path, layout: Layout, target: Layout) -> None:
     found = publication(load(spec).spec, layout, target, (), 8e6, "none")
-    carry_publication(found, load(spec).spec, layout, target)
+    carry_publication(found, load(spec).spec, layout, target, Slimming())
 
 
 def run(spec: Path, results: Path, settings: tuple[str, ...] = (), choice: str = "published") -> Session:

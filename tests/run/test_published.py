@@ -183,3 +183,30 @@ def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, mo
     # Nothing is trained, Human-only is there, and so is WASP under one of the values.
     assert kinds(fakes.executions()) == {"calibration": 2, "evaluate": 2 * 2}
     assert done.session.plan.count("published", "evaluate") == 2 * 2 * 2
+
+
+JUDGED = ("stages=[counterfactual]",)
+
+
+def slimmed(manifest: dict[str, object]) -> None:
+    manifest["slim"] = {"_steps.pq": {"left_out": "steps of all episodes but the first", "sha256": "0" * 64}}
+
+
+def test_a_cell_without_its_steps_stands_for_its_rows_and_never_for_what_reads_steps(here: Path, fakes: Fakes, small_spec: Path) -> None:
+    """Branches of interventions begin in the steps of a cell: where they are left out, the cell is computed again for them, whole."""
+    rewrite(published_manifest(here, "goal1 s0 ida noisy=0.2"), slimmed)
+    run(small_spec, here)
+    assert not fakes.executions()
+    fresh = here.parent / "other"
+    shutil.copytree(here / "published", fresh / "published")
+    run(small_spec, fresh, JUDGED)
+    assert kinds(fakes.executions())["evaluate"] == 1
+
+
+def test_a_cell_without_its_steps_in_the_store_is_computed_again_when_they_are_needed(here: Path, fakes: Fakes, small_spec: Path) -> None:
+    rewrite(published_manifest(here, "goal1 s0 ida noisy=0.2"), slimmed)
+    run(small_spec, here)
+    run(small_spec, here, JUDGED)
+    assert kinds(fakes.executions())["evaluate"] == 1
+    after = plan(small_spec, here, JUDGED)
+    assert not after.to_run()

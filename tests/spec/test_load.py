@@ -177,7 +177,7 @@ def test_all_problems_come_at_once_in_file_order() -> None:
 
 
 def test_rounds_come_from_the_preset_unless_the_file_has_them() -> None:
-    wanted = {"smoke": 2, "quick": 1, "cpu": 2, "gpu": 2, "paper": 2}
+    wanted = {"smoke": 2, "quick": 1, "cpu": 1, "gpu": 1, "paper": 1}
     assert {preset: read(GOOD.replace("preset: smoke", f"preset: {preset}")).spec.rounds for preset in wanted} == wanted
     assert read(GOOD + "rounds: 3\n").spec.rounds == 3
 

@@ -87,6 +87,11 @@ def publish(
     reuse: Annotated[
         str, typer.Option("--reuse", metavar="none|published|DIR", help="none: only what this code computed; otherwise as for wasp run.")
     ] = "none",
+    half: Annotated[bool, typer.Option("--half", help="Weights in half precision: half the size.")] = False,
+    steps: Annotated[
+        int | None,
+        typer.Option("--steps", min=0, metavar="N", help="Of each cell only the steps of the first N episodes. (default: all)"),
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would be published.")] = False,
     set_: SetOption = None,
 ) -> None:
@@ -102,6 +107,7 @@ def publish(
     from wasp_cli.spec.load import load
     from wasp_cli.store.layout import Layout
     from wasp_cli.store.lock import held
+    from wasp_cli.store.slim import Slimming
 
     loaded = restricted(load(spec, set_ or ()), task)
     layout = results_of(results.absolute())
@@ -112,5 +118,5 @@ def publish(
         show_publication(planned, largest * 1e6, out())
         if dry_run:
             return
-        carry_publication(planned, loaded.spec, layout, target)
+        carry_publication(planned, loaded.spec, layout, target, Slimming(half, steps))
     say(f"published in {target.root}")

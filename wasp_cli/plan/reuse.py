@@ -24,6 +24,7 @@ from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import Offer, Reused, commit_of, not_used, offers, why_unusable
+from wasp_cli.store.slim import without_steps
 
 NONE, PUBLISHED = "none", "published"
 """What may be reused; or the published folder of someone else."""
@@ -129,7 +130,8 @@ def _preference(offer: Offer, own: str, keys: Mapping[str, str]) -> tuple[bool, 
 
 
 def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
-    """The recipes of results that must not be reused: a node that is computed would read two versions of something through them."""
+    """The recipes of results that must not be reused: a node that is computed would read two versions of something through them, or steps
+    that were left out of a slim cell."""
     keys = _keys_with(own, chosen)
     computed = _computed(own, chosen)
     read = {needed.key for node in own.nodes for needed in node.needs.values()}
@@ -142,6 +144,8 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
             versions[recipe] = {**chosen[recipe].behind, recipe: keys[recipe]}
         elif node.key in computed and (node.key in read or id(node.needs) not in judged):  # the cells of an assistant share what they read
             judged.add(id(node.needs))
+            needed_here = (own.recipes[needed.key] for needed in node.needs.values())
+            yield from (each for each in needed_here if each in chosen and without_steps(chosen[each].manifest))
             merged, twofold = _merged(versions[own.recipes[needed.key]] for needed in node.needs.values())
             versions[recipe] = {**merged, recipe: keys[recipe]}
             for reused in _nearest(own, node, chosen) if twofold else ():

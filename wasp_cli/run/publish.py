@@ -38,6 +38,7 @@ from wasp_cli.store.artifact import (
 )
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
+from wasp_cli.store.slim import SLIM, Slimming, slim
 
 PUBLIC = (
     "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "devices", "started_at", "seconds",
@@ -188,7 +189,7 @@ def _same(one: Path, other: Path) -> bool:
     return other.is_file() and one.read_bytes() == other.read_bytes()
 
 
-def carry_publication(found: Publication, spec: Spec, layout: Layout, target: Layout) -> None:
+def carry_publication(found: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming) -> None:
     """Copy what is new; what is there already stays as it is, and nothing is removed.
 
     Args:
@@ -196,9 +197,10 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
         spec: whose results.
         layout: the results folder.
         target: the published layer.
+        slimming: what the copies leave out.
 
     Raises:
-        ArtifactError: a file has changed since it was looked at.
+        ArtifactError: a file has changed since it was looked at, or half precision cannot hold a weight.
         StoreError: a folder of the published layer is a link.
     """
     for folder in (target.store, target.tmp, target.reports(spec.name)):
@@ -206,21 +208,22 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
     sweep(target)
     try:
         for item in found.new:
-            _copy(item, layout, target)
+            _copy(item, layout, target, slimming)
         _copy_reports(found.reports, target.reports(spec.name), target)
     finally:
         with suppress(OSError):  # another one writes there now, or nothing was to copy
             target.tmp.rmdir()
 
 
-def _copy(item: Item, layout: Layout, target: Layout) -> None:
+def _copy(item: Item, layout: Layout, target: Layout, slimming: Slimming) -> None:
     kind, key = item.node.kind, item.node.key
     if damage(target, kind, key) is None:  # of the right sizes, and with other bytes
         invalidate(target, kind, key, "it had other bytes than were published")
     staging = staging_folder(target, key)
     try:
         copy_files(layout, kind, key, item.manifest, staging)
-        commit(target, kind, key, staging, item.manifest)
+        left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
+        commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
     except BaseException:
         discard(staging)
         raise

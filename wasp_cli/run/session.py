@@ -30,10 +30,11 @@ from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.stages.registry import stages_of
-from wasp_cli.store.artifact import sweep
+from wasp_cli.store.artifact import exists, invalidate, read_manifest, sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import import_artifact
+from wasp_cli.store.slim import without_steps
 
 
 def cores() -> int:
@@ -141,9 +142,20 @@ def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Sele
     layout = prepared(results, options)
     with planning(layout):
         plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
+        if _without_slim_inputs(plan, layout):
+            plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
         run_id = new_run(layout, loaded, plan)
     announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options)
+
+
+def _without_slim_inputs(plan: Plan, layout: Layout) -> bool:
+    """Take back cells that were published without all their steps and that a node is to read now; whether there were any."""
+    read = {(needed.kind, needed.key) for node in plan.to_run() for needed in node.needs.values() if needed.kind == "evaluate"}
+    slim = [each for each in sorted(read) if exists(layout, *each) and without_steps(read_manifest(layout, *each))]
+    for kind, key in slim:
+        invalidate(layout, kind, key, "it was published without the steps of all its episodes, and they are needed")
+    return bool(slim)
 
 
 def planning(layout: Layout) -> AbstractContextManager[None]:

@@ -37,6 +37,7 @@ from wasp_cli.store.artifact import (
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.provenance import cuda_devices
+from wasp_cli.store.slim import without_steps
 
 DEATHS = 2
 """Killed processes after which a node has failed."""
@@ -126,6 +127,10 @@ def _require_inputs(job: NodeJob, layout: Layout) -> None:
         if wrong is not None:
             invalidate(layout, kind, key, wrong)
             raise ArtifactError(f"an input is damaged: {wrong}", "run again: what is damaged is computed again")
+        if without_steps(read_manifest(layout, kind, key)):
+            why = "it was published without the steps of all its episodes, and they are needed"
+            invalidate(layout, kind, key, why)
+            raise ArtifactError(f"an input is not whole: {why}", "run again: the cell is computed again, whole")
 
 
 def _require_planned_source(job: NodeJob) -> None:
@@ -168,8 +173,10 @@ def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progre
 
 
 def _earlier(job: NodeJob, layout: Layout) -> Path | None:
-    """Where the first episodes of a cell are; nowhere where they have been removed or damaged since the plan."""
+    """Where the first episodes of a cell are; nowhere where they are not whole, or have been removed or damaged since the plan."""
     if job.earlier is None or corruption(layout, job.kind, job.earlier) is not None:
+        return None
+    if without_steps(read_manifest(layout, job.kind, job.earlier)):
         return None
     return layout.artifact(job.kind, job.earlier)
 

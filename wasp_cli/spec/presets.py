@@ -17,6 +17,7 @@ _CPU: Document = {
 # Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
 _SMOKE: Document = {
     "episodes": 2,
+    "rounds": 2,  # every stage runs
     "rollouts": {"steps": 400, "envs": 2},
     "expert": {"interactions": 2000, "envs": 8, "rollout": 32, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
     "dataset": {"steps": 600, "envs": 4},
@@ -56,7 +57,6 @@ _SMOKE: Document = {
 # many small updates of the world model beat few large ones.
 _QUICK: Document = {
     "episodes": 10,
-    "rounds": 1,
     "expert": {"interactions": 320_000, "gamma": 0.97, "multiplier_init": 0.2, "multiplier_lr": 0.02, "evaluation_episodes": 10},
     "dataset": {"steps": 24_000, "envs": 16},
     "world_model": {

@@ -177,6 +177,12 @@ def _read(cell: FoundCell, episode: int) -> Episode:
     place = numbers.index(episode)
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
+    if flat.num_rows and not mine.num_rows:
+        kept = flat["episode"].unique().to_pylist()
+        raise UsageError(
+            f"the steps of episode {episode} are not here", f"of this cell {len(kept)} episodes have theirs, from {min(kept)} on; "
+            "what is published may leave out the others: wasp run SPEC --reuse none computes the cell whole",
+        )  # fmt: skip
     a_h, a = (np.asarray(mine[name].to_pylist(), np.float64).reshape(mine.num_rows, -1) for name in ("a_h", "a"))
     if not a.size or a.shape != a_h.shape:
         raise ValueError("its commands and actions do not have the same numbers, or none")

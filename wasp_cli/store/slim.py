@@ -1,0 +1,93 @@
+"""Smaller copies of what is published: weights in half precision, and of a cell the steps of its first episodes alone.
+
+The manifest says under `slim`, by file, what was left out and the SHA-256 of the whole file. Rows of episodes are never touched, so that
+tables are the same. Nothing is computed from the steps of a slim cell: it is computed again instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from wasp_cli.errors import ArtifactError
+from wasp_cli.store.artifact import file_digest
+
+STEPS_FILE = "_steps.pq"
+"""As in `store.tables`, which needs pyarrow."""
+SLIM = "slim"
+"""In a published manifest: by file, what was left out of it, and the digest of the whole."""
+DATA = frozenset({"dataset", "latents", "heldout", "rollouts"})
+"""Kinds whose tensors are recorded data, not weights."""
+
+
+class Slimming(NamedTuple):
+    """What to leave out of published copies."""
+
+    half: bool = False
+    """Weights as 16 bits a number instead of 32."""
+    steps: int | None = None
+    """Episodes of a cell whose steps stay; None for all."""
+
+
+def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]:
+    """Rewrite the files of a copied artifact smaller.
+
+    Args:
+        folder: the copy; its files are replaced.
+        kind: of the artifact.
+        wanted: what to leave out.
+
+    Returns:
+        By name of each file that changed: `left_out`, and `sha256` of the whole file.
+
+    Raises:
+        ArtifactError: a weight is too large for half precision.
+    """
+    changed: dict[str, dict[str, Any]] = {}
+    for path in sorted(folder.rglob("*")):
+        whole = file_digest(path) if path.is_file() else ""
+        if wanted.half and path.suffix == ".safetensors" and kind not in DATA and _halve(path):
+            left_out = "weights in half precision"
+        elif wanted.steps is not None and kind == "evaluate" and path.name == STEPS_FILE and _cut(path, wanted.steps):
+            left_out = f"steps of all episodes but the first {wanted.steps}" if wanted.steps > 1 else "steps of all episodes but the first"
+        else:
+            continue
+        changed[path.relative_to(folder).as_posix()] = {"left_out": left_out, "sha256": whole}
+    return changed
+
+
+def without_steps(manifest: Mapping[str, Any]) -> bool:
+    """Return whether steps of a published cell were left out, so that nothing may be computed from it."""
+    changed = manifest.get(SLIM)
+    return manifest.get("kind") == "evaluate" and isinstance(changed, Mapping) and bool(changed)
+
+
+def _halve(path: Path) -> bool:
+    """Write the 32-bit tensors of a file as 16 bits; whether there were any."""
+    import numpy as np
+    from safetensors.numpy import load_file, save_file
+
+    tensors = load_file(path)
+    with np.errstate(over="ignore"):  # told below, by name
+        smaller = {name: value.astype(np.float16) if value.dtype == np.float32 else value for name, value in tensors.items()}
+    for name, value in smaller.items():
+        if value.dtype == np.float16 and not np.isfinite(value).all():
+            raise ArtifactError(f"'{path.name}': half precision cannot hold '{name}'", "publish it without --half")
+    save_file(smaller, path)
+    return any(value.dtype == np.float32 for value in tensors.values())
+
+
+def _cut(path: Path, episodes: int) -> bool:
+    """Keep the steps of the first `episodes`; whether others were there."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    from wasp_cli.store.parquet import write_table
+
+    table = pq.read_table(path)
+    kept = table.filter(pc.less(table["episode"], episodes))
+    if len(kept) == len(table):
+        return False
+    write_table(kept, path)
+    return True
