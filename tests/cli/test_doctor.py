@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+import re
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 import torch
 
 import wasp_cli
-from wasp_cli.cli.doctor import ON_DEVICE, Finding, examine, require
+from wasp_cli.cli import doctor
+from wasp_cli.cli.doctor import ON_DEVICE, PLUGINS, Finding, examine, require
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import VARIABLE
 
@@ -46,3 +49,24 @@ def test_a_device_that_training_would_not_find_is_said_before(tmp_path: Path, mo
     assert "unset WASP_DEVICE" in found.meaning
     with pytest.raises(WaspError, match="GPU"):
         require([found])
+
+
+def test_plugins_are_listed_and_a_broken_one_is_named_without_stopping_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    points = {
+        "wasp.methods": [EntryPoint("careful", "wasp_cli.methods.registry:METHODS", "wasp.methods")],
+        "wasp.operators": [EntryPoint("gone", "no_such_package:thing", "wasp.operators")],
+    }
+    monkeypatch.setattr(doctor, "entry_points", lambda group: points.get(group, []))
+    found = {finding.what: finding for finding in examine(tmp_path) if finding.what.startswith("plugin")}
+    assert found["plugin careful (method)"].state == "ok"
+    broken = found["plugin gone (operator)"]
+    assert (broken.state, broken.meaning) == ("broken", "repair or uninstall it")
+    assert "ModuleNotFoundError" in broken.found
+    with pytest.raises(WaspError, match="plugin gone"):
+        require([*found.values()])
+
+
+def test_every_group_of_plugins_is_looked_at() -> None:
+    root = Path(wasp_cli.__file__).parent
+    groups = {group for path in root.glob("*/registry.py") for group in re.findall(r'^    "(wasp\.\w+)",$', path.read_text(), re.MULTILINE)}
+    assert groups == {*PLUGINS}

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 
@@ -158,3 +160,19 @@ def test_check_counts_one_cell(tmp_path: Path) -> None:
     text = "name: one\npreset: smoke\ntask: goal1\nmethods: [human]\noperators:\n  noisy: {mild: 0.2}\nseeds: [0]\n"
     (tmp_path / "one.yaml").write_text(text, encoding="utf-8")
     assert wasp("check", "one.yaml", folder=tmp_path).stdout.split(": ")[1].strip() == "ok, 1 cell"
+
+
+def test_methods_lists_every_assistant_and_operator() -> None:
+    listed = json.loads(wasp("methods", "--json").stdout)
+    assert [each["name"] for each in listed["methods"]] == list(METHODS)
+    assert [each["name"] for each in listed["operators"]] == list(OPERATORS)
+    shown = wasp("methods").stdout
+    assert all(name in shown for name in (*METHODS, *OPERATORS, "as-printed", "delay in seconds"))
+    assert shown.count("as-printed") == 1
+
+
+def test_help_names_no_type_of_a_switch() -> None:
+    shown = wasp("plan", "--help").stdout
+    lines = [line for line in shown.splitlines() if "--json " in line or "--all " in line]
+    assert len(lines) >= 2
+    assert not [line for line in lines if "<" in line]

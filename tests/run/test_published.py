@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.plan.test_plan import text_of
 from tests.run.harness import Fakes, data_of
 from tests.run.layered import COMMON, MORE, SPECIFIC, fresh_console, here, kinds, moved, node_of, plan, published_manifest, rewrite, run
 from wasp_cli.errors import UsageError
@@ -39,6 +40,7 @@ def test_a_fresh_folder_computes_nothing_that_is_published(
     assert data_of(here).items() <= data_of(tmp_path / "elsewhere").items()
     assert f"0 computed, 0 computed before, {len(taken)} published in" in capsys.readouterr().err
     assert plan(small_spec, here).count("cached") == len(taken)
+    assert f"nothing to compute: a run copies {len(taken)} published results" in text_of(before)
     # The code is the same, so the keys are those that they would have been anyway.
     assert {node.key for node in lay_out(load(small_spec).spec).nodes} == {step.node.key for step in before.steps}
 

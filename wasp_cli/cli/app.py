@@ -13,6 +13,7 @@ from wasp_cli import __version__
 from wasp_cli.cli.bench import bench_app
 from wasp_cli.cli.doctor import doctor_app
 from wasp_cli.cli.inspect import inspect_app
+from wasp_cli.cli.options import flag
 from wasp_cli.cli.report import report_app
 from wasp_cli.cli.run import run_app
 from wasp_cli.cli.spec import spec_app, tasks_app
@@ -42,8 +43,8 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def main_options(
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of expected errors too (or set WASP_DEBUG=1).")] = False,
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")] = False,
+    debug: Annotated[bool, flag("--debug", help="Show the traceback of expected errors too (or set WASP_DEBUG=1).")] = False,
+    version: Annotated[bool, flag("--version", callback=_version, is_eager=True, help="Print the version and exit.")] = False,
 ) -> None:
     """Take the options of every command."""
     if debug:

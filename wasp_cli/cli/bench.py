@@ -51,6 +51,7 @@ def planner(
 
     # Read when torch is loaded. Threads that wait too long for one that a busy neighbour delays take its core too.
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
+    os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # torch's profiler says on stderr when it starts and stops
     from wasp_cli.studies.planner_timing import bench_planner, bench_table, notes
 
     timings = {

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +24,8 @@ doctor_app = typer.Typer()
 
 NEEDED = ("mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
+PLUGINS = ("wasp.tasks", "wasp.methods", "wasp.operators", "wasp.stages")
+"""Groups of entry points; a test holds them against the registries."""
 ON_DEVICE = ("world_model", "latents", "evaluate")
 """The stages that compute on a GPU where there is one; a test holds this against their code."""
 
@@ -41,14 +44,14 @@ class Finding:
     """One checked property of the machine."""
 
     what: str
-    state: Literal["ok", "missing", "low", "optional"]
+    state: Literal["ok", "missing", "broken", "low", "optional"]
     found: str
     meaning: str = ""
 
 
 def examine(results: Path) -> list[Finding]:
     """Check everything that a run can use. Imports torch and MuJoCo."""
-    return [*_software(), *_hardware(), _writable(results)]
+    return [*_software(), *_plugins(), *_hardware(), _writable(results)]
 
 
 def _software() -> Iterator[Finding]:
@@ -65,6 +68,20 @@ def _imported(distribution: str, module: str) -> Finding:
     except (ImportError, OSError) as error:  # OSError: a library that the module loads is not there
         return Finding(distribution, "missing", str(error).partition("\n")[0], f"required: pip install {distribution}")
     return Finding(distribution, "ok", installed(distribution) or "found")
+
+
+def _plugins() -> Iterator[Finding]:
+    """What other packages add. One that does not load stops every command, so that it must not stop this one."""
+    for group in PLUGINS:
+        for point in entry_points(group=group):
+            package = f"{point.dist.name} {point.dist.version}" if point.dist else point.module
+            what = f"plugin {point.name} ({group.removeprefix('wasp.').removesuffix('s')})"
+            try:
+                point.load()
+            except Exception as error:  # its code is another's
+                yield Finding(what, "broken", f"{package}: {type(error).__name__}: {error}".partition("\n")[0], "repair or uninstall it")
+            else:
+                yield Finding(what, "ok", package)
 
 
 def _hardware() -> Iterator[Finding]:
@@ -120,7 +137,7 @@ def require(findings: list[Finding]) -> None:
     Raises:
         WaspError: something is; it is named.
     """
-    if missing := [finding.what for finding in findings if finding.state == "missing"]:
+    if missing := [finding.what for finding in findings if finding.state in ("missing", "broken")]:
         raise WaspError(f"wasp cannot run here: {', '.join(missing)}", "the last column of the table says what to do")
 
 
@@ -130,8 +147,8 @@ def show(findings: list[Finding]) -> None:
     from rich.text import Text
 
     table = Table(box=None, padding=(0, 2), show_header=False)
-    colours = {"ok": "green", "missing": "bold red", "low": "yellow", "optional": "yellow"}
-    words = {"ok": "ok", "missing": "missing", "low": "low", "optional": "none"}
+    colours = {"ok": "green", "missing": "bold red", "broken": "bold red", "low": "yellow", "optional": "yellow"}
+    words = {"ok": "ok", "missing": "missing", "broken": "broken", "low": "low", "optional": "none"}
     for finding in findings:
         state = Text(words[finding.state], style=colours[finding.state])
         table.add_row(Text(finding.what), state, Text(finding.found), Text(finding.meaning, style="dim"))

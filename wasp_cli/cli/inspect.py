@@ -16,6 +16,7 @@ from wasp_cli.cli.options import (
     RunOption,
     StoredCellArgument,
     expected_errors,
+    flag,
     option,
     print_json,
     results_folder,
@@ -118,7 +119,7 @@ def logs(
     node: NodeArgument,
     run: RunOption = None,
     results: ResultsOption = Path("results"),
-    path: Annotated[bool, typer.Option("--path", help="Print the path of the log, not the log.")] = False,
+    path: Annotated[bool, flag("--path", help="Print the path of the log, not the log.")] = False,
 ) -> None:
     """Print the log of a node: a training stage or an evaluation, running, finished or failed."""
     import sys
@@ -236,7 +237,7 @@ def replay(
     every: Annotated[int | None, option("--every", min=1, metavar="N", help="Decisions per frame. (default: at most 125 frames)")] = None,
     run: RunOption = None,
     results: ResultsOption = Path("results"),
-    json: Annotated[bool, typer.Option("--json", help="With --step: print the numbers as JSON.")] = False,
+    json: Annotated[bool, flag("--json", help="With --step: print the numbers as JSON.")] = False,
 ) -> None:
     """Show an episode as a video: map, cameras, imagined futures, gates.
 

@@ -24,6 +24,8 @@ PIPE_CLOSED = 141
 option = functools.partial(typer.Option, show_default=False)
 argument = functools.partial(typer.Argument, show_default=False)
 """Those whose default is None, or is explained in the help."""
+flag = functools.partial(typer.Option, metavar="")
+"""A switch, which takes no value: the help names no type."""
 
 
 def parse_folder(value: str | Path) -> Path:
@@ -110,9 +112,9 @@ ReuseOption = Annotated[
         help="Published results to use instead of computing: none, results/published, or a folder. (default: what the spec says)",
     ),
 ]
-DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")]
-FailedOption = Annotated[bool, typer.Option("--failed", help="Only nodes that failed before, and nodes that wait for them.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+DryRunOption = Annotated[bool, flag("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")]
+FailedOption = Annotated[bool, flag("--failed", help="Only nodes that failed before, and nodes that wait for them.")]
+JsonOption = Annotated[bool, flag("--json", help="Print JSON.")]
 
 
 def results_folder(argument: Path | None, option: Path) -> Path:

@@ -14,6 +14,7 @@ from wasp_cli.cli.options import (
     ResultsOption,
     argument,
     expected_errors,
+    flag,
     option,
     parse_folder,
     print_json,
@@ -57,9 +58,9 @@ def report(
         Path | None,
         option("--out", metavar="DIR", parser=parse_folder, help="Write to DIR/<spec>. (default: reports/ in the results folder)"),
     ] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
-    films: Annotated[bool, typer.Option("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
-    trained: Annotated[bool, typer.Option("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
+    strict: Annotated[bool, flag("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
+    films: Annotated[bool, flag("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
+    trained: Annotated[bool, flag("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
     """Print the tables of a results folder; write tables, figures and an HTML report."""
     from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName
@@ -192,9 +193,7 @@ def compare(
         Path | None,
         option("--out", metavar="DIR", parser=parse_folder, help="Also write the comparison there, as Markdown, CSV, LaTeX and HTML."),
     ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 1 if a cell differs by more than noise, or is missing in A or B.")
-    ] = False,
+    strict: Annotated[bool, flag("--strict", help="Exit with 1 if a cell differs by more than noise, or is missing in A or B.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Compare two results folders cell by cell: what changed, and is it more than noise?

@@ -28,6 +28,7 @@ from wasp_cli.cli.options import (
     TaskOption,
     TimeoutOption,
     expected_errors,
+    flag,
     option,
     print_json,
 )
@@ -64,7 +65,7 @@ def run(
     reuse: ReuseOption = None,
     dry_run: DryRunOption = False,
     detach: Annotated[
-        bool, typer.Option("--detach", help="Go on without this terminal. One line of JSON says where; wasp status shows progress.")
+        bool, flag("--detach", help="Go on without this terminal. One line of JSON says where; wasp status shows progress.")
     ] = False,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
@@ -107,7 +108,7 @@ def plan(
     limit: LimitOption = None,
     failed: FailedOption = False,
     reuse: ReuseOption = None,
-    every: Annotated[bool, typer.Option("--all", help="List every node with its state and reason.")] = False,
+    every: Annotated[bool, flag("--all", help="List every node with its state and reason.")] = False,
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -224,7 +225,7 @@ def sweep(
 
 @run_app.command(
     rich_help_panel=PANEL,
-    epilog="[bold]wasp operators specs/table1.yaml --task goal1[/]   ·   "
+    epilog="[bold]wasp operators specs/severity.yaml --task goal1[/]   ·   "
     "[bold]wasp operators specs/quickstart.yaml --set 'operators={laggy: {mild: 0.5, moderate: 0.7}}'[/]\n\n"
     "Exit codes: 0 no operator is rejected, 1 an operator is rejected or some cells failed, 2 usage, 3 invalid spec, 130 interrupted.",
 )

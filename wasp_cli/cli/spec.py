@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JsonOption, SetOption, argument, expected_errors, option, parse_folder, print_json
+from wasp_cli.cli.options import JsonOption, SetOption, argument, expected_errors, flag, option, parse_folder, print_json
+from wasp_cli.registry import module_of
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
 
     from wasp_cli.spec.places import Problem
     from wasp_cli.tasks.describe import Description
@@ -96,7 +98,7 @@ def init(
 )
 @expected_errors
 def schema(
-    plugins: Annotated[bool, typer.Option("--plugins", help="Include the names of installed plugins.")] = False,
+    plugins: Annotated[bool, flag("--plugins", help="Include the names of installed plugins.")] = False,
 ) -> None:
     """Print the JSON Schema of specs, for completion and checks in an editor.
 
@@ -135,6 +137,79 @@ def tasks(context: typer.Context, json: JsonOption = False) -> None:
         return
     out().print(task_table(descriptions))
     say("Any gymnasium id is a task too: docs/own_task.md")
+
+
+@spec_app.command(
+    rich_help_panel="Specs and tasks", epilog="[bold]wasp methods[/]   ·   [bold]wasp methods --json | jq '.operators[].name'[/]"
+)
+@expected_errors
+def methods(json: JsonOption = False) -> None:
+    """List the assistants and the simulated operators that a spec can name, with those of plugins."""
+    from wasp_cli.console import out
+    from wasp_cli.methods.registry import METHODS
+    from wasp_cli.operators.registry import OPERATORS
+
+    assistants = [
+        {
+            "name": info.name, "title": info.title, "rule": info.rule, "variants": list(dict.fromkeys((*info.variants, *info.rows))),
+            "needs": list(info.needs), "module": module_of(info.target),
+        }
+        for info in METHODS.values()
+    ]  # fmt: skip
+    operators = [
+        {
+            "name": info.name,
+            "title": info.title,
+            "severity": info.unit,
+            "low": info.low,
+            "high": info.high,
+            "module": module_of(info.target),
+        }
+        for info in OPERATORS.values()
+    ]  # fmt: skip
+    if json:
+        print_json({"methods": assistants, "operators": operators})
+        return
+    out().print(method_table(assistants))
+    out().print(operator_table(operators))
+
+
+def method_table(methods: Sequence[Mapping[str, Any]]) -> Table:
+    """Make a row per assistant: its name, how it decides, and its variants."""
+    table = listing("Method", "How it decides", "Variants")
+    for info in methods:
+        shown = [each for each in info["variants"] if each != "full"]
+        table.add_row(named(info), info["rule"] or "see its documentation", "\n".join(shown))
+        table.add_section()
+    return table
+
+
+def operator_table(operators: Sequence[Mapping[str, Any]]) -> Table:
+    """Make a row per operator variant: its name, what its severity means, and from where to where."""
+    table = listing("Operator", "Severity", "Range")
+    for info in operators:
+        table.add_row(named(info), info["severity"], f"{info['low']:g} to {info['high']:g}")
+    return table
+
+
+def named(info: Mapping[str, Any]) -> Text:
+    """Return the name, and for what a plugin brings, its package below."""
+    from rich.text import Text
+
+    package = str(info["module"]).partition(".")[0]
+    text = Text(str(info["name"]), style="bold")
+    return text if package == "wasp_cli" else text.append(f"\n{package}", style="dim")
+
+
+def listing(*headings: str) -> Table:
+    """Make an empty table; only its first column keeps its words together."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for number, heading in enumerate(headings):
+        table.add_column(heading, no_wrap=number != 1)
+    return table
 
 
 def task_table(tasks: Sequence[Description]) -> Table:

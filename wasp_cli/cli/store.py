@@ -15,6 +15,7 @@ from wasp_cli.cli.options import (
     SpecArgument,
     TaskOption,
     expected_errors,
+    flag,
     option,
     parse_folder,
     results_folder,
@@ -38,9 +39,9 @@ def gc(
         list[Path] | None, option("--keep", metavar="SPEC", help="Also keep what this spec needs, as it is now (repeatable).")
     ] = None,
     older_than: Annotated[float | None, option("--older-than", min=0, metavar="DAYS", help="Only what is older than this.")] = None,
-    runs: Annotated[bool, typer.Option("--runs", help="Also remove run folders and their logs, except the newest of each spec.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would be removed.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask. Required without a terminal.")] = False,
+    runs: Annotated[bool, flag("--runs", help="Also remove run folders and their logs, except the newest of each spec.")] = False,
+    dry_run: Annotated[bool, flag("--dry-run", help="Only show what would be removed.")] = False,
+    yes: Annotated[bool, flag("--yes", "-y", help="Do not ask. Required without a terminal.")] = False,
 ) -> None:
     """Remove results that no spec needs.
 
@@ -87,12 +88,12 @@ def publish(
     reuse: Annotated[
         str, typer.Option("--reuse", metavar="none|published|DIR", help="none: only what this code computed; otherwise as for wasp run.")
     ] = "none",
-    half: Annotated[bool, typer.Option("--half", help="Weights in half precision: half the size.")] = False,
+    half: Annotated[bool, flag("--half", help="Weights in half precision: half the size.")] = False,
     steps: Annotated[
         int | None,
         typer.Option("--steps", min=0, metavar="N", help="Of each cell only the steps of the first N episodes. (default: all)"),
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would be published.")] = False,
+    dry_run: Annotated[bool, flag("--dry-run", help="Only show what would be published.")] = False,
     set_: SetOption = None,
 ) -> None:
     """Copy the results of a spec, with its report, to a folder for git.

@@ -85,7 +85,8 @@ def _every(plan: Plan) -> list[str]:
 
 def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
-        return ["nothing to run"]
+        copied = plan.count("published")
+        return [f"nothing to compute: a run copies {copied} published results" if copied else "nothing to run"]
     seconds, unknown = plan.estimate(workers)
     if not seconds:
         return ["no time estimate: neither here nor elsewhere was a node like these measured"]
