@@ -17,7 +17,7 @@ from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, 
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of
-from wasp_cli.report.provenance import Assumption, assumptions_markdown
+from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
 from wasp_cli.report.render.files import RENDERERS, make_own, write_pages
 from wasp_cli.report.render.text import markdown, terminal
 from wasp_cli.report.stats.frame import Frame, Missing
@@ -142,7 +142,7 @@ class Report:
         return build_page(
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
             figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,
-            assumptions=self.assumptions, films=films,
+            assumptions=self.assumptions, films=films, cells=cell_sources(self.layout, self.frame.cells, self.keys),
         )  # fmt: skip
 
 

@@ -1,4 +1,5 @@
-"""The report as one page (`templates/page.html`): verdict first, then tables and figures, a page for each task, what was trained."""
+"""The report as one page (`templates/page.html`): main results, claims, further tables and figures; a page for each task, for what was
+trained, and for the cells."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from wasp_cli.report.figures.style import CAPTIONS
 from wasp_cli.report.page.films import TaskFilms, film_page
-from wasp_cli.report.provenance import Assumption
+from wasp_cli.report.provenance import Assumption, CellSource
 from wasp_cli.report.render.files import rendered
 from wasp_cli.report.stats.frame import Missing
 from wasp_cli.report.tables.table import Table
@@ -38,6 +39,7 @@ def build_page(
     trained: Sequence[Trained],
     assumptions: Sequence[Assumption],
     films: Sequence[TaskFilms],
+    cells: Sequence[CellSource] = (),
 ) -> str:
     """Return one HTML document that needs no other file and no network.
 
@@ -53,6 +55,7 @@ def build_page(
         trained: what was trained.
         assumptions: values in force that are not the paper's.
         films: of the tasks that have any.
+        cells: where each comes from, and how to look into it.
     """
     svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
     shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
@@ -64,7 +67,7 @@ def build_page(
         figures=[figure for figure in shown if figure not in training_figures],
         films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
         training_tables=training_tables, training_figures=training_figures, learned=bool(training_tables or training_figures or trained),
-        assumptions=assumptions, style=_part("style.css"), script=_part("script.js"), task_title=task_title, duration=duration,
+        assumptions=assumptions, cells=cells, style=_part("style.css"), script=_part("script.js"), task_title=task_title, duration=duration,
         numbers_text=numbers_text, as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
     )  # fmt: skip
     return str(page)
