@@ -31,7 +31,7 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def __init__(self, kind: str, group: str | None, entries: tuple[E, ...]) -> None:
         self.kind = kind
-        self._group = group
+        self.group = group
         self._type = type(entries[0]) if entries else object
         self._own = {entry.name: entry for entry in entries}
         self._all: dict[str, E] | None = None
@@ -41,22 +41,38 @@ class Registry(Mapping[str, E], Generic[E]):
         """The entries of this package, without those of plugins."""
         return self._own
 
+    def plugins(self) -> Iterator[tuple[EntryPoint, E | WaspError]]:
+        """Yield each entry point of another package, with its entry or with why it cannot be used."""
+        names: set[str] = set()
+        for point in entry_points(group=self.group) if self.group else ():
+            try:
+                entry: E = _loaded(point)
+                self._require_new(entry, point, names)
+            except WaspError as error:
+                yield point, error
+            else:
+                names.add(entry.name)
+                yield point, entry
+
+    def _require_new(self, entry: E, point: EntryPoint, names: set[str]) -> None:
+        """Check that an entry point names an entry of this registry, with a name that nobody else has."""
+        if not isinstance(entry, self._type):
+            raise WaspError(
+                f"the entry point '{point.name}' of group '{point.group}' is of type {type(entry).__name__}",
+                f"it should be of type {self._type.__name__}",
+            )
+        if entry.name in self._own:
+            raise WaspError(f"plugin '{point.value}' redefines the built-in {self.kind} '{entry.name}'")
+        if entry.name in names:
+            raise WaspError(f"two plugins name a {self.kind} '{entry.name}'", "uninstall one of them")
+
     def _entries(self) -> dict[str, E]:
         if self._all is None:
             entries = dict(self._own)
-            # A plugin's entry point names an object that is an entry of this registry.
-            for point in entry_points(group=self._group) if self._group else ():
-                entry: E = _loaded(point)
-                if not isinstance(entry, self._type):
-                    raise WaspError(
-                        f"the entry point '{point.name}' of group '{point.group}' is of type {type(entry).__name__}",
-                        f"it should be of type {self._type.__name__}",
-                    )
-                if entry.name in self._own:
-                    raise WaspError(f"plugin '{point.value}' redefines the built-in {self.kind} '{entry.name}'")
-                if entry.name in entries:
-                    raise WaspError(f"two plugins name a {self.kind} '{entry.name}'", "uninstall one of them")
-                entries[entry.name] = entry
+            for _, found in self.plugins():
+                if isinstance(found, WaspError):
+                    raise found
+                entries[found.name] = found
             self._all = entries
         return self._all
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +14,7 @@ from tests.commands import run_here
 from wasp_cli.spec import derived
 from wasp_cli.studies.planner_timing import TABLE1, matrix_rate
 
+ROOT = Path(__file__).parents[2]
 KINDS = ["gate", "quiet", "safety", "task"]
 SMALLER = {"probe": 48, "candidates": 48, "elites": 16, "iterations": 4, "feasible": 16, "rollouts": 1}
 """12 times the rows of the planner of smoke size, and a ninth of the paper's."""
@@ -66,6 +71,22 @@ def test_the_table_says_what_is_timed_and_the_mean_decision(smaller: None) -> No
     assert "2 episodes side by side, 1 thread" in text
     assert all(kind in text for kind in KINDS)
     assert all(f"mean decision at Int. {rate:.2f} ({task})" in text for task, rate in TABLE1.items())
+
+
+def test_the_profiler_writes_nothing_between_the_numbers() -> None:
+    """In a process of its own: torch reads the variable once."""
+    program = f"""
+from wasp_cli.cli.app import app
+from wasp_cli.spec import derived
+
+derived.PAPER = {SMALLER}
+app(["bench", "planner", "specs/smoke.yaml", "--threads", "1", "--repeats", "1", "--json"])
+"""
+    here = {name: value for name, value in os.environ.items() if name != "KINETO_LOG_LEVEL"}
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=300, check=True, env=here)
+    assert "profiler" not in done.stderr
+    assert "USDT" not in done.stderr
+    assert json.loads(done.stdout)
 
 
 def test_a_setting_without_a_spec_is_refused() -> None:

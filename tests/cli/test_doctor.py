@@ -8,10 +8,11 @@ import pytest
 import torch
 
 import wasp_cli
-from wasp_cli.cli import doctor
-from wasp_cli.cli.doctor import ON_DEVICE, PLUGINS, Finding, examine, require
+from wasp_cli.cli.doctor import ON_DEVICE, REGISTRIES, Finding, examine, require
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import VARIABLE
+from wasp_cli.methods.registry import MethodInfo
+from wasp_cli.operators.registry import OperatorInfo
 
 
 def gpu(tmp_path: Path) -> Finding:
@@ -51,22 +52,46 @@ def test_a_device_that_training_would_not_find_is_said_before(tmp_path: Path, mo
         require([found])
 
 
-def test_plugins_are_listed_and_a_broken_one_is_named_without_stopping_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    points = {
-        "wasp.methods": [EntryPoint("careful", "wasp_cli.methods.registry:METHODS", "wasp.methods")],
-        "wasp.operators": [EntryPoint("gone", "no_such_package:thing", "wasp.operators")],
-    }
-    monkeypatch.setattr(doctor, "entry_points", lambda group: points.get(group, []))
-    found = {finding.what: finding for finding in examine(tmp_path) if finding.what.startswith("plugin")}
-    assert found["plugin careful (method)"].state == "ok"
-    broken = found["plugin gone (operator)"]
-    assert (broken.state, broken.meaning) == ("broken", "repair or uninstall it")
-    assert "ModuleNotFoundError" in broken.found
-    with pytest.raises(WaspError, match="plugin gone"):
-        require([*found.values()])
+INFO = "wasp_cli.methods.registry:MethodInfo"
+
+
+class Odd:
+    """What plugins name: one entry that is whole, and others that no command could use."""
+
+    whole = MethodInfo("whole", "Whole", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig")
+    taken = MethodInfo("wasp", "Mine", "wasp_cli.methods.human:HumanOnly", "wasp_cli.methods.configs:HumanConfig")
+    no_class = OperatorInfo("no-class", "None", "wasp_cli.operators.noisy:Nothing", 0.0, 1.0, "nothing")
+    no_config = MethodInfo("no-config", "None", "wasp_cli.methods.human:HumanOnly", INFO)
+
+
+@pytest.mark.parametrize(
+    ("group", "name", "value", "reason"),
+    [
+        ("wasp.methods", "whole", f"{__name__}:Odd.whole", ""),
+        ("wasp.operators", "gone", "no_such_package:thing", "ModuleNotFoundError: No module named 'no_such_package'"),
+        ("wasp.operators", "method", f"{__name__}:Odd.whole", "is of type MethodInfo"),
+        ("wasp.methods", "taken", f"{__name__}:Odd.taken", "redefines the built-in method 'wasp'"),
+        ("wasp.operators", "no-class", f"{__name__}:Odd.no_class", "AttributeError"),
+        ("wasp.methods", "no-config", f"{__name__}:Odd.no_config", "is no configuration"),
+    ],
+)
+def test_a_plugin_has_a_row_that_says_whether_it_can_be_used(
+    group: str, name: str, value: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    point = EntryPoint(name, value, group)
+    monkeypatch.setattr("wasp_cli.registry.entry_points", lambda group: [point] if group == point.group else [])
+    (found,) = [finding for finding in examine(tmp_path) if finding.what.startswith("plugin")]
+    assert found.what.startswith(f"plugin {name} (")
+    if not reason:
+        assert found.state == "ok"
+        return
+    assert (found.state, found.meaning) == ("broken", "repair or uninstall it")
+    assert reason in found.found
+    with pytest.raises(WaspError, match=f"plugin {name}"):
+        require([found])
 
 
 def test_every_group_of_plugins_is_looked_at() -> None:
     root = Path(wasp_cli.__file__).parent
     groups = {group for path in root.glob("*/registry.py") for group in re.findall(r'^    "(wasp\.\w+)",$', path.read_text(), re.MULTILINE)}
-    assert groups == {*PLUGINS}
+    assert groups == {registry.group for registry in REGISTRIES}

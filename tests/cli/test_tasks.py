@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from wasp_cli.cli.spec import named
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.tasks.make import make_task
@@ -169,6 +170,13 @@ def test_methods_lists_every_assistant_and_operator() -> None:
     shown = wasp("methods").stdout
     assert all(name in shown for name in (*METHODS, *OPERATORS, "as-printed", "delay in seconds"))
     assert shown.count("as-printed") == 1
+    assert all(word in shown for word in ("SafeRL-Res", "residual", "(lookahead)", "docs/extending.md"))
+    assert not [word for word in ("Limited skill", "from wasp_cli") if word in shown]
+
+
+def test_methods_says_which_package_a_plugin_is() -> None:
+    info = {"name": "careful", "title": "Very careful", "module": "wasp_example.assistant"}
+    assert named(info).plain == "careful\nVery careful\nfrom wasp_example"
 
 
 def test_help_names_no_type_of_a_switch() -> None:

@@ -8,24 +8,28 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import typer
 
 from wasp_cli.cli.options import ResultsOption, expected_errors
 from wasp_cli.console import out
 from wasp_cli.errors import UsageError, WaspError
+from wasp_cli.methods.registry import METHODS, MethodInfo
+from wasp_cli.operators.registry import OPERATORS
+from wasp_cli.registry import Registry, load_target
+from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
+from wasp_cli.tasks.registry import TASKS
 
 doctor_app = typer.Typer()
 
 NEEDED = ("mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
-PLUGINS = ("wasp.tasks", "wasp.methods", "wasp.operators", "wasp.stages")
-"""Groups of entry points; a test holds them against the registries."""
+REGISTRIES: tuple[Registry[Any], ...] = (TASKS, METHODS, OPERATORS, STAGES)
+"""Those that other packages can add to; a test holds them against the code."""
 ON_DEVICE = ("world_model", "latents", "evaluate")
 """The stages that compute on a GPU where there is one; a test holds this against their code."""
 
@@ -71,15 +75,21 @@ def _imported(distribution: str, module: str) -> Finding:
 
 
 def _plugins() -> Iterator[Finding]:
-    """What other packages add. One that does not load stops every command, so that it must not stop this one."""
-    for group in PLUGINS:
-        for point in entry_points(group=group):
+    """What other packages add. One that cannot be used stops other commands, so that it must not stop this one."""
+    for registry in REGISTRIES:
+        for point, found in registry.plugins():
             package = f"{point.dist.name} {point.dist.version}" if point.dist else point.module
-            what = f"plugin {point.name} ({group.removeprefix('wasp.').removesuffix('s')})"
+            what = f"plugin {point.name} ({registry.kind})"
             try:
-                point.load()
+                if isinstance(found, WaspError):
+                    raise found
+                load_target(found.target)
+                if isinstance(found, MethodInfo):
+                    found.config_model()
             except Exception as error:  # its code is another's
-                yield Finding(what, "broken", f"{package}: {type(error).__name__}: {error}".partition("\n")[0], "repair or uninstall it")
+                cause = error if error.__cause__ is None else error.__cause__
+                reason = cause.message if isinstance(cause, WaspError) else f"{type(cause).__name__}: {cause}"
+                yield Finding(what, "broken", f"{package}: {reason}".partition("\n")[0], "repair or uninstall it")
             else:
                 yield Finding(what, "ok", package)
 

@@ -1,4 +1,4 @@
-"""`wasp check`, `wasp schema`, `wasp tasks` and `wasp tasks show`."""
+"""`wasp check`, `init`, `schema`, `methods`, `tasks` and `tasks show`."""
 
 from __future__ import annotations
 
@@ -145,14 +145,15 @@ def tasks(context: typer.Context, json: JsonOption = False) -> None:
 @expected_errors
 def methods(json: JsonOption = False) -> None:
     """List the assistants and the simulated operators that a spec can name, with those of plugins."""
-    from wasp_cli.console import out
+    from wasp_cli.console import out, say
     from wasp_cli.methods.registry import METHODS
     from wasp_cli.operators.registry import OPERATORS
 
     assistants = [
         {
             "name": info.name, "title": info.title, "rule": info.rule, "variants": list(dict.fromkeys((*info.variants, *info.rows))),
-            "needs": list(info.needs), "module": module_of(info.target),
+            "needs": list(info.needs), "needs_with": list(dict.fromkeys(kind for *_, kind in info.needs_with)),
+            "module": module_of(info.target),
         }
         for info in METHODS.values()
     ]  # fmt: skip
@@ -171,15 +172,18 @@ def methods(json: JsonOption = False) -> None:
         print_json({"methods": assistants, "operators": operators})
         return
     out().print(method_table(assistants))
+    say("Stages are trained besides the world model and the policies; those in brackets under some settings only.")
     out().print(operator_table(operators))
+    say("Your own assistant or operator: docs/extending.md")
 
 
 def method_table(methods: Sequence[Mapping[str, Any]]) -> Table:
-    """Make a row per assistant: its name, how it decides, and its variants."""
-    table = listing("Method", "How it decides", "Variants")
+    """Make a row per assistant: its name, how it decides, the stages that it needs of its own, and its variants."""
+    table = listing("Method", "How it decides", "Stages", "Variants")
     for info in methods:
         shown = [each for each in info["variants"] if each != "full"]
-        table.add_row(named(info), info["rule"] or "see its documentation", "\n".join(shown))
+        stages = [*info["needs"], *(f"({kind})" for kind in info["needs_with"])]
+        table.add_row(named(info), info["rule"] or "see its documentation", "\n".join(stages), "\n".join(shown))
         table.add_section()
     return table
 
@@ -193,12 +197,14 @@ def operator_table(operators: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def named(info: Mapping[str, Any]) -> Text:
-    """Return the name, and for what a plugin brings, its package below."""
+    """Return the name, below it the title in tables where that is another word, and for what a plugin brings its package."""
     from rich.text import Text
 
-    package = str(info["module"]).partition(".")[0]
-    text = Text(str(info["name"]), style="bold")
-    return text if package == "wasp_cli" else text.append(f"\n{package}", style="dim")
+    name, title, package = str(info["name"]), str(info["title"]), str(info["module"]).partition(".")[0]
+    text = Text(name, style="bold")
+    if title.lower().replace(",", "").replace(" ", "-") != name:
+        text.append(f"\n{title}", style="dim")
+    return text if package == "wasp_cli" else text.append(f"\nfrom {package}", style="dim")
 
 
 def listing(*headings: str) -> Table:

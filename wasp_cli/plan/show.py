@@ -86,7 +86,7 @@ def _every(plan: Plan) -> list[str]:
 def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
-        return [f"nothing to compute: a run copies {copied} published results" if copied else "nothing to run"]
+        return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
     seconds, unknown = plan.estimate(workers)
     if not seconds:
         return ["no time estimate: neither here nor elsewhere was a node like these measured"]

@@ -17,7 +17,7 @@ from typing import Any
 from wasp_cli.plan.node import Node
 
 FIGURES = Path(__file__).parent / "times.json"
-SLICES, SLICE_SECONDS = 10, 0.05
+SLICES, SLICE_SECONDS = 25, 0.01
 SIZE = 65_536
 SIZES = {
     "expert": "interactions", "dataset": "steps", "rollouts": "steps", "world_model": "updates", "residual": "interactions",
