@@ -15,10 +15,9 @@ from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.kept import drawn_before, keep, mark_of
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
-from wasp_cli.report.page.build import LISTED, build_page
-from wasp_cli.report.page.evaluations import evaluations_of
+from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of
-from wasp_cli.report.provenance import Assumption, assumptions_markdown
+from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
 from wasp_cli.report.render.files import RENDERERS, make_own, write_pages
 from wasp_cli.report.render.text import markdown, terminal
 from wasp_cli.report.stats.frame import Frame, Missing
@@ -143,8 +142,7 @@ class Report:
         return build_page(
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
             figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,
-            assumptions=self.assumptions, films=films, evaluations=tuple(evaluations_of(self.layout, self.keys, LISTED)),
-            unlisted=max(0, len(self.keys) - LISTED),
+            assumptions=self.assumptions, films=films, cells=cell_sources(self.layout, self.frame.cells, self.keys),
         )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,11 +20,15 @@ from wasp_cli.plan.grid import ASSISTANT, ROLLOUTS, stage_class
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.report.render.text import markdown_row
+from wasp_cli.report.stats.frame import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import read_record
+from wasp_cli.store.artifact import read_manifest, read_record
+from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import FROM_PUBLISHED, commit_of
+from wasp_cli.store.plain import printable
+from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
+from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12
 """Published cells that a report names."""
@@ -105,6 +109,46 @@ def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
     sources = manifest.get("sources")
     known = sources.items() if isinstance(sources, Mapping) else ()
     return {name: str(known_hash) for name, known_hash in known if all(part.isidentifier() for part in name.split("."))}
+
+
+MOST_CELLS = 500
+"""A page lists as many cells at most: in a grid of thousands nobody reads them, and `wasp_cli.results` finds any."""
+
+
+@dataclass(frozen=True)
+class CellSource:
+    """Where the numbers of a cell come from, and how to look into it."""
+
+    label: str
+    key: str
+    episodes: int
+    day: str
+    """On which it was computed; empty when unknown."""
+    commit: str
+    """That computed it, shortened; empty when unknown."""
+
+    @property
+    def command(self) -> str:
+        """What shows its first episode."""
+        return f'wasp explain "{self.label}" --episode 0'
+
+
+def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]) -> list[CellSource]:
+    """Read where each cell of a report comes from; none of them where there are too many to list."""
+    known = [(cell, keys[cell.identity]) for cell in cells if cell.identity in keys]
+    found = []
+    for cell, key in known if len(known) <= MOST_CELLS else ():
+        try:
+            manifest = read_manifest(layout, KIND, key)
+            provenance = manifest["provenance"]
+            label, day, git = manifest["label"], provenance.get("started_at"), provenance.get("git")
+        except (ArtifactError, KeyError, AttributeError):  # of another version, or damaged, as the report says elsewhere
+            continue
+        sha = git.get("sha") if isinstance(git, Mapping) else None
+        texts = (each if isinstance(each, str) else "" for each in (label, day, sha))
+        shown, when, commit = map(printable, texts)
+        found.append(CellSource(shown, key, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH]))
+    return found
 
 
 def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]) -> list[Part]:

@@ -13,7 +13,6 @@ from markupsafe import Markup
 
 from wasp_cli.report.figures.methods import latency_figure
 from wasp_cli.report.page.build import build_page
-from wasp_cli.report.page.evaluations import Evaluation
 from wasp_cli.report.stats.frame import Frame, Missing
 from wasp_cli.report.tables.main import detail_table, main_table
 from wasp_cli.report.tables.table import Table
@@ -21,7 +20,7 @@ from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.store.tables import CellIdentity
 
 EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"
-VOID = {"meta", "img", "input", "br", "line", "rect", "polyline", "wbr"}
+VOID = {"meta", "img", "input", "br", "line", "rect", "polyline"}
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 
 
@@ -52,16 +51,14 @@ class Outline(HTMLParser):
         assert self.open.pop() == tag
 
 
-def page_of(
-    frame: Frame, folder: Path, *, verdict: Markup | None = None, word: str = "plain", evaluations: tuple[Evaluation, ...] = ()
-) -> str:
+def page_of(frame: Frame, folder: Path, *, verdict: Markup | None = None, word: str = "plain") -> str:
     figures = latency_figure(frame, folder)
     missing = [Missing(CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7), f"goal1 wasp {word}", f"failed: {word}")]
     return build_page(
         name=word, facts=("a fact", "another", f"a third: {word}"), verdict=verdict,
         tables=(main_table(frame),), further=(detail_table(frame),), figures=figures, gaps='1 of 9 cells is missing', missing=missing,
         trained=[Trained(f"expert {word}", "goal1", 0, "0123456789", 61.0, {"note": word})],
-        assumptions=[("wasp.tau_c", 0.3, word)], films=(), evaluations=evaluations,
+        assumptions=[("wasp.tau_c", 0.3, word)], films=(),
     )  # fmt: skip
 
 
@@ -75,10 +72,9 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
     assert outline.fetched
     assert all(source.startswith("data:image/") for source in outline.fetched)
     assert not re.search(r"@import|url\((?!data:)|<link|<iframe|https?://(?!www\.w3\.org)", page)
-    for text in ("the verdict", "SafeRL-Res", "1 of 9 cells is missing", "wasp.<wbr>tau_c", "1 min 01 s"):
+    for text in ("the verdict", "SafeRL-Res", "1 of 9 cells is missing", "wasp.tau_c", "1 min 01 s"):
         assert text in page
-    # Results first: a claim is a judgement of them.
-    assert page.index('id="table1"') < page.index("the verdict") < page.index("figure-latency")
+    assert page.index('id="table1"') < page.index("the verdict")
 
 
 def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
@@ -132,21 +128,3 @@ def test_a_browser_sorts_turns_pages_and_complains_of_nothing(frame: Frame, tmp_
     assert title is not None
     assert title[1] == "told true true true true"
     assert ":CONSOLE" not in done.stderr
-
-
-def test_a_cell_is_listed_with_the_commands_that_open_it(frame: Frame, tmp_path: Path) -> None:
-    command = "wasp explain 01234567 --episode 0"
-    known = Evaluation(f"goal1 wasp {EVIL}", "0123456789", "2026-01-02 03:04", "wasp 0.1.0 (git abc)", (command,))
-    page = page_of(frame, tmp_path, evaluations=(known,))
-    Outline(page)
-    assert page.count("<script>") == 1
-    for text in (">01234567<", "2026-01-02 03:04", "wasp 0.1.0 (git abc)", f">{command}<", 'href="#evaluations"'):
-        assert text in page
-    assert 'id="evaluations"' not in page_of(frame, tmp_path)
-
-
-def test_names_wrap_behind_a_dot_and_no_backtick_is_shown(frame: Frame, tmp_path: Path) -> None:
-    page = page_of(frame, tmp_path, word="of `quick`")
-    assert "<code>wasp.<wbr>tau_c</code>" in page
-    assert "overflow-wrap: anywhere" not in page
-    assert "a third: of quick" in page

@@ -94,7 +94,7 @@ def test_a_missing_cell_belongs_to_its_value_alone(tmp_path: Path) -> None:
     swept = invent_sweep(tmp_path, missing=[LOST])
     table = sweep_table(KEY, swept)
     assert [row.labels[1:] for row in table.rows[1:3]] == [("Diffusion [3 of 4 cells]", "0"), ("Diffusion", "0.20")]
-    assert any(note.startswith("INCOMPLETE: 1 of 16 cells are missing.") for note in table.notes)
+    assert any(note.startswith("INCOMPLETE: 1 of 16 cells are missing (1 not computed).") for note in table.notes)
     labels = [row.labels[1:] for row in sweep_operator_table(KEY, swept).rows]
     assert ("Noisy 0.6", "Diffusion [1 of 2 cells]", "0") in labels
     assert ("Noisy 0.2", "Diffusion", "0") in labels

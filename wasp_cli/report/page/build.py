@@ -1,7 +1,5 @@
-"""The report as one page (`templates/page.html`).
-
-The main results, the verdict, tables and figures; a page for each task, what was trained, how to open the episodes behind a number.
-"""
+"""The report as one page (`templates/page.html`): main results, claims, further tables and figures; a page for each task, for what was
+trained, and for the cells."""
 
 from __future__ import annotations
 
@@ -12,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wasp_cli.report.figures.style import CAPTIONS
-from wasp_cli.report.page.evaluations import Evaluation
 from wasp_cli.report.page.films import TaskFilms, film_page
-from wasp_cli.report.provenance import Assumption
+from wasp_cli.report.provenance import Assumption, CellSource
 from wasp_cli.report.render.files import rendered
 from wasp_cli.report.stats.frame import Missing
 from wasp_cli.report.tables.table import Table
@@ -27,8 +24,6 @@ if TYPE_CHECKING:
 TRAINING_TABLES = frozenset({"training", "world_model"})
 TRAINING_FIGURES = frozenset({"learning", "reliability"})
 """These stand on the page of what was trained."""
-LISTED = 500
-"""Cells at most that are listed with their commands."""
 
 
 def build_page(
@@ -44,8 +39,7 @@ def build_page(
     trained: Sequence[Trained],
     assumptions: Sequence[Assumption],
     films: Sequence[TaskFilms],
-    evaluations: Sequence[Evaluation] = (),
-    unlisted: int = 0,
+    cells: Sequence[CellSource] = (),
 ) -> str:
     """Return one HTML document that needs no other file and no network.
 
@@ -61,8 +55,7 @@ def build_page(
         trained: what was trained.
         assumptions: values in force that are not the paper's.
         films: of the tasks that have any.
-        evaluations: of the cells, with their commands.
-        unlisted: how many cells more there are.
+        cells: where each comes from, and how to look into it.
     """
     svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
     shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
@@ -74,18 +67,10 @@ def build_page(
         figures=[figure for figure in shown if figure not in training_figures],
         films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
         training_tables=training_tables, training_figures=training_figures, learned=bool(training_tables or training_figures or trained),
-        evaluations=evaluations, unlisted=unlisted, breakable=_breakable,
-        assumptions=assumptions, style=_part("style.css"), script=_part("script.js"), task_title=task_title, duration=duration,
+        assumptions=assumptions, cells=cells, style=_part("style.css"), script=_part("script.js"), task_title=task_title, duration=duration,
         numbers_text=numbers_text, as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
     )  # fmt: skip
     return str(page)
-
-
-def _breakable(field: str) -> Markup:
-    """A dotted name that may wrap behind a dot, never within a word."""
-    from markupsafe import Markup, escape
-
-    return Markup(".<wbr>").join(escape(part) for part in field.split("."))
 
 
 def _part(name: str) -> Markup:

@@ -6,6 +6,7 @@ A row is a task and a method over operator variants and severities.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -27,7 +28,7 @@ PAPER_COLUMNS = (
 )
 MORE_COLUMNS = (
     Column("mag_int", "Mag.|int", "down", optional=True),
-    Column("decision_p50_ms", "ms", digits=1, spread=False, optional=True),
+    Column("decision_p50_ms", "ms", digits=1, spread=False, optional=True, least=True),
 )
 AUTONOMY = frozenset({"int_rate", "mag", "mag_int"})
 """Columns in which a method that never acts is not the best, only absent."""
@@ -58,11 +59,17 @@ def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
 
 
 def missing_notes(frame: Frame) -> list[str]:
-    """Return one line when cells are missing; the report names each of them."""
-    if not frame.missing:
-        return []
+    """Return the line of drops: how many cells were planned, and what became of those that are not here; the report names each of them."""
     total = len(frame.cells) + len(frame.missing)
-    return [f"INCOMPLETE: {len(frame.missing)} of {total} cells are missing. Rows with [x of y cells] are partial and never marked best."]
+    if not frame.missing:
+        return [f"{total} of {total} planned cells are finished; none failed, and none is left out."]
+    # The reason begins with what happened: failed, blocked by another node, damaged, or nothing yet.
+    fates = Counter("damaged" if each.damaged else each.reason.partition(" ")[0].rstrip(":") for each in frame.missing)
+    said = ", ".join(f"{count} {'not computed' if fate == 'not' else fate}" for fate, count in fates.items())
+    return [
+        f"INCOMPLETE: {len(frame.missing)} of {total} cells are missing ({said}). "
+        "Rows with [x of y cells] are partial and never marked best."
+    ]
 
 
 def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:

@@ -33,6 +33,8 @@ class Column:
     """Left out where there is no room."""
     signed: bool = False
     """Whether a positive number has a sign: a difference."""
+    least: bool = False
+    """Whether a positive number that would be printed as zero is printed as less than the smallest one that is not: a time."""
 
     @property
     def heading(self) -> str:
@@ -44,6 +46,8 @@ class Column:
         if value is None or not math.isfinite(value):
             return MISSING
         rounded = round(value * self.scale, self.digits) + 0.0
+        if self.least and not rounded and value > 0:
+            return f"<{10.0**-self.digits:.{self.digits}f}"
         return f"{rounded:{'+' if sign else ''}.{self.digits}f}"
 
     def cell(self, value: Value, spread: bool = True, delta: bool = True) -> str:
