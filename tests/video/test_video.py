@@ -24,7 +24,7 @@ from wasp_cli.video.encode import MEANT, checked, palette_of, write
 from wasp_cli.video.film import film
 from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, film_episode
 from wasp_cli.video.imagined import displacements
-from wasp_cli.video.map import COST, Pose
+from wasp_cli.video.map import COST, Pose, things_of
 from wasp_cli.video.timeline import GATE_COLOURS, EpisodeTrace, Timeline
 from wasp_cli.video.trace import PlayedEpisode, Source, play_episode
 
@@ -123,6 +123,12 @@ def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: 
     video: Any = Image.open(path)
     assert (video.n_frames, made.frames) == (4, 4)  # decisions 0, 9, 18 and 24 of 25
     assert video.size == (WIDTH, HEIGHT)
+    # Above the map stands what it shows, each with its colour.
+    above = np.asarray(video.convert("RGB")).astype(int)[35:52, :448]
+    appearance = cell.world().appearance()  # type: ignore[attr-defined]
+    assert len(things_of(appearance)) == 1 + len(appearance.kinds)
+    for _, colour in things_of(appearance):
+        assert (np.abs(above - ImageColor.getrgb(colour)) < 40).all(-1).sum() > 20
     assert made.r2 is not None
     assert sorted(made.r2) == ["forward", "left", "turn"]
     assert shares == sorted(shares)

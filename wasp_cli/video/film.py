@@ -18,7 +18,7 @@ from wasp_cli.report.page.films import Sprite
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.map import COST, MapView, Pose, along, draw_actions
+from wasp_cli.video.map import COST, MapView, Pose, along, draw_actions, things_of
 
 Array = NDArray[Any]
 
@@ -40,6 +40,8 @@ class Film(NamedTuple):
     """how many decisions had been made at each frame: 0, every, 2 every, ..., T"""
     positions: Floats
     """[T + 1, 2] of the robot in m; NaN of a task that does not say where it is"""
+    things: tuple[tuple[str, str], ...]
+    """what its map shows, see `map.things_of`; nothing of a task without a map"""
 
 
 def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int) -> Film:
@@ -96,7 +98,8 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
             frames.append(_camera(played, size, costly))
         decisions.append(played.t)
         costly = False
-    return Film(frames, decisions, along(positions) if positions else np.full((len(a) + 1, 2), np.nan))
+    things = things_of(made.appearance()) if isinstance(made, HasScene) else ()
+    return Film(frames, decisions, along(positions) if positions else np.full((len(a) + 1, 2), np.nan), things)
 
 
 def _camera(played: Played, size: int, costly: bool) -> Pixels:
@@ -146,4 +149,4 @@ def sprite_of(
     found = film(task, action_repeat, layout_seed, a, a_h, reward, every, size)
     columns = max(columns, -(-len(found.frames) // (LONGEST // size)))
     data, mime = sprite(found.frames, columns)
-    return Sprite(data, mime, columns, size, found.decisions)
+    return Sprite(data, mime, columns, size, found.decisions, found.things)

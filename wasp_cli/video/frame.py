@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from wasp_cli.tasks.base import Floats, Pixels
+from wasp_cli.tasks.camera.appearance import Appearance
 from wasp_cli.video.encode import checked, write
 from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
-from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font
+from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
 from wasp_cli.video.timeline import EpisodeTrace, Timeline, numbers
 from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
 
@@ -106,6 +107,7 @@ class Painter:
             image.paste(_camera(decision.pixels, 0, MAP), where)
             return
         draw.text((GAP, HEADER), "from above", _GREY, font(12))
+        self._things(draw, self._played.appearance)
         t = decision.start.t
         picture = self._view.picture(decision.scene)
         picture.trail(self._played.places[: t + 1], 1.2)
@@ -138,6 +140,12 @@ class Painter:
         r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(names, self._played.explained, strict=True))
         poor = " (poor: a hint only)" if np.nanmin(self._played.explained) < POOR else ""
         return f"imagined paths are read out of latents by a linear fit, R² {r2}{poor}"
+
+    def _things(self, draw: ImageDraw.ImageDraw, appearance: Appearance) -> None:
+        """Above the map, what is on it."""
+        x = GAP + font(12).getlength("from above") + 18
+        for name, colour in things_of(appearance):
+            x = _legend_entry(draw, x, HEADER - 1, name, colour, "dot")
 
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
         """Below the map."""

@@ -43,6 +43,13 @@ def stick(task: object, action: Floats) -> Floats | None:
     return None
 
 
+def things_of(appearance: Appearance) -> tuple[tuple[str, str], ...]:
+    """Name what a map shows, the robot first, each with its colour `#rrggbb`; what lets the floor through is lightened."""
+    shown = [("robot", appearance.robot[0].colour, 1.0)] if appearance.robot else []
+    shown += [(kind.name, kind.colour, kind.alpha) for kind in appearance.kinds]
+    return tuple((name, "#" + "".join(f"{round(255 * (alpha * c + 1 - alpha)):02x}" for c in colour)) for name, colour, alpha in shown)
+
+
 class Pose:
     """Where a robot is [2] and where it looks: unit vectors forward and left [2]."""
 

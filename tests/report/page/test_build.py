@@ -128,3 +128,9 @@ def test_a_browser_sorts_turns_pages_and_complains_of_nothing(frame: Frame, tmp_
     assert title is not None
     assert title[1] == "told true true true true"
     assert ":CONSOLE" not in done.stderr
+
+
+def test_no_backtick_is_shown(frame: Frame, tmp_path: Path) -> None:
+    page = page_of(frame, tmp_path, word="of `quick`")
+    assert "a third: of quick" in page
+    assert "<td>of quick</td>" in page

@@ -144,3 +144,11 @@ def _renamed(frame: Frame, task: str) -> Iterator[object]:
     from dataclasses import replace
 
     return (replace(cell, identity=replace(cell.identity, task=task)) for cell in frame.cells)
+
+
+def test_the_page_names_what_the_map_shows_in_its_colours(films: TaskFilms) -> None:
+    page = str(film_page(films))
+    for name in ("robot", "goal", "hazard", "vase"):
+        colour = dict(films.films[0].sprite.things)[name]  # type: ignore[union-attr]
+        assert f'<i style="background:{colour}"></i>{name}</span>' in page
+    assert dict(films.films[0].sprite.things)["vase"] == "#00ffff"  # type: ignore[union-attr]

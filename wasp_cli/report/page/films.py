@@ -50,6 +50,8 @@ class Sprite(NamedTuple):
     """side of a frame in px"""
     decisions: list[int]
     """how many decisions had been made at each frame: 0, every, 2 every, ..., T"""
+    things: tuple[tuple[str, str], ...] = ()
+    """what its map shows, each with its colour `#rrggbb`"""
 
 
 Draw = Callable[..., Sprite]
@@ -171,7 +173,8 @@ def film_page(films: TaskFilms) -> Markup:
     )
     seconds = films.decision_seconds
     shown = "" if seconds is None or not math.isfinite(seconds) else f"{seconds:g}"
-    return rendered("films.html", films=films, told=told, seconds=shown, methods=METHODS, timeline=timeline)
+    things = next((film.sprite.things for film in films.films if film.sprite is not None), ())
+    return rendered("films.html", films=films, things=things, told=told, seconds=shown, methods=METHODS, timeline=timeline)
 
 
 CURVE, STRIP = 36, 8
