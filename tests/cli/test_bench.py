@@ -73,6 +73,7 @@ def test_the_table_says_what_is_timed_and_the_mean_decision(smaller: None) -> No
     assert all(f"mean decision at Int. {rate:.2f} ({task})" in text for task, rate in TABLE1.items())
 
 
+@pytest.mark.slow
 def test_the_profiler_writes_nothing_between_the_numbers() -> None:
     """In a process of its own: torch reads the variable once."""
     program = f"""
