@@ -20,6 +20,7 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.plain import printable
 from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.slim import without_steps
 
 if TYPE_CHECKING:
     from wasp_cli.video.frame import Correction, WrittenVideo
@@ -116,6 +117,11 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 
+    if without_steps(cell.manifest):
+        raise UsageError(
+            f"{printable(cell.label or str(cell.path))} was published without all its steps, so that it cannot be played again",
+            "wasp run SPEC --reuse none computes it whole; wasp explain shows its first episode, report.html has a film of it",
+        )
     axes, upstream = cell.setting("axes"), upstream_of(cell)
     known: dict[str, Any] = {
         "task": cell.setting("task"),

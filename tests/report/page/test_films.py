@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from wasp_cli.report.page.films import SIZE, TaskFilms, film_page, films_of
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import Slimming, slim
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.film import sprite_of
@@ -81,7 +83,7 @@ def films(stored: Stored) -> TaskFilms:
 def test_one_episode_under_every_method_at_the_moderate_severity(films: TaskFilms) -> None:
     assert (films.task, films.operator, films.value, films.severity, films.seed) == ("goal1", "noisy", 0.4, "moderate", 0)
     assert [film.method for film in films.films] == ["human", "wasp", "expert"]
-    assert films.chosen_by_cost
+    assert films.how == "the one whose cost is the median under Human-only"
     assert films.number == 0  # 4, 9, 30: the median is that of episode 0
     assert {film.episode.row["episode"] for film in films.films} == {0}
     assert films.decisions == 10
@@ -152,3 +154,17 @@ def test_the_page_names_what_the_map_shows_in_its_colours(films: TaskFilms) -> N
         colour = dict(films.films[0].sprite.things)[name]  # type: ignore[union-attr]
         assert f'<i style="background:{colour}"></i>{name}</span>' in page
     assert dict(films.films[0].sprite.things)["vase"] == "#00ffff"  # type: ignore[union-attr]
+
+
+def test_of_published_cells_without_all_their_steps_the_first_episode_is_shown(tmp_path: Path) -> None:
+    layout, frame, keys = store(tmp_path, {("human", "noisy", 0.4): (30, 9, 4), ("wasp", "noisy", 0.4): (1, 2, 3)})
+    (before,) = films_of(layout, frame, keys, sprite_of, lambda _: None)
+    assert before.number == 1
+    for key in keys.values():
+        manifest = layout.manifest("evaluate", key)
+        record = {**json.loads(manifest.read_text()), "kind": "evaluate"}
+        manifest.write_text(json.dumps({**record, "slim": slim(layout.artifact("evaluate", key), "evaluate", Slimming(steps=1))}))
+    (after,) = films_of(layout, frame, keys, sprite_of, lambda _: None)
+    assert after.number == 0
+    assert all(film.sprite is not None for film in after.films)
+    assert "the first, since what is published has the steps of no other" in film_page(after)

@@ -30,6 +30,7 @@ from wasp_cli.report.tables.titles import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import CellIdentity, cell_file
 from wasp_cli.tasks.registry import TASKS
 
@@ -82,8 +83,8 @@ class TaskFilms:
     seed: int
     number: int
     """of the episode"""
-    chosen_by_cost: bool
-    """whether Human-only was there to choose by"""
+    how: str
+    """it was chosen, for people"""
     films: tuple[MethodFilm, ...]
 
     @property
@@ -127,6 +128,9 @@ def _of_task(
     chosen += [cell for cell in full if cell.identity.variant == UNIMPAIRED and cell.identity.seed == first.identity.seed]
     alone = next((cell for cell in chosen if cell.identity.method == "human"), None)
     number = _median_episode((alone or first).episodes["cost"])
+    how = "the one whose cost is the median under Human-only" if alone is not None else "the one of median cost"
+    if any(_is_slim(layout, keys[cell.identity]) for cell in chosen):
+        number, how = 0, "the first, since what is published has the steps of no other"
     films = []
     for cell in chosen:
         tell(f"{task}: {METHODS[cell.identity.method].title}")
@@ -135,7 +139,14 @@ def _of_task(
             films.append(film)
     if not films:
         return None
-    return TaskFilms(task, variant, first.identity.value, first.severity, first.identity.seed, number, alone is not None, tuple(films))
+    return TaskFilms(task, variant, first.identity.value, first.severity, first.identity.seed, number, how, tuple(films))
+
+
+def _is_slim(layout: Layout, key: str) -> bool:
+    try:
+        return without_steps(read_manifest(layout, KIND, key))
+    except WaspError:
+        return False
 
 
 def _median_episode(costs: Any) -> int:
@@ -166,10 +177,9 @@ def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: D
 def film_page(films: TaskFilms) -> Markup:
     """Return the content of a task's page (`templates/films.html`)."""
     operator = operator_title(films.operator) + ("" if films.value is None else f" {films.value:g}")
-    how = "the one whose cost is the median under Human-only" if films.chosen_by_cost else "the one of median cost"
     told = (
-        f"Episode {films.number} of seed {films.seed} under the operator {operator}: {how}. Every method meets the same world and the same "
-        "mistakes; the Expert is the unimpaired operator."
+        f"Episode {films.number} of seed {films.seed} under the operator {operator}: {films.how}. "
+        "Every method meets the same world and the same mistakes; the Expert is the unimpaired operator."
     )
     seconds = films.decision_seconds
     shown = "" if seconds is None or not math.isfinite(seconds) else f"{seconds:g}"
