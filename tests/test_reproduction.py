@@ -1,0 +1,67 @@
+"""REPRODUCTION.md and the first table of the README say what is published, number by number."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+REPORTS = ROOT / "results" / "published" / "reports"
+PAGE = (ROOT / "REPRODUCTION.md").read_text(encoding="utf-8")
+VERDICTS = {
+    "holds": "holds for these models", "**does not hold**": "does not hold for these models", "undecided": "undecided with 1 seed",
+}  # fmt: skip
+
+
+def rows_of(text: str) -> list[list[str]]:
+    """The cells of every row of the Markdown tables in a text."""
+    lines = [line.strip() for line in text.splitlines() if line.startswith("|") and not line.startswith("| ---")]
+    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", line[1:-1])] for line in lines]
+
+
+def section(title: str) -> str:
+    """The part of the page below a heading."""
+    return PAGE.split(f"\n## {title}\n", 1)[1].split("\n## ", 1)[0]
+
+
+@pytest.mark.parametrize(
+    ("title", "report", "table", "left_out"),
+    [("Table 1", "table1", "table1", 1), ("Table 2: FormulaOne1", "table2", "table2", 0), ("Figure 3: Race1", "figure3", "figure3", 0)],
+)
+def test_the_tables_are_the_published_ones(title: str, report: str, table: str, left_out: int) -> None:
+    """Of Table 1 the times of decisions are left out: they belong to a machine."""
+    published = rows_of((REPORTS / report / f"{table}.md").read_text(encoding="utf-8"))
+    assert len(published) > 5
+    assert rows_of(section(title)) == [row[: len(row) - left_out] for row in published]
+
+
+def test_each_claim_has_the_verdict_and_the_comparison_of_its_report() -> None:
+    listed = rows_of(section("The 21 claims"))[1:]
+    ids = re.findall(r"^  - id: ([\w-]+)$", (ROOT / "specs" / "paper.yaml").read_text(encoding="utf-8"), re.MULTILINE)
+    assert [re.findall(r"\(`([\w-]+)`\)", row[0]) for row in listed] == [[each] for each in ids]
+    for says, verdict, report, decides in listed:
+        text = (REPORTS / report / "report.md").read_text(encoding="utf-8")
+        says, name = re.fullmatch(r"(.+) \(`([\w-]+)`\)", says).groups()  # type: ignore[union-attr]
+        assert f"- **{VERDICTS[verdict]}**: {says} (`{name}`, section " in text
+        assert decides.rpartition("; ")[0] in text.split(f"(`{name}`, section ", 1)[1]
+    counted = {word: sum(row[1] == word for row in listed) for word in VERDICTS}
+    assert f"{counted['holds']} hold for these models, {counted['**does not hold**']} do not, {counted['undecided']} are undecided" in PAGE
+
+
+def test_the_first_table_of_the_readme_is_the_published_one() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = {row[0]: row[1:] for row in rows_of(text) if len(row) == 10}
+    with (REPORTS / "table1" / "table1.csv").open(encoding="utf-8") as file:
+        published = {(row["task"], row["method"]): row for row in csv.DictReader(file)}
+    methods = list(dict.fromkeys(method for _, method in published))
+    heading = next(iter(shown))
+    assert [name for name in shown if name != heading] == methods
+    for method in methods:
+        numbers = [published[task, method] for task in ("Race1", "FormulaOne1", "Goal1")]
+        assert shown[method] == [
+            text for row in numbers
+            for text in (f"{float(row['return']):.1f}", f"{100 * float(row['success']):.0f}", f"{float(row['cost']):.1f}")
+        ]  # fmt: skip
