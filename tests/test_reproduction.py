@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 REPORTS = ROOT / "results" / "published" / "reports"
 PAGE = (ROOT / "REPRODUCTION.md").read_text(encoding="utf-8")
+CARDS = (ROOT / "docs" / "cards.md").read_text(encoding="utf-8")
 VERDICTS = {
     "holds": "holds for these models", "**does not hold**": "does not hold for these models", "undecided": "undecided with 1 seed",
 }  # fmt: skip
@@ -36,6 +37,14 @@ def test_the_tables_are_the_published_ones(title: str, report: str, table: str, 
     published = rows_of((REPORTS / report / f"{table}.md").read_text(encoding="utf-8"))
     assert len(published) > 5
     assert rows_of(section(title)) == [row[: len(row) - left_out] for row in published]
+
+
+@pytest.mark.parametrize(("title", "table"), [("World models", "world_model"), ("Policies and critics", "training")])
+def test_the_cards_have_the_published_evidence(title: str, table: str) -> None:
+    published = rows_of((REPORTS / "table1" / f"{table}.md").read_text(encoding="utf-8"))
+    shown = rows_of(CARDS.split(f"\n## {title}\n", 1)[1].split("\n## ", 1)[0])
+    assert len(published) > 3
+    assert [row for row in shown if len(row) == len(published[0])] == published
 
 
 def test_each_claim_has_the_verdict_and_the_comparison_of_its_report() -> None:
