@@ -8,7 +8,7 @@ import numpy as np
 import wasp_cli
 import wasp_cli.tasks.gym  # registers the environments
 
-model = wasp_cli.load_world_model("results/published")
+model = wasp_cli.load_world_model("2725de41", results="results/published")  # the beginning of its key
 print(model)
 
 # %% 25 decisions nearly straight ahead, in a world where that leads through a hazard.

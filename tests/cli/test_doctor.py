@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import wasp_cli
-from wasp_cli.cli.doctor import ON_DEVICE, REGISTRIES, Finding, examine, require
+from wasp_cli.cli.doctor import ON_DEVICE, Finding, examine, registries, require
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.device import VARIABLE
 from wasp_cli.methods.registry import MethodInfo
@@ -94,4 +94,4 @@ def test_a_plugin_has_a_row_that_says_whether_it_can_be_used(
 def test_every_group_of_plugins_is_looked_at() -> None:
     root = Path(wasp_cli.__file__).parent
     groups = {group for path in root.glob("*/registry.py") for group in re.findall(r'^    "(wasp\.\w+)",$', path.read_text(), re.MULTILINE)}
-    assert groups == {registry.group for registry in REGISTRIES}
+    assert groups == {registry.group for registry in registries()}

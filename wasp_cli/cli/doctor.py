@@ -16,20 +16,14 @@ import typer
 from wasp_cli.cli.options import ResultsOption, expected_errors
 from wasp_cli.console import out
 from wasp_cli.errors import UsageError, WaspError
-from wasp_cli.methods.registry import METHODS, MethodInfo
-from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.registry import Registry, load_target
-from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
-from wasp_cli.tasks.registry import TASKS
 
 doctor_app = typer.Typer()
 
 NEEDED = ("mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
-REGISTRIES: tuple[Registry[Any], ...] = (TASKS, METHODS, OPERATORS, STAGES)
-"""Those that other packages can add to; a test holds them against the code."""
 ON_DEVICE = ("world_model", "latents", "evaluate")
 """The stages that compute on a GPU where there is one; a test holds this against their code."""
 
@@ -74,9 +68,21 @@ def _imported(distribution: str, module: str) -> Finding:
     return Finding(distribution, "ok", installed(distribution) or "found")
 
 
+def registries() -> tuple[Registry[Any], ...]:
+    """Return what other packages can add to; imported here, since `wasp --help` imports this module."""
+    from wasp_cli.methods.registry import METHODS
+    from wasp_cli.operators.registry import OPERATORS
+    from wasp_cli.stages.registry import STAGES
+    from wasp_cli.tasks.registry import TASKS
+
+    return (TASKS, METHODS, OPERATORS, STAGES)
+
+
 def _plugins() -> Iterator[Finding]:
     """What other packages add. One that cannot be used stops other commands, so that it must not stop this one."""
-    for registry in REGISTRIES:
+    from wasp_cli.methods.registry import MethodInfo
+
+    for registry in registries():
         for point, found in registry.plugins():
             package = f"{point.dist.name} {point.dist.version}" if point.dist else point.module
             what = f"plugin {point.name} ({registry.kind})"

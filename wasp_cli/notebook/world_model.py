@@ -1,6 +1,6 @@
 """A trained world model that filters what was seen, imagines what follows, and decodes it.
 
-    model = wasp_cli.load_world_model("results/published")
+    model = wasp_cli.load_world_model("race1 s1 world_model", results="results/published")
     latents = model.filter(images, actions)                # of an episode
     future = model.imagine(latents[10], actions[10:25])    # fifteen steps from its eleventh observation on
     model.decode(future), model.reward(future), model.cost(future)
@@ -169,7 +169,7 @@ def load_world_model(which: str | Path = "results", results: str | Path = "resul
     """Load a trained world model; its files' SHA-256 are checked first.
 
     Args:
-        which: a results folder with one world model (`results/published`), the folder of its artifact, or in `results` the label
+        which: a results folder with one world model, the folder of its artifact, or in `results` the label
             (`goal1 s1 world_model`) or the beginning of the key of one.
         results: where labels and keys are looked up.
 
