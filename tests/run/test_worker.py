@@ -9,6 +9,7 @@ import pytest
 from tests.run.fake_stages import Fake
 from tests.run.harness import Fakes, prepared
 from wasp_cli.run import worker
+from wasp_cli.run.heartbeat import forget
 from wasp_cli.run.job import NodeJob
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
@@ -64,3 +65,13 @@ def test_an_order_that_cannot_even_start_fails_without_raising(job: NodeJob, tmp
     result = execute(replace(job, root=str(tmp_path / "file")))
     assert result.state == "failed"
     assert "NotADirectoryError" in result.message
+
+
+def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path: Path) -> None:
+    """A process can be killed between writing the next heartbeat and giving it its name."""
+    ours, partial, other = (tmp_path / name for name in ("f077.json", ".f077.json-8848987e", ".f078.json-8848987e"))
+    for path in (ours, partial, other):
+        path.write_text("{}", encoding="utf-8")
+    forget(ours)
+    forget(ours)
+    assert sorted(tmp_path.iterdir()) == [other]

@@ -67,6 +67,12 @@ class Heartbeat:
             self.write()
 
 
+def forget(path: Path) -> None:
+    """Remove what a killed node left to say that it runs: its file, and the half-written next one where it died while it wrote."""
+    for left in (path, *path.parent.glob(f".{path.name}-*")):
+        left.unlink(missing_ok=True)
+
+
 def _deaths(path: Path) -> int:
     """What is left of an earlier attempt, which did not live to remove it, tells of one death and of those before."""
     try:

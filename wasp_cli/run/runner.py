@@ -15,6 +15,7 @@ from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
+from wasp_cli.run.heartbeat import forget
 from wasp_cli.run.interrupt import HINT, Stop, was_ended
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
@@ -249,7 +250,7 @@ class Runner:
         job = flight.job
         running = self._layout.running(self._run_id, job.key)
         was_running, memory = running.exists(), _memory(running)
-        running.unlink(missing_ok=True)
+        forget(running)
         if exists(self._layout, job.kind, job.key):
             return self._stored(job)
         if self._layout.cancel(self._run_id, job.key).exists():
