@@ -12,7 +12,7 @@ from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 LADDER = {
     "noisy": 0.4, "noisy-gaussian": 0.4, "noisy-burst": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24,
 }  # fmt: skip
-NAMES = [*OPERATORS, UNIMPAIRED]
+NAMES = [*(name for name, info in OPERATORS.items() if info.simulated), UNIMPAIRED]
 ROWS, ACTION, STEPS = 4, 2, 12
 
 

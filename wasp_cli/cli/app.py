@@ -12,6 +12,7 @@ import typer
 from wasp_cli import __version__
 from wasp_cli.cli.bench import bench_app
 from wasp_cli.cli.doctor import doctor_app
+from wasp_cli.cli.drive import drive_app
 from wasp_cli.cli.inspect import inspect_app
 from wasp_cli.cli.options import flag
 from wasp_cli.cli.report import report_app
@@ -28,7 +29,7 @@ app = typer.Typer(
     "A spec (a YAML file, or a name such as quickstart) says what to run. Results are kept in results/, and nothing is computed twice.",
     epilog="Start here:  [bold]wasp run quickstart[/]   ·   then:  [bold]wasp report results/[/]",
 )
-for group in (run_app, report_app, inspect_app, spec_app, store_app):
+for group in (run_app, report_app, inspect_app, drive_app, spec_app, store_app):
     app.add_typer(group)
 app.add_typer(tasks_app, name="tasks", rich_help_panel="Specs and tasks")
 app.add_typer(bench_app, name="bench", rich_help_panel="Maintenance")

@@ -20,7 +20,12 @@ class OperatorInfo:
     """Range of the severity value."""
     unit: str
     """Meaning of the severity value, for people."""
+    simulated: bool = True
+    """False of people: what they command cannot be computed."""
 
+
+PERSON = "person"
+"""The variant of people, who drive with `wasp drive`."""
 
 OPERATORS: Registry[OperatorInfo] = Registry(
     "operator variant",
@@ -53,6 +58,9 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             "fraction of the expert's interactions",
         ),
         OperatorInfo("reaction-time", "Reaction time", "wasp_cli.operators.delayed:DelayedOperator", 0.0, 10.0, "delay in seconds"),
+        OperatorInfo(
+            PERSON, "Person", "wasp_cli.operators.person:PersonOperator", 0.0, 9999.0, "number of the participant", simulated=False
+        ),
     ),
 )
 

@@ -312,26 +312,29 @@ class Runner:
             self._journal.write("blocked", key=node.key, label=node.label, by=cause.key, by_label=cause.label)
 
     def _job(self, node: Node, threads: int) -> NodeJob:
-        return NodeJob(
-            root=str(self._layout.root),
-            run_id=self._run_id,
-            kind=node.kind,
-            key=node.key,
-            label=node.label,
-            task=node.task,
-            seed=node.seed,
-            stage=STAGES[node.kind].target,
-            axes=node.axes,
-            config=node.config,
-            settings=node.settings,
-            inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
-            sources=source_hashes(node.modules),
-            earlier=self._begun.get(node.key),
-            attempt=attempts(self._layout, node.key) + 1,
-            threads=threads,
-            limit=self._limit,
-            provenance=provenance(),
-        )
+        job = job_of(self._layout, self._run_id, node)
+        return replace(job, earlier=self._begun.get(node.key), threads=threads, limit=self._limit)
+
+
+def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
+    """Return what is to be known of a node to compute it, in one thread and without a limit."""
+    return NodeJob(
+        root=str(layout.root),
+        run_id=run_id,
+        kind=node.kind,
+        key=node.key,
+        label=node.label,
+        task=node.task,
+        seed=node.seed,
+        stage=STAGES[node.kind].target,
+        axes=node.axes,
+        config=node.config,
+        settings=node.settings,
+        inputs={name: (needed.kind, needed.key) for name, needed in node.needs.items()},
+        sources=source_hashes(node.modules),
+        attempt=attempts(layout, node.key) + 1,
+        provenance=provenance(),
+    )
 
 
 def _memory(path: Path) -> float | None:

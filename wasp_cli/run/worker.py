@@ -105,7 +105,7 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
             summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
         _require_planned_source(job)
         seconds = time.monotonic() - began
-        commit(layout, job.kind, job.key, staging, _manifest(job, summary, seconds, started_at))
+        commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
     except (Exception, SystemExit) as error:
         discard(staging)
         return _recorded_failure(job, layout, log, started, _cause_in_source(job, error) or error)
@@ -191,7 +191,8 @@ def _settings(values: Mapping[str, Any]) -> dict[str, Any]:
     return settings
 
 
-def _manifest(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
+def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str) -> dict[str, Any]:
+    """Return what is stored of a node beside its files: what it is, what it was computed from, and how."""
     return {
         "kind": job.kind,
         "key": job.key,

@@ -34,6 +34,7 @@ from wasp_cli.spec.names import (
     unknown,
 )
 from wasp_cli.spec.presets import merged, preset_values
+from wasp_cli.spec.study import StudyConfig
 from wasp_cli.stages.registry import STAGES
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
@@ -103,6 +104,7 @@ class Spec(Config):
     by_task: dict[TaskName, dict[str, dict[str, Any]]] = Field(
         default={}, description="settings that one task has of its own, over those of the sections, as task: {section: {field: value}}"
     )
+    study: StudyConfig | None = Field(default=None, description="of people who drive the cells with `wasp drive SPEC`; not part of any key")
     reuse: Literal["none", "published"] = Field(
         default="none",
         description="published: results in results/published with the same configuration are used instead of computed, "

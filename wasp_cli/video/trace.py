@@ -14,12 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from wasp_cli import seeds
+from wasp_cli.learning.playback import side_by_side
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
-from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.person import PersonOperator
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.stages.evaluate import EvaluateStage
 from wasp_cli.tasks.base import Floats, Pixels, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
@@ -55,9 +59,25 @@ class Source:
     def operator(self, world: VectorTask) -> Operator:
         """Build the operator of the cell, fresh."""
         batch = len(self.recorded.a)
+        if self.variant == PERSON:
+            return SaidAgain(self.recorded, world.action_size)
         mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, self.first + row) for row in range(batch)]
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
         return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
+
+
+class SaidAgain(PersonOperator):
+    """A person's recorded commands, decision by decision; imagined, the command of now is held."""
+
+    def __init__(self, recorded: Recorded, action_size: int) -> None:
+        nothing = DrawnNoise(torch.zeros(0, len(recorded.a_h), 0))
+        super().__init__(lambda features: features.new_zeros(len(features), action_size), action_size, nothing, len(recorded.a_h))
+        self._commands = iter(torch.from_numpy(side_by_side(recorded.a_h)))
+
+    def command(self, features: Tensor) -> Tensor:
+        if not self.imagined:
+            self.say(next(self._commands))
+        return super().command(features)
 
 
 @contextmanager
@@ -142,7 +162,7 @@ def _play_episode(
     for moment in rerun:
         t = moment.t
         if appearance is not None and isinstance(world, HasScene):
-            poses.append(_poses(appearance, world.scene(everyone)))
+            poses.append(poses_of(appearance, world.scene(everyone)))
             features.append(moment.latent.features.numpy().copy())
         if t in shown and t < length:
             assert moment.seen.pixels is not None
@@ -159,8 +179,8 @@ def _play_episode(
     return PlayedEpisode(model, world, appearance, getattr(world, "cameras", 2), decisions, places, readout, explained)
 
 
-def _poses(appearance: Appearance, scene: Scene) -> Floats:
-    """[B, 3] x, y and yaw of the robots' fronts."""
+def poses_of(appearance: Appearance, scene: Scene) -> Floats:
+    """Return x, y and yaw of the robots' fronts, [B, 3]."""
     front = scene.rotation[:, :2, :2] @ np.array(appearance.forward)
     return np.concatenate([scene.position[:, :2], np.arctan2(front[:, 1], front[:, 0])[:, None]], 1)
 

@@ -23,7 +23,7 @@ _HEADING_COLOUR = (1.0, 1.0, 1.0)
 _TRANSLUCENT = 0.45
 
 
-class _Shape(NamedTuple):
+class Shape(NamedTuple):
     """The outline of a geom from above, in its body's frame."""
 
     round: bool
@@ -45,7 +45,7 @@ class _Canvas:
         self.pixel = 2.0 * half_side / size
         self.image = np.zeros((size, size, 3))
 
-    def shape(self, shape: _Shape, origin: Floats, axes: Floats, colour: Colour, alpha: float = 1.0, scale: float = 1.0) -> None:
+    def shape(self, shape: Shape, origin: Floats, axes: Floats, colour: Colour, alpha: float = 1.0, scale: float = 1.0) -> None:
         """Fill a shape of a body at `origin` [2] with body axes `axes` [2, 2] (rows: where body x and y point)."""
         centre = origin + scale * (shape.centre @ axes)
         sides, half = shape.axes @ axes, shape.half * scale
@@ -63,7 +63,7 @@ class _Canvas:
 
     def disc(self, centre: Floats, radius: float, colour: Colour, alpha: float = 1.0) -> None:
         """Fill a disc around `centre` [2]; lengths in m."""
-        self.shape(_disc(radius), centre, np.eye(2), colour, alpha)
+        self.shape(disc(radius), centre, np.eye(2), colour, alpha)
 
     def triangle(self, corners: Floats, colour: Colour) -> None:
         """Fill the triangle `corners` [3, 2] in m."""
@@ -124,7 +124,7 @@ def _draw_ground(canvas: _Canvas, appearance: Appearance) -> None:
 def _draw_things(canvas: _Canvas, appearance: Appearance, scene: Scene, row: int, half_side: float) -> None:
     for kind in sorted(appearance.kinds, key=lambda kind: (kind.painted is None, kind.alpha == 1.0, kind.name == "goal")):
         things = scene.things[kind.name]
-        shapes = _shapes(kind.geoms) if kind.column is None else (_disc(kind.column[0]),)
+        shapes = shapes_of(kind.geoms) if kind.column is None else (disc(kind.column[0]),)
         least = half_side * (LEAST_GOAL if kind.name == "goal" else LEAST_THING)
         scale = max(1.0, least / _extent(shapes))
         alpha = _TRANSLUCENT if kind.alpha < 1.0 else 1.0
@@ -136,7 +136,7 @@ def _draw_things(canvas: _Canvas, appearance: Appearance, scene: Scene, row: int
 
 
 def _draw_robot(canvas: _Canvas, appearance: Appearance, position: Floats, forward: Floats, half_side: float) -> None:
-    parts = [(_shapes(part.geom), part.colour) for part in appearance.robot]
+    parts = [(shapes_of(part.geom), part.colour) for part in appearance.robot]
     extent = max(_extent(shapes) for shapes, _ in parts)
     scale = max(1.0, half_side * LEAST_ROBOT / extent)
     forward = forward / max(float(np.hypot(*forward)), 1e-9)
@@ -160,17 +160,18 @@ def _ground_axes(rotation: Floats) -> Floats:
     return np.stack([x, np.array([-x[1], x[0]])])
 
 
-def _disc(radius: float) -> _Shape:
-    return _Shape(True, np.zeros(2), np.eye(2), np.array([radius, radius]))
+def disc(radius: float) -> Shape:
+    """Return the outline of a disc around the body's origin; `radius` in m."""
+    return Shape(True, np.zeros(2), np.eye(2), np.array([radius, radius]))
 
 
-def _extent(shapes: tuple[_Shape, ...]) -> float:
+def _extent(shapes: tuple[Shape, ...]) -> float:
     return max(float(np.hypot(*shape.centre) + (shape.half[0] if shape.round else np.hypot(*shape.half))) for shape in shapes)
 
 
 @lru_cache
-def _shapes(geoms: str) -> tuple[_Shape, ...]:
-    """The outlines from above of MJCF geoms, lowest first."""
+def shapes_of(geoms: str) -> tuple[Shape, ...]:
+    """Return the outlines from above of MJCF geoms, lowest first."""
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -181,10 +182,10 @@ def _shapes(geoms: str) -> tuple[_Shape, ...]:
         kind = mujoco.mjtGeom(int(model.geom_type[geom]))
         centre = model.geom_pos[geom, :2].copy()
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
-            shapes.append(_Shape(False, centre, axes[:2, :2].T, size[:2].copy()))
+            shapes.append(Shape(False, centre, axes[:2, :2].T, size[:2].copy()))
         elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and abs(axes[2, 2]) < 0.5:
             along = axes[:2, 2]
-            shapes.append(_Shape(False, centre, np.stack([along, np.array([-along[1], along[0]])]), np.array([size[1], size[0]])))
+            shapes.append(Shape(False, centre, np.stack([along, np.array([-along[1], along[0]])]), np.array([size[1], size[0]])))
         else:
-            shapes.append(_Shape(True, centre, np.eye(2), np.array([size[0], size[0]])))
+            shapes.append(Shape(True, centre, np.eye(2), np.array([size[0], size[0]])))
     return tuple(shapes)

@@ -1,0 +1,317 @@
+"""One block of a session: a person drives the episodes of one cell, with an assistant that answers in time or not at all.
+
+A decision: the latest state of the controls is the command; the assistant has until the deadline; where it is late, the command is executed
+as it is. Everything is recorded as an evaluation records it, so that the block is a cell like any other.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from wasp_cli.drive.clock import Clock, Decider
+from wasp_cli.drive.controls import action_of
+from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame
+from wasp_cli.drive.futures import Futures
+from wasp_cli.drive.view import WorldView, camera_bytes
+from wasp_cli.learning.assistants import build_assistant
+from wasp_cli.learning.closed_loop import Filter, Loop
+from wasp_cli.learning.evaluation import trajectories
+from wasp_cli.methods.base import Decision, Parts, checked
+from wasp_cli.methods.record import Planned
+from wasp_cli.metrics.episode import GATE_NONE, Trajectory
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext
+from wasp_cli.operators.person import PersonOperator
+from wasp_cli.tasks.base import Step, VectorTask
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video.map import stick
+
+GATES = {0: "none", 1: "safety", 2: "task", 3: "method"}
+
+
+class Beat(NamedTuple):
+    """What the clock and the connection were like at a decision; NaN is unknown."""
+
+    at: float
+    """seconds since the block began"""
+    decision_ms: float
+    """how long the assistant was waited for"""
+    late: bool
+    """it had not answered at the deadline, and the command was executed as it is"""
+    behind_ms: float
+    """how long after its beat the decision began"""
+    rest_ms: float
+    """how long everything else took: the step of the world, its images, the filter, the frame"""
+    input: int
+    """number of the last message about the controls that the command knows of"""
+    input_age_ms: float
+    """from the arrival of that message to the execution of the action"""
+    round_trip_ms: float
+    """of the last frame that the page acknowledged"""
+    keys: str
+    """what was held down"""
+    focused: bool
+    """the window had the focus"""
+
+
+@dataclass
+class Driven:
+    """A finished episode."""
+
+    layout: int
+    trajectory: Trajectory
+    decision_ms: NDArray[Any]
+    """[T]"""
+    beats: list[Beat]
+    pauses: int = 0
+    paused_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cut:
+    """An episode that was given up, or broken off."""
+
+    layout: int
+    decisions: int
+    why: str
+    """`restart`, `next` or `end`"""
+
+
+@dataclass(frozen=True)
+class BlockConfig:
+    """What a block is made of."""
+
+    task: str
+    method: str
+    method_config: Mapping[str, Any]
+    action_repeat: int
+    participant: float
+    speed: float = 1.0
+    """simulated seconds per second"""
+    shown: frozenset[str] = frozenset()
+    """what of SHOWN the driver may see"""
+    threads: int = 1
+
+
+SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
+"""What there is to show."""
+
+
+class Block:
+    """See the module. Worlds come from outside, so that practice and restarts are told from the rest."""
+
+    def __init__(self, config: BlockConfig, parts: Parts, desk: Desk) -> None:
+        self.config, self.parts, self.desk = config, parts, desk
+        self.task: VectorTask = make_task(config.task, 1, action_repeat=config.action_repeat, observe=("pixels",), threads=config.threads)
+        self.view = WorldView(self.task)
+        self.period = self.task.decision_seconds / config.speed
+        self.assistant = build_assistant(config.method, config.method_config, parts)
+        context = OperatorContext(parts.skills.at, self.task.action_size, self.task.decision_seconds)
+        self.operator = PersonOperator.build(config.participant, context, EpisodeNoise([0]), 1)
+        self.futures = Futures(config.task, parts, self.assistant, self.task) if "imagined" in config.shown else None
+        self._decider: Decider[Decision] = Decider()
+        self._clock = Clock(self.period)
+        self._frames = 0
+        self._begun = time.monotonic()
+
+    def close(self) -> None:
+        """End the assistant's thread."""
+        self._decider.finish()
+        self._decider.close()
+
+    @property
+    def answer_seconds(self) -> list[float]:
+        """Return how long every answer of the assistant took, late ones too."""
+        return self._decider.seconds
+
+    def hello(self) -> dict[str, Any]:
+        """Return what the page has to know of the block before the first frame."""
+        return {
+            "type": "block", "task": self.config.task, "shown": [name for name in SHOWN if name in self.config.shown],
+            "period_ms": 1000 * self.period, "speed": self.config.speed, "cameras": getattr(self.task, "cameras", 2),
+            "map": self.view.still if "map" in self.config.shown else None, "decisions": self.task.max_decisions,
+        }  # fmt: skip
+
+    def episode(self, number: int, layout: int, method_seed: int, facts: Mapping[str, Any] | None = None) -> Driven | Cut:
+        """Let the driver drive one episode, after a `go`.
+
+        Args:
+            number: of the episode, for people.
+            layout: seed of the world.
+            method_seed: of the assistant's own sampling.
+            facts: further ones for the page.
+        """
+        running = _Running(self, layout)
+        with torch.inference_mode():
+            running.reset(method_seed)
+            running.show()
+            self.desk.state("ready", episode=number, **(facts or {}))
+            if self.desk.wait() == END:
+                return Cut(layout, 0, END)
+            self.desk.state("driving", episode=number, **(facts or {}))
+            self._clock.begin()
+            while not running.ended:
+                request = self.desk.asked()
+                if request == PAUSE:
+                    if (request := running.pause(number, facts or {})) in (RESTART, NEXT, END):
+                        return running.cut(request)
+                    self._clock.begin()
+                elif request in (RESTART, NEXT, END):
+                    return running.cut(request)
+                running.wait()
+                running.decide()
+        self._decider.finish()
+        return running.driven()
+
+
+@dataclass
+class _Running:
+    """An episode while it is driven."""
+
+    block: Block
+    layout: int
+    ended: bool = False
+    rows: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
+    decisions: list[Decision] = field(default_factory=list)
+    beats: list[Beat] = field(default_factory=list)
+    pauses: int = 0
+    paused_seconds: float = 0.0
+
+    def reset(self, method_seed: int) -> None:
+        block = self.block
+        self._seen = block.task.reset([self.layout])
+        self._filter = Filter(block.parts.world_model, 1)
+        block.operator.reset(torch.ones(1, dtype=torch.bool))
+        block.assistant.reset(torch.ones(1, dtype=torch.bool), [method_seed])
+        self._latent = self._filter.see(self._seen, torch.ones(1))
+        self._place = block.view.now()
+        self._return, self._cost, self._goals = 0.0, 0, 0
+
+    def wait(self) -> None:
+        """Sleep until the next beat."""
+        time.sleep(max(self.block._clock.due - time.monotonic(), 0.0))
+
+    def decide(self) -> None:
+        """Sample the controls, ask the assistant, carry the action out, show what came of it."""
+        block, clock = self.block, self.block._clock
+        begun, behind = clock.beat()
+        held = block.desk.controls.now()
+        command = torch.from_numpy(action_of(held.stick, getattr(block.task, "drive", None)))[None].to(self._latent.h.device)
+        block.operator.say(command)
+        a_h = block.operator.command(self._latent.features).clamp(-1, 1)
+        latent, assistant, operator = self._latent, block.assistant, block.operator
+
+        def answer() -> Decision:
+            with torch.inference_mode():
+                return checked(assistant.decide(latent, a_h, operator), assistant, a_h)
+
+        answered, seconds = block._decider.ask(answer, clock.deadline())
+        decision = Decision(a_h) if answered is None else answered
+        executed_at = time.monotonic()
+        self._filter.executed(decision.action)
+        step = block.task.step(decision.action.cpu().numpy())
+        self._keep(step, a_h, decision)
+        self.beats.append(
+            Beat(
+                at=begun - block._begun,
+                decision_ms=1000 * seconds,
+                late=answered is None,
+                behind_ms=1000 * behind,
+                rest_ms=float("nan"),
+                input=held.number,
+                input_age_ms=1000 * (executed_at - held.at) if held.number else float("nan"),
+                round_trip_ms=1000 * block.desk.round_trip,
+                keys=" ".join(sorted(held.keys)),
+                focused=block.desk.focused,
+            )
+        )
+        self._seen, before = step.observation, self._place
+        self._place = block.view.now()
+        self._latent = self._filter.see(self._seen, torch.zeros(1))
+        self.ended = bool(step.ended[0])
+        self.show(step, a_h, decision)
+        rest = time.monotonic() - executed_at
+        clock.spent(rest)
+        self.beats[-1] = self.beats[-1]._replace(rest_ms=1000 * rest)
+        if block.futures is not None and not self.ended:
+            lines = block.futures.lines(len(self.beats), latent, a_h, operator, decision, before.get("robot"), clock.due - time.monotonic())
+            if lines is not None:
+                block.desk.say({"type": "imagined", "frame": block._frames, **lines})
+
+    def _keep(self, step: Step, a_h: Tensor, decision: Decision) -> None:
+        for name, value in (
+            ("reward", step.reward), ("cost", step.cost), ("cost_env", step.cost_env), ("env_steps", step.env_steps), ("goals", step.goals),
+            ("alive", np.ones(1, bool)), ("terminated", step.terminated),
+            ("a_h", a_h.cpu().numpy()), ("action", decision.action.cpu().numpy()),
+        ):  # fmt: skip
+            self.rows.setdefault(name, []).append(np.array(value))
+        self.decisions.append(decision)
+        self._return += float(step.reward[0])
+        self._cost += int(step.cost_env[0])
+        self._goals += int(step.goals[0])
+
+    def show(self, step: Step | None = None, a_h: Tensor | None = None, decision: Decision | None = None) -> None:
+        """Publish a frame of now."""
+        block = self.block
+        block._frames += 1
+        shown, t = block.config.shown, len(self.beats)
+        header: dict[str, Any] = {"frame": block._frames, "t": t, "seconds": round(t * block.task.decision_seconds, 2)}
+        if self.beats:
+            header |= {"input": self.beats[-1].input, "late": sum(beat.late for beat in self.beats)}
+        if "map" in shown:
+            header |= self._place
+        if "cost" in shown:
+            header |= {"cost": self._cost, "costly": bool(step is not None and step.cost[0])}
+        if "goals" in shown:
+            header |= {"goals": self._goals, "return": round(self._return, 2)}
+        if a_h is not None and decision is not None:
+            pushed = stick(block.task, a_h[0].cpu().numpy())
+            header["command"] = None if pushed is None else [round(float(x), 3) for x in pushed]
+            if "gate" in shown:
+                done = stick(block.task, decision.action[0].cpu().numpy())
+                gate = GATE_NONE if decision.record is None else int(decision.record.gate[0])
+                header |= {
+                    "executed": None if done is None else [round(float(x), 3) for x in done],
+                    "gate": GATES.get(gate, "method"),
+                    "corrected": bool((decision.action != a_h).any()),
+                }
+        block.desk.show(Frame(header, camera_bytes(self._seen) if "cameras" in shown else b""))
+
+    def pause(self, number: int, facts: Mapping[str, Any]) -> str:
+        """Hold the world until the driver goes on, or asks for something else."""
+        begun = time.monotonic()
+        self.block.desk.state("paused", episode=number, **facts)
+        request = self.block.desk.wait((GO, RESTART, NEXT, END))
+        self.pauses += 1
+        self.paused_seconds += time.monotonic() - begun
+        if request == GO:
+            self.block.desk.state("driving", episode=number, **facts)
+        return request
+
+    def cut(self, why: str) -> Cut:
+        self.block._decider.finish()
+        return Cut(self.layout, len(self.beats), why)
+
+    def driven(self) -> Driven:
+        """Return the episode as an evaluation would have it."""
+        stacked = {name: np.stack(values) for name, values in self.rows.items()}
+        times = np.array([beat.decision_ms for beat in self.beats], np.float32)
+        loop = Loop(**stacked, decisions=_alike(self.decisions), decision_ms=times, h=None, z=None)
+        (trajectory,), (decision_ms,) = trajectories(loop)
+        return Driven(self.layout, trajectory, decision_ms, self.beats, self.pauses, self.paused_seconds)
+
+
+def _alike(decisions: list[Decision]) -> list[Decision]:
+    """The decisions, those that were late with an empty plan where the others have plans."""
+    plan = next((decision.planned for decision in decisions if decision.planned is not None), None)
+    if plan is None:
+        return decisions
+    nothing = Planned.nothing(1, plan.safe.shape[1], plan.residuals.shape[1], plan.residuals.shape[2], plan.residuals.device)
+    return [decision if decision.planned is not None else decision._replace(planned=nothing) for decision in decisions]

@@ -1,0 +1,215 @@
+"""What `wasp drive` does with its options: which spec is meant, the server, the browser, the end of a session."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import webbrowser
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wasp_cli.console import count_table, plain, say
+from wasp_cli.drive.block import SHOWN
+from wasp_cli.drive.desk import END, Desk
+from wasp_cli.drive.script import drive
+from wasp_cli.drive.server import Server
+from wasp_cli.drive.session import How, Session, free_session, prepared
+from wasp_cli.errors import Interrupted, UnknownName, UsageError
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import PERSON
+from wasp_cli.plan.plan import plan_against
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.run.record import new_run
+from wasp_cli.run.session import RunOptions, cores
+from wasp_cli.spec.derived import sized
+from wasp_cli.spec.load import Loaded, load
+from wasp_cli.store.artifact import discard, exists, read_manifest, stored_keys
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.tasks.registry import TASKS
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from wasp_cli.drive.check import Timing
+
+SHIPPED = Path("drive")
+"""The spec behind `wasp drive TASK`."""
+QUICK = ("goal1",)
+"""Tasks whose small models are published; of the others those of the preset `cpu` are."""
+NONE = "none"
+IN_TIME = ("gate_rollouts=4", "takeover_rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2", "finalists=2")
+"""Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What was asked for."""
+
+    what: str
+    method: str | None
+    participant: int | None
+    episodes: int | None
+    session: int | None
+    speed: float | None
+    hide: tuple[str, ...]
+    preset: str | None
+    settings: tuple[str, ...]
+    results: Path
+    jobs: int | None
+
+    @property
+    def _is_task(self) -> bool:
+        return self.what in TASKS and not Path(self.what).exists()
+
+    def prepared(self) -> Session:
+        """Find the cells and what they need.
+
+        Raises:
+            UsageError: an option does not fit to the spec.
+            InvalidSpec: the spec is not valid.
+        """
+        for name in self.hide:
+            if name not in SHOWN:
+                raise UnknownName("thing to hide", name, SHOWN)
+        loaded = self.loaded()
+        study = loaded.spec.study
+        shown = frozenset(SHOWN if study is None else study.shown) - set(self.hide)
+        speed = self.speed or (1.0 if study is None else study.speed)
+        options = RunOptions(cores() if self.jobs is None else self.jobs)
+        return prepared(loaded, self.results, options, self.participant, How(speed, shown))
+
+    def loaded(self) -> Loaded:
+        """Return the spec: the shipped one for a task, or the one that was named."""
+        if not self._is_task:
+            for name, value in (("--method", self.method), ("--session", self.session)):
+                if value is not None:
+                    raise UsageError(f"{name} is for a task; '{self.what}' is a spec, which says it", "change the spec, or use --set")
+            episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
+            return load(Path(self.what), [*sized(self.preset, self.settings), *episodes])
+        if self.session is not None:
+            return self._of(self.session)
+        return self._of(free_session(Layout(self.results.absolute()), self._of))
+
+    def _of(self, session: int, methods: Sequence[str] = (), seeds: Sequence[int] = ()) -> Loaded:
+        """The shipped spec for this task, session and method, or for several of both."""
+        number = self.participant or 0
+        method = "human" if self.method == NONE else self.method or "wasp"
+        if method not in METHODS or not METHODS[method].impaired:
+            raise UnknownName("method to drive with", method, [*(name for name in METHODS if METHODS[name].impaired), NONE])
+        preset = self.preset or ("quick" if self.what in QUICK else "cpu")
+        settings = [
+            f"preset={preset}", f"tasks=[{self.what}]", f"methods=[{', '.join(methods or [method])}]",
+            f"operators={{{PERSON}: {{p{number}: {number}}}}}", f"seeds=[{', '.join(map(str, seeds or [session]))}]",
+            *([] if self.episodes is None else [f"episodes={self.episodes}"]),
+            *(f"wasp.{setting}" for setting in IN_TIME if preset == "quick"),
+        ]  # fmt: skip
+        return load(SHIPPED, [*settings, *self.settings])
+
+    def record(self, session: Session) -> None:
+        """Write down what this participant has driven of a task so far, so that a report shows all of it."""
+        if not self._is_task or not session.done:
+            return
+        layout, numbers = session.layout, range(max(session.loaded.spec.seeds) + 1)
+        everything = self._of(0, [name for name in METHODS if METHODS[name].impaired], numbers)
+        grid = lay_out_over(everything.spec, layout, None)
+        there = [cell for cell, node in grid.cells if exists(layout, node.kind, node.key)]
+        if there:
+            methods, seeds = (list(dict.fromkeys(values)) for values in ([c.method for c in there], sorted(c.seed for c in there)))
+            driven = self._of(0, methods, seeds)
+            new_run(layout, driven, plan_against(lay_out_over(driven.spec, layout, None), layout))
+
+
+def drive_session(session: Session, port: int, *, open_browser: bool, scripted: bool) -> dict[str, Any]:
+    """Serve the page until the session is over, and say what was recorded.
+
+    Raises:
+        Interrupted: Ctrl-C; finished episodes are kept.
+    """
+    desk = Desk()
+    server = Server(desk, port)
+    server.start()
+    clock = threading.Thread(target=_led, args=(session, desk), daemon=True, name="clock")
+    clock.start()
+    say(f"drive here: {server.address}")
+    if not scripted:
+        plain(f"from another machine: ssh -L {server.port}:127.0.0.1:{server.port} THIS-MACHINE, then open the same address there")
+    interrupted = False
+    try:
+        if scripted:
+            asyncio.run(drive(server.address))
+        elif open_browser:
+            with suppress(webbrowser.Error):
+                webbrowser.open(server.address)
+        while clock.is_alive():
+            clock.join(0.2)
+    except KeyboardInterrupt:
+        interrupted = True
+        desk.ask(END)
+        clock.join(30.0)
+    finally:
+        if not interrupted:
+            _linger(desk)
+        server.stop()
+    for block in session.done:
+        whole = "" if block["episodes"] == block["of"] else f" of {block['of']}: the session ended early"
+        say(
+            f"{block['label']}: {block['episodes']} episodes{whole}; {block['late']} of {block['decisions']} decisions late ({block['key']})"
+        )
+    if session.failure is not None:
+        raise session.failure
+    if interrupted:
+        kept = sum(block["episodes"] for block in session.done)
+        raise Interrupted(f"interrupted: {kept} finished episodes are kept", "the same command goes on where it was")
+    return {"run": session.run_id, "participant": session.participant, "blocks": session.done}
+
+
+def _led(session: Session, desk: Desk) -> None:
+    """Run in the clock's thread: what goes wrong there is told in the main one."""
+    try:
+        session.run(desk)
+    except BaseException as error:
+        session.failure = error
+        desk.state("over", text="Something went wrong; the terminal says what. Finished episodes are kept.", blocks=[])
+
+
+def _linger(desk: Desk, seconds: float = 1.0) -> None:
+    """Give the page the time to show the end."""
+    waiting = threading.Event()
+    if desk.present:
+        waiting.wait(seconds)
+
+
+def timing_table(found: Sequence[Timing]) -> Table:
+    """Return the figures of a check."""
+    headings = ("period", "decisions", "late", "decision", "p99", "key to action", "p99", "round trip", "p99", "speed")
+    table = count_table("", *headings)
+    for timing in found:
+        pairs = [f"{value:.1f} ms" for pair in (timing.decision_ms, timing.input_ms, timing.round_trip_ms) for value in pair]
+        table.add_row(
+            timing.label, f"{timing.period_ms:.0f} ms", str(timing.decisions), f"{timing.late_share:.1%}", *pairs, f"{timing.recommended:g}"
+        )
+    return table
+
+
+def withdrawn(wanted: Wanted) -> int:
+    """Delete everything that a participant drove in the cells of a spec or a task, whatever the session; returns how many cells went."""
+    loaded = wanted.loaded()
+    layout, spec = Layout(wanted.results.absolute()), loaded.spec
+    numbers = {int(value) for value in spec.operators.get(PERSON, {}).values()}
+    number = wanted.participant if wanted.participant is not None else next(iter(numbers)) if len(numbers) == 1 else None
+    if number is None:
+        raise UsageError("whose data are to be deleted?", "name the participant with --participant N")
+    layout.require_own_folders()
+    gone = 0
+    for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
+        manifest = read_manifest(layout, "evaluate", key)
+        axes = manifest.get("axes", {})
+        if axes.get("variant") == PERSON and axes.get("value") == number and manifest.get("task") in spec.tasks:
+            discard(layout.artifact("evaluate", key))
+            gone += 1
+            say(f"{manifest.get('label')}: deleted ({key})")
+    say(f"participant {number} has withdrawn: {gone} cells deleted; reports made before still hold their numbers")
+    return gone

@@ -1,0 +1,173 @@
+"""Between the socket and the clock: what the driver asked for, what is to be shown, and whether anyone is there.
+
+Two threads meet here. The clock's thread publishes and asks; the socket's loop reads and writes. Nothing here waits for the network.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, NamedTuple
+
+from wasp_cli.drive.controls import Controls
+
+GO, PAUSE, RESTART, NEXT, END = "go", "pause", "restart", "next", "end"
+REQUESTS = (GO, PAUSE, RESTART, NEXT, END)
+"""What a driver may ask for."""
+ROUND_TRIPS = 20
+"""Frames whose acknowledgement may be outstanding before their times are forgotten."""
+
+
+class Frame(NamedTuple):
+    """What there is to see after a decision."""
+
+    header: Mapping[str, Any]
+    """JSON values"""
+    pixels: bytes
+    """RGB of the cameras, one below the other; empty where they are not shown"""
+
+
+class Desk:
+    """See the module."""
+
+    def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
+        """`changed` is called from any thread when there is something to send."""
+        self.controls = Controls()
+        self.changed = changed
+        self._lock = threading.Condition()
+        self._request: str | None = None
+        self._answers: dict[str, Any] | None = None
+        self._world: Mapping[str, Any] | None = None
+        self._frame: Frame | None = None
+        self._latest: Frame | None = None
+        self._messages: deque[Mapping[str, Any]] = deque(maxlen=200)
+        self._state: Mapping[str, Any] = {"phase": "starting"}
+        self._drivers = 0
+        self.focused = False
+        self.lost, self.blurred = 0, 0
+        """How often the connection broke, and the window lost the focus, while someone drove."""
+        self._sent: dict[int, float] = {}
+        self._free = True
+        self.round_trip = float("nan")
+        """Of the last acknowledged frame, in seconds."""
+
+    # -- the clock's side ---------------------------------------------------------------------------------------------------------
+
+    def show(self, frame: Frame) -> None:
+        """Let this be the next frame that is sent; one that was not sent yet is never sent."""
+        with self._lock:
+            self._frame = self._latest = frame
+        self.changed()
+
+    def world(self, message: Mapping[str, Any]) -> None:
+        """Say what is driven in now; whoever connects later is told too."""
+        with self._lock:
+            self._world, self._latest = message, None
+            self._messages.append(message)
+        self.changed()
+
+    def say(self, message: Mapping[str, Any]) -> None:
+        """Send a message, all of them in order."""
+        with self._lock:
+            self._messages.append(message)
+        self.changed()
+
+    def state(self, phase: str, **facts: Any) -> None:
+        """Say what goes on now; whoever connects later is told too."""
+        with self._lock:
+            self._state = {"phase": phase, **facts}
+            self._messages.append({"type": "state", **self._state})
+        self.changed()
+
+    def asked(self) -> str | None:
+        """Return and forget what was asked for. Where nobody is there, it is a pause."""
+        with self._lock:
+            request, self._request = self._request, None
+            return request if self._drivers else request or PAUSE
+
+    def wait(self, wanted: Collection[str] = (GO, END)) -> str:
+        """Wait until one of these is asked for, and return it."""
+        with self._lock:
+            while True:
+                self._lock.wait_for(lambda: self._request is not None)
+                request, self._request = self._request, None
+                if request in wanted:
+                    return str(request)
+
+    def answers(self) -> dict[str, Any] | None:
+        """Wait for the answers of a form; None where the driver ends instead."""
+        with self._lock:
+            self._answers = None
+            self._lock.wait_for(lambda: self._answers is not None or self._request == END)
+            return self._answers
+
+    @property
+    def present(self) -> bool:
+        """Whether a driver is connected."""
+        return self._drivers > 0
+
+    # -- the socket's side --------------------------------------------------------------------------------------------------------
+
+    def come(self) -> bool:
+        """Let a driver in, who is told what goes on and shown the last frame; not where there is one already."""
+        with self._lock:
+            if self._drivers:
+                return False
+            self._drivers, self._free, self.focused = 1, True, True
+            self._sent.clear()
+            self._messages.clear()
+            self._messages.extend(([] if self._world is None else [self._world]) + [{"type": "state", **self._state}])
+            self._frame = self._latest
+            return True
+
+    def leave(self) -> None:
+        """The driver's connection is over."""
+        with self._lock:
+            self._drivers, self.focused = 0, False
+            self.lost += self._state.get("phase") == "driving"
+        self.controls.release()
+
+    def ask(self, request: str) -> None:
+        """Ask for one of REQUESTS; a later one takes the place of an earlier one that nobody heard, but never that of the end."""
+        with self._lock:
+            if self._request != END:
+                self._request = request
+            self._lock.notify_all()
+
+    def answer(self, values: dict[str, Any]) -> None:
+        """Give the answers of a form."""
+        with self._lock:
+            self._answers = values
+            self._lock.notify_all()
+
+    def focus(self, there: bool) -> None:
+        """Note whether the window has the focus; without it nothing is held."""
+        with self._lock:
+            self.blurred += self.focused and not there and self._state.get("phase") == "driving"
+            self.focused = there
+        if not there:
+            self.controls.release()
+
+    def outgoing(self) -> tuple[list[Mapping[str, Any]], Frame | None]:
+        """Return and forget the messages to be sent, and a frame where the last one was acknowledged."""
+        with self._lock:
+            messages = list(self._messages)
+            self._messages.clear()
+            frame = None
+            if self._free and self._frame is not None:
+                frame, self._frame, self._free = self._frame, None, False
+                self._sent[int(frame.header["frame"])] = time.monotonic()
+                while len(self._sent) > ROUND_TRIPS:
+                    del self._sent[next(iter(self._sent))]
+            return messages, frame
+
+    def acknowledged(self, number: int) -> None:
+        """Note that the page has drawn a frame."""
+        with self._lock:
+            sent = self._sent.pop(number, None)
+            if sent is not None:
+                self.round_trip = time.monotonic() - sent
+            self._free = True
+        self.changed()

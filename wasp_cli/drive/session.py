@@ -1,0 +1,259 @@
+"""A session: who drives which cells, in which order, and what is asked between them.
+
+    session = prepared(load(Path("drive"), settings), Path("results"), participant=7, session=None, ...)
+    session.run(desk)                the clock's thread: consent, practice, blocks, questionnaires, summary
+
+Cells that are there are not driven again, so that a session that broke off goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from wasp_cli import seeds
+from wasp_cli.console import plain
+from wasp_cli.drive.block import SHOWN, Block, BlockConfig, Cut, Driven
+from wasp_cli.drive.desk import END, NEXT, Desk
+from wasp_cli.drive.record import CellRecord
+from wasp_cli.errors import UsageError
+from wasp_cli.learning.assistants import load_parts
+from wasp_cli.learning.device import training_device
+from wasp_cli.memory import keep_memory
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import PERSON
+from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.node import Cell, Node
+from wasp_cli.plan.plan import plan_against
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.run.record import new_run
+from wasp_cli.run.session import RunOptions, Selection, limited, run_spec
+from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
+from wasp_cli.stages.evaluate import thresholds_of
+from wasp_cli.store.artifact import exists
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import CellIdentity
+from wasp_cli.tasks.registry import TASKS
+
+PRACTICE = "practice"
+ALONE = "human"
+"""The method of practice."""
+
+
+@dataclass(frozen=True)
+class How:
+    """How a session is shown and paced; none of it is in a key."""
+
+    speed: float = 1.0
+    shown: frozenset[str] = frozenset(SHOWN)
+    threads: int = 1
+
+
+@dataclass
+class Session:
+    """See the module."""
+
+    loaded: Loaded
+    layout: Layout
+    run_id: str
+    blocks: list[tuple[Cell, Node]]
+    """In the order in which they are driven."""
+    how: How
+    study: StudyConfig | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+    done: list[dict[str, Any]] = field(default_factory=list)
+    """What became of each block, for people."""
+    failure: BaseException | None = None
+    """What ended it from within."""
+
+    @property
+    def participant(self) -> str:
+        """Return the pseudonym."""
+        return str(self.blocks[0][0].severity)
+
+    def run(self, desk: Desk) -> None:
+        """Lead the driver through everything; returns when all is driven, or the driver ends."""
+        if not self._consent(desk):
+            desk.state("over", text="Nothing was recorded.", blocks=[])
+            return
+        practised = 0 if self.study is None else self.study.practice
+        for number, (cell, node) in enumerate(self.blocks):
+            if exists(self.layout, node.kind, node.key):
+                plain(f"{node.label}: driven before")
+                continue
+            if practised:
+                if not self._practice(desk, cell, node, practised):
+                    break
+                practised = 0
+            if not self._block(desk, number, cell, node):
+                break
+        desk.state("over", text="Thank you. You can close this page.", blocks=self._told())
+
+    def _told(self) -> list[dict[str, Any]]:
+        """What the driver is told at the end: in a study nothing that tells the conditions apart."""
+        return self.done if self.study is None else []
+
+    def _consent(self, desk: Desk) -> bool:
+        study = self.study
+        if study is None or not study.consent:
+            return True
+        form = {"name": "consent", "title": study.title, "text": study.consent, "version": study.consent_version, "scales": []}
+        desk.state("form", form=form)
+        answers = desk.answers()
+        agreed = answers is not None and answers.get("agreed") is True
+        self.facts["consent"] = {"version": study.consent_version, "agreed": agreed}
+        return agreed
+
+    def _practice(self, desk: Desk, cell: Cell, node: Node, episodes: int) -> bool:
+        block = self.built(desk, replace(cell, method=ALONE), node, {})
+        try:
+            for number in range(episodes):
+                layout = seeds.derive("drive-practice", cell.task, cell.value, number)
+                while isinstance(driven := block.episode(number, layout, 0, {"practice": True, "of": episodes}), Cut):
+                    if driven.why == END:
+                        return False
+                    if driven.why == NEXT:
+                        break
+        finally:
+            block.close()
+        return True
+
+    def _block(self, desk: Desk, number: int, cell: Cell, node: Node) -> bool:
+        """Drive one cell; whether the session goes on."""
+        config = node.config
+        goals = config["success_goals"] or TASKS[cell.task].success_goals
+        identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
+        record = CellRecord(self.layout, node, identity, goals, self._facts(number, cell))
+        desk.state("loading", block=number + 1, blocks=len(self.blocks))
+        block = self.built(desk, cell, node, node.axes["method_config"])
+        skipped, ended = 0, False
+        try:
+            while record.finished < config["episodes"] and not ended:
+                e = record.finished
+                layout = seeds.layout_seed(cell.task, cell.seed, e + skipped)
+                own = seeds.method_seed(cell.task, PERSON, cell.seed, e, cell.method)
+                found = block.episode(e, layout, own, {"of": config["episodes"], "block": number + 1, "blocks": len(self.blocks)})
+                if isinstance(found, Driven):
+                    record.add(found, thresholds_of(block.assistant), config["safe_cost"])
+                else:
+                    record.cut(found)
+                    # In a study everyone drives the same worlds.
+                    skipped += found.why == NEXT and self.study is None
+                    ended = found.why == END
+        finally:
+            block.close()
+            record.note(lost_connection=desk.lost, lost_focus=desk.blurred)
+        whole: bool = record.finished == config["episodes"]
+        if whole:
+            self._ask(desk, record)
+        if record.finished:
+            self._publish(record, cell, node, whole)
+        return whole
+
+    def _ask(self, desk: Desk, record: CellRecord) -> None:
+        answers: dict[str, dict[str, float]] = {}
+        for name in () if self.study is None else self.study.questionnaires:
+            scales = [{"name": scale, "text": text, "low": low, "high": high} for scale, text, low, high in QUESTIONS[name]]
+            desk.state("form", form={"name": name, "title": "", "text": "", "scales": scales})
+            given = desk.answers()
+            if given is None:
+                break
+            answers[name] = {scale["name"]: float(given[scale["name"]]) for scale in scales if scale["name"] in given}
+        if answers:
+            record.note(answers=answers)
+
+    def _publish(self, record: CellRecord, cell: Cell, node: Node, whole: bool) -> None:
+        run_id, of = self.run_id, node
+        if not whole:
+            part = limited(self.loaded, record.finished)
+            grid = lay_out_over(part.spec, self.layout, None)
+            of = next(found for each, found in grid.cells if each == cell)
+            run_id = new_run(self.layout, part, plan_against(grid, self.layout))
+        timing = record.timing()
+        record.publish(run_id, of)
+        self.done.append({"label": of.label, "key": of.key, "episodes": record.finished, "of": node.config["episodes"], **timing})
+
+    def _facts(self, number: int, cell: Cell) -> dict[str, Any]:
+        shown = [name for name in SHOWN if name in self.how.shown]
+        return {
+            "participant": self.participant,
+            "block": number,
+            "speed": self.how.speed,
+            "shown": shown,
+            "spec": self.loaded.spec.name,
+            **self.facts,
+        }
+
+    def built(self, desk: Desk, cell: Cell, node: Node, method_config: Mapping[str, Any]) -> Block:
+        """Load what a cell needs, and tell the page about it."""
+        # As in evaluations: one thread, and memory that is kept. More threads would wait for each other while the page is drawn.
+        torch.set_num_threads(1)
+        keep_memory()
+        inputs = {name: self.layout.artifact(needed.kind, needed.key) for name, needed in node.needs.items()}
+        parts = load_parts(inputs, self.loaded.spec.returns, training_device())
+        repeat, how = self.loaded.spec.action_repeat, self.how
+        config = BlockConfig(cell.task, cell.method, method_config, repeat, cell.value or 0.0, how.speed, how.shown, how.threads)
+        block = Block(config, parts, desk)
+        desk.world(block.hello())
+        return block
+
+
+def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How) -> Session:
+    """Find the cells that a participant is to drive, and compute or bring in everything that they need.
+
+    Args:
+        loaded: a spec with people among its operators.
+        results: the results folder.
+        options: for what has to be trained before.
+        participant: number; None: the only one of the spec.
+        how: how it is shown and paced.
+
+    Raises:
+        UsageError: nobody drives in this spec, not this participant, or several episodes are to be driven side by side.
+    """
+    spec = loaded.spec
+    people = spec.operators.get(PERSON, {})
+    if not people:
+        raise UsageError(f"nobody drives in '{spec.name}'", "name participants in it: operators: {person: {p1: 1, p2: 2}}")
+    numbers = {int(value): name for name, value in people.items()}
+    if participant is None and len(numbers) == 1:
+        participant = next(iter(numbers))
+    if participant not in numbers:
+        known = ", ".join(map(str, numbers))
+        raise UsageError(f"'{spec.name}' has no participant {participant}", f"choose one with --participant: {known}")
+    if spec.side_by_side != 1:
+        raise UsageError("a person drives one episode at a time", "set side_by_side: 1 in the spec")
+    layout = Layout(results.absolute())
+    grid = lay_out_over(spec, layout, None)
+    read = dict.fromkeys(needed.kind for cell, node in grid.cells for needed in node.needs.values() if cell.operator == PERSON)
+    run_spec(loaded, results, options, Selection((f"stage={'|'.join(read)}",))).require_complete()
+    mine = [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
+    run_id = new_run(layout, loaded, plan_against(grid, layout))
+    return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study)
+
+
+def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell, Node]]:
+    """Return the cells of a participant task by task; within a task, and for each seed, in the participant's row of a Williams square."""
+    groups: dict[tuple[str, int], list[tuple[Cell, Node]]] = {}
+    for cell, node in cells:
+        groups.setdefault((cell.task, cell.seed), []).append((cell, node))
+    return [group[place] for group in groups.values() for place in balanced_order(len(group), participant - 1)]
+
+
+def free_session(layout: Layout, of: Callable[[int], Loaded], most: int = 10_000) -> int:
+    """Return the first number of a session whose worlds nobody has driven in these cells yet."""
+    for number in range(most):
+        grid: Grid = lay_out_over(of(number).spec, layout, None)
+        if not any(exists(layout, node.kind, node.key) for _, node in grid.cells):
+            return number
+    raise UsageError(f"{most} sessions were driven", "choose another results folder with --results")
+
+
+def titles(session: Session) -> list[str]:
+    """Return the blocks as people read them."""
+    return [METHODS[cell.method].title + ("" if cell.assistant == "full" else f" ({cell.assistant})") for cell, _ in session.blocks]

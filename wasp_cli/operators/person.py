@@ -1,0 +1,46 @@
+"""A person as the operator: commands come from outside, one decision at a time."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from wasp_cli.errors import UsageError
+from wasp_cli.operators.base import Memory, NoiseSource, Operator, Policy
+
+
+class PersonOperator(Operator):
+    """See the module. In imagination the command of now is held: nobody can ask a person what they would do there."""
+
+    def __init__(self, policy: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
+        super().__init__(policy, action_size, noise, batch)
+        self._next: Tensor | None = None
+        self.imagined = False
+        """Whether this is a fork"""
+
+    def initial(self, batch: int) -> Memory:
+        return {"held": torch.zeros(batch, self.action_size)}
+
+    def say(self, command: Tensor) -> None:
+        """Take the command [B, A] of the next decision."""
+        self._next = command
+
+    def command(self, features: Tensor) -> Tensor:
+        """Return what was said for this decision, [B, A]; in imagination what was said last.
+
+        Raises:
+            UsageError: nobody has said anything: this is no session.
+        """
+        if self.imagined:
+            return self.memory["held"]
+        if self._next is None:
+            raise UsageError("a person has to drive this cell: nobody's commands can be computed", "wasp drive TASK, or wasp drive SPEC")
+        issued, self._next = self._next, None
+        self.memory = {"held": issued}
+        return issued
+
+    def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
+        forked = super().fork(rows, copies, noise)
+        assert isinstance(forked, PersonOperator)
+        forked.imagined = True
+        return forked
