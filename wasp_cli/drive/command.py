@@ -117,7 +117,7 @@ class Wanted:
         grid = lay_out_over(everything.spec, layout, None)
         there = [cell for cell, node in grid.cells if exists(layout, node.kind, node.key)]
         if there:
-            methods, seeds = (list(dict.fromkeys(values)) for values in ([c.method for c in there], sorted(c.seed for c in there)))
+            methods, seeds = list(dict.fromkeys(cell.method for cell in there)), sorted({cell.seed for cell in there})
             driven = self._of(0, methods, seeds)
             new_run(layout, driven, plan_against(lay_out_over(driven.spec, layout, None), layout))
 
@@ -155,9 +155,8 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
         server.stop()
     for block in session.done:
         whole = "" if block["episodes"] == block["of"] else f" of {block['of']}: the session ended early"
-        say(
-            f"{block['label']}: {block['episodes']} episodes{whole}; {block['late']} of {block['decisions']} decisions late ({block['key']})"
-        )
+        late = f"{block['late']} of {block['decisions']} decisions late"
+        say(f"{block['label']}: {block['episodes']} episodes{whole}; {late} ({block['key']})")
     if session.failure is not None:
         raise session.failure
     if interrupted:
