@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ class Tab:
     """One page."""
 
     def __init__(self, address: str) -> None:
-        self._socket = connect(address, max_size=None, compression=None)
+        self._open = ExitStack()
+        self._socket = self._open.enter_context(connect(address, max_size=None, compression=None))
         self._number = 0
         self.events: list[dict[str, Any]] = []
         self.call("Network.enable")
@@ -82,7 +83,7 @@ class Tab:
         return [event["request"]["url"] for event in sent] + [event["url"] for event in sockets]
 
     def close(self) -> None:
-        self._socket.close()
+        self._open.close()
 
 
 class Browser:

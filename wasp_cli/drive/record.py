@@ -29,7 +29,7 @@ from wasp_cli.run.worker import manifest_of
 from wasp_cli.store.artifact import commit, read_record, staging_folder, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import opened_table, write_table
-from wasp_cli.store.tables import CellIdentity, Thresholds, first_rows, read_episodes, write_cell
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, first_rows, read_episodes, write_cell
 
 TIMING_FILE, SESSION_FILE = "_timing.pq", "_session.json"
 VERSION_KEY, VERSION = b"wasp.timing", 1
@@ -56,11 +56,25 @@ BEAT = pa.schema(
 class CellRecord:
     """The rows of one cell while it is driven, in the folder where nodes keep what survives an interruption."""
 
-    def __init__(self, layout: Layout, node: Node, identity: CellIdentity, goals: int, facts: Mapping[str, Any]) -> None:
-        """`goals` within an episode count as success; `facts` are written into the session's file."""
+    def __init__(
+        self, layout: Layout, node: Node, identity: CellIdentity, goals: int, facts: Mapping[str, Any], begun: Path | None = None
+    ) -> None:
+        """Go on where the session broke off.
+
+        Args:
+            layout: the results folder.
+            node: of the cell.
+            identity: of its rows.
+            goals: within an episode that count as success.
+            facts: written into the session's file.
+            begun: the folder of the same cell with fewer episodes, where there is one and nothing newer was left unfinished.
+        """
         self._layout, self._node, self._identity, self._goals = layout, node, identity, goals
         self._folder = layout.work(node.key)
         self._folder.mkdir(parents=True, exist_ok=True)
+        if begun is not None and not (self._folder / EPISODES_FILE).exists():
+            for name in (TIMING_FILE, SESSION_FILE, STEPS_FILE, EPISODES_FILE):
+                shutil.copyfile(begun / name, self._folder / name)
         earlier = self._earlier()
         self.finished = 0 if earlier is None else len(earlier.episodes)
         """Episodes that are on disk."""
@@ -70,7 +84,7 @@ class CellRecord:
         write_record(self._folder / SESSION_FILE, self._session)
 
     def _earlier(self) -> Any:
-        return first_rows(self._folder, 1) if (self._folder / "episodes.parquet").exists() else None
+        return first_rows(self._folder, 1) if (self._folder / EPISODES_FILE).exists() else None
 
     def add(self, driven: Driven, thresholds: Thresholds, safe_cost: float) -> None:
         """Write a finished episode behind the others."""
@@ -113,7 +127,7 @@ class CellRecord:
     def publish(self, run_id: str, node: Node) -> Path:
         """Make the rows the artifact of `node`: that of the whole cell, or of the same cell with as many episodes as there are."""
         summary = timing_summary(self._timing())
-        numbers = read_episodes([self._folder / "episodes.parquet"])
+        numbers = read_episodes([self._folder / EPISODES_FILE])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
         found = {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
         staging = staging_folder(self._layout, node.key)

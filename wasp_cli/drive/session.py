@@ -128,7 +128,7 @@ class Session:
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
         identity = CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed)
-        record = CellRecord(self.layout, node, identity, goals, self._facts(number, cell))
+        record = CellRecord(self.layout, node, identity, goals, self._facts(number, cell), self._begun(cell, config["episodes"]))
         desk.state("loading", block=number + 1, blocks=len(self.blocks))
         block = self.built(desk, cell, node, node.axes["method_config"])
         skipped, ended = 0, False
@@ -155,6 +155,20 @@ class Session:
             self._publish(record, cell, node, whole)
         return whole
 
+    def _begun(self, cell: Cell, episodes: int) -> Path | None:
+        """The folder of the same cell with fewer episodes, as many as there are: a sitting that ended early."""
+        for count in range(episodes - 1, 0, -1):
+            node = self._limited(cell, count)[1]
+            if exists(self.layout, node.kind, node.key):
+                return self.layout.artifact(node.kind, node.key)
+        return None
+
+    def _limited(self, cell: Cell, episodes: int) -> tuple[Grid, Node, Loaded]:
+        """The cell with its first episodes alone, with the grid and the spec that ask for it."""
+        part = limited(self.loaded, episodes)
+        grid = lay_out_over(part.spec, self.layout, None)
+        return grid, next(found for each, found in grid.cells if each == cell), part
+
     def _ask(self, desk: Desk, record: CellRecord) -> None:
         answers: dict[str, dict[str, float]] = {}
         for name in () if self.study is None else self.study.questionnaires:
@@ -170,9 +184,7 @@ class Session:
     def _publish(self, record: CellRecord, cell: Cell, node: Node, whole: bool) -> None:
         run_id, of = self.run_id, node
         if not whole:
-            part = limited(self.loaded, record.finished)
-            grid = lay_out_over(part.spec, self.layout, None)
-            of = next(found for each, found in grid.cells if each == cell)
+            grid, of, part = self._limited(cell, record.finished)
             run_id = new_run(self.layout, part, plan_against(grid, self.layout))
         timing = record.timing()
         record.publish(run_id, of)

@@ -1,0 +1,124 @@
+"""A real Chromium drives: keys as pressed, the window's focus, a broken connection, a second tab, and no request to anybody else."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.drive.browser import CHROMIUM, Browser, chromium
+from tests.drive.conftest import served, wanted
+from wasp_cli.drive.record import TIMING_FILE, read_timing
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import cell_file, read_steps
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as running:
+        yield running
+
+
+def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(imported, results)
+    session = wanted(results, "wasp", 2.0).prepared()
+    with served(session) as (desk, server, clock):
+        tab = browser.tab()
+        tab.size(1280, 800)
+        tab.open(server.address)
+        tab.until("phase === 'ready'")
+        assert tab.value("document.querySelectorAll('#toggles input').length") == 6
+        tab.click("Go")
+        tab.until("phase === 'driving' && frame && frame.header.t > 5")
+        painted = "new Set(byId('map').getContext('2d').getImageData(0, 0, 480, 480).data).size"
+        assert tab.value(painted) > 10, "the map is drawn"
+        assert tab.value(painted.replace("map", "eyes").replace("480, 480", "64, 128")) > 10, "the cameras are shown"
+
+        def held() -> frozenset[str]:
+            return desk.controls.now().keys
+
+        def comes(expected: set[str]) -> None:
+            end = time.monotonic() + 5
+            while held() != expected:
+                assert time.monotonic() < end, held()
+                time.sleep(0.01)
+
+        tab.key(True, "ArrowUp")
+        comes({"ArrowUp"})
+        tab.key(True, "KeyA")
+        comes({"ArrowUp", "KeyA"})
+        tab.key(False, "ArrowUp")
+        comes({"KeyA"})
+        first = tab.value("frame.header.t")
+        tab.until(f"frame.header.t > {first} + 3 && frame.header.command[1] === 1")
+
+        # The window loses the focus: nothing stays held.
+        tab.value("window.dispatchEvent(new Event('blur'))")
+        comes(set())
+        assert not desk.focused
+        tab.value("window.dispatchEvent(new Event('focus'))")
+        tab.key(False, "KeyA")
+
+        # A second tab is told, and changes nothing.
+        second = browser.tab()
+        second.open(server.address)
+        second.until("document.body.innerText.includes('Somebody drives already')")
+        second.close()
+
+        # The connection breaks in the middle: the world waits, and goes on where it was.
+        tab.key(True, "ArrowUp")
+        comes({"ArrowUp"})
+        tab.value("socket.close()")
+        tab.until("phase === 'paused'")
+        comes(set())
+        where = tab.value("frame.header.t")
+        time.sleep(0.3)
+        assert tab.value("frame.header.t") == where
+        tab.key(False, "ArrowUp")
+        tab.click("Go on")
+        tab.until(f"phase === 'driving' && frame.header.t > {where} + 5")
+        tab.key(True, "ArrowUp")
+        tab.until("phase === 'over'", 60)
+        assert "1 of 1 episodes" in tab.value("document.body.innerText")
+        asked = tab.requests()
+        tab.close()
+        clock.join(20)
+        port = server.port
+    assert all(url.startswith((f"http://127.0.0.1:{port}/", f"ws://127.0.0.1:{port}/", "data:")) for url in asked), asked
+
+    (block,) = session.done
+    folder = Layout(results).artifact("evaluate", block["key"])
+    beats, steps = read_timing(folder / TIMING_FILE), read_steps(cell_file(folder))
+    keys, commands = beats["keys"].to_pylist(), np.array(steps["a_h"].to_pylist())
+    assert {"", "ArrowUp", "KeyA", "ArrowUp KeyA"} <= set(keys)
+    forward, left = (np.array([name in each.split() for each in keys], float) for name in ("ArrowUp", "KeyA"))
+    np.testing.assert_array_equal(commands, np.stack([forward, left], 1))
+    assert not all(beats["focused"].to_pylist())
+    assert desk.lost == 1
+
+
+def test_the_page_fits_a_narrow_window(browser: Browser, imported: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(imported, results)
+    session = wanted(results).prepared()
+    with served(session) as (_, server, _):
+        tab = browser.tab()
+        for width in (500, 1280):
+            tab.size(width, 900)
+            tab.open(server.address)
+            tab.until("phase === 'ready'")
+            tab.click("Go")
+            tab.until("phase === 'driving' && frame")
+            assert tab.value("document.documentElement.scrollWidth") <= width
+            tab.click("Pause")
+            tab.until("phase === 'paused'")
+        tab.click("End the session")
+        tab.until("phase === 'over'")
+        tab.close()

@@ -1,0 +1,206 @@
+"""Hostile and clumsy clients: clear refusals, and the session goes on."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from http.client import HTTPConnection
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from wasp_cli.drive.desk import Desk, Frame
+from wasp_cli.drive.server import BUSY, TOO_MUCH, Server, packed, unpacked
+from wasp_cli.errors import UsageError
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    server = Server(Desk())
+    server.start()
+    yield server
+    server.stop()
+
+
+def get(server: Server, path: str, host: str | None = None) -> tuple[int, dict[str, str], bytes]:
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
+    connection.request("GET", path, headers={} if host is None else {"Host": host})
+    answer = connection.getresponse()
+    return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+
+
+def driver(server: Server, token: str | None = None, **headers: str) -> ClientConnection:
+    address = f"ws://127.0.0.1:{server.port}/socket?token={server.token if token is None else token}"
+    return connect(address, additional_headers=headers, ping_interval=None)
+
+
+def state(ws: ClientConnection) -> dict[str, object]:
+    return json.loads(ws.recv(timeout=10))
+
+
+def wait_until(true: object, seconds: float = 5.0) -> None:
+    end = time.monotonic() + seconds
+    while not true():  # type: ignore[operator]
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_the_page_needs_the_token(server: Server) -> None:
+    assert get(server, "/")[0] == 403
+    assert get(server, "/?token=guess")[0] == 403
+    status, headers, body = get(server, f"/?token={server.token}")
+    assert status == 200
+    assert b"drive.js" in body
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "server" not in headers
+    assert server.token.encode() not in body, "the address alone has it"
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "localhost.evil.example:80"])
+def test_a_name_of_another_host_is_refused(server: Server, host: str) -> None:
+    """What a page of another site reaches through its own name server (DNS rebinding)."""
+    assert get(server, f"/?token={server.token}", host)[0] in (400, 403)
+    assert get(server, "/drive.js", host)[0] in (400, 403)
+
+
+@pytest.mark.parametrize("host", ["localhost:9000", "127.0.0.1:22", "[::1]:9000"])
+def test_a_tunnel_may_have_another_port(server: Server, host: str) -> None:
+    assert get(server, f"/?token={server.token}", host)[0] == 200
+
+
+@pytest.mark.parametrize("path", ["/../server.py", "/%2e%2e/server.py", "/index.html", "/drive.js/..", "/etc/passwd", "/socket"])
+def test_nothing_that_is_asked_for_becomes_a_path(server: Server, path: str) -> None:
+    assert get(server, path)[0] in (403, 404)
+
+
+def test_a_socket_needs_token_and_origin(server: Server) -> None:
+    for token, headers in (("guess", {}), ("", {}), (None, {"Origin": "http://evil.example"}), (None, {"Origin": "null"})):
+        with pytest.raises(InvalidStatus) as refused:
+            driver(server, token, **headers)
+        assert refused.value.response.status_code == 403
+    assert not server.desk.present
+    with driver(server, Origin=f"http://127.0.0.1:{server.port}") as ws:
+        assert state(ws)["phase"] == "starting"
+
+
+def test_one_driver_at_a_time(server: Server) -> None:
+    with driver(server) as first:
+        state(first)
+        with driver(server) as second, pytest.raises(ConnectionClosed) as closed:
+            second.recv(timeout=10)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == BUSY
+        server.desk.state("ready")
+        assert state(first)["phase"] == "ready", "the first one drives on"
+    wait_until(lambda: not server.desk.present)
+    with driver(server) as third:
+        assert state(third)["phase"] == "ready", "who comes later is told what goes on"
+
+
+BAD = [
+    "not json", "[]", "{}", '{"type": "input"}', '{"type": "steal"}', '{"type": "ask", "what": "../../etc"}', '{"type": "ack", "frame": -1}',
+    '{"type": "input", "number": 1, "keys": [], "axes": [2, 0]}', '{"type": "input", "number": 1, "keys": [], "axes": [NaN, 0]}',
+    '{"type": "input", "number": 1, "keys": ["' + "A" * 99 + '"], "axes": [0, 0]}',
+    '{"type": "input", "number": 1e300, "keys": [], "axes": [0, 0]}', '{"type": "alive", "more": 1}',
+    '{"type": "answers", "scales": {"mental": 101}}', b"\x00\x01binary",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("message", BAD, ids=range(len(BAD)))
+def test_a_message_that_the_page_does_not_send_ends_the_connection_and_nothing_else(server: Server, message: str | bytes) -> None:
+    with driver(server) as ws:
+        state(ws)
+        ws.send(message)
+        with pytest.raises(ConnectionClosed) as closed:
+            ws.recv(timeout=10)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == TOO_MUCH
+    assert server.desk.controls.now().stick.tolist() == [0.0, 0.0]
+    wait_until(lambda: not server.desk.present)
+    with driver(server) as ws:
+        assert state(ws)["phase"] == "starting"
+
+
+def test_a_giant_message_is_not_even_read(server: Server) -> None:
+    with driver(server) as ws:
+        state(ws)
+        with suppress(ConnectionClosed):
+            ws.send("x" * 50_000_000)
+        with pytest.raises(ConnectionClosed):
+            ws.recv(timeout=10)
+    wait_until(lambda: not server.desk.present)
+    with driver(server) as ws:
+        assert state(ws)["phase"] == "starting"
+
+
+def test_ten_thousand_messages_a_second_are_cut_off(server: Server) -> None:
+    with driver(server) as ws:
+        state(ws)
+        begun = time.monotonic()
+        with suppress(ConnectionClosed):
+            for number in range(10_000):
+                ws.send(json.dumps({"type": "input", "number": number, "keys": ["ArrowUp"], "axes": [0.0, 0.0]}))
+        with pytest.raises(ConnectionClosed) as closed:
+            ws.recv(timeout=10)
+        assert time.monotonic() - begun < 10.0
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == TOO_MUCH
+    wait_until(lambda: not server.desk.present)
+    assert server.desk.controls.now().stick.tolist() == [0.0, 0.0], "nothing stays held"
+
+
+def test_a_connection_that_says_nothing_is_lost(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wasp_cli.drive.server.SILENT", 0.3)
+    with driver(server) as ws:
+        state(ws)
+        ws.send(json.dumps({"type": "input", "number": 1, "keys": ["ArrowUp"], "axes": [0.0, 0.0]}))
+        wait_until(lambda: not server.desk.present)
+    assert server.desk.controls.now().keys == frozenset()
+
+
+def test_a_new_frame_waits_for_the_last_one_to_be_drawn_and_old_ones_are_left_out(server: Server) -> None:
+    with driver(server) as ws:
+        state(ws)
+        server.desk.show(Frame({"frame": 1}, b"one"))
+        assert unpacked(ws.recv(timeout=10)) == ({"frame": 1}, b"one")  # type: ignore[arg-type]
+        for number in (2, 3, 4):
+            server.desk.show(Frame({"frame": number}, b""))
+        with pytest.raises(TimeoutError):
+            ws.recv(timeout=0.2)
+        ws.send(json.dumps({"type": "ack", "frame": 1}))
+        assert unpacked(ws.recv(timeout=10))[0] == {"frame": 4}  # type: ignore[arg-type]
+        assert 0.0 < server.desk.round_trip < 10.0
+
+
+def test_a_frame_survives_its_packing() -> None:
+    header, pixels = unpacked(packed(Frame({"frame": 7, "robot": [0.5, 1.0]}, bytes(range(256)))))
+    assert header == {"frame": 7, "robot": [0.5, 1.0]}
+    assert pixels == bytes(range(256))
+
+
+def test_a_port_that_is_taken_is_said() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(UsageError, match=r"cannot use port \d+"):
+            Server(Desk(), taken.getsockname()[1])
+
+
+def test_the_server_listens_on_this_machine_alone(server: Server) -> None:
+    async def name() -> str:
+        _, writer = await asyncio.open_connection("127.0.0.1", server.port)
+        peer: str = writer.get_extra_info("peername")[0]
+        writer.close()
+        return peer
+
+    assert asyncio.run(name()) == "127.0.0.1"
+    with socket.socket() as elsewhere:
+        elsewhere.settimeout(1.0)
+        address = socket.gethostbyname(socket.gethostname())
+        if not address.startswith("127."):
+            assert elsewhere.connect_ex((address, server.port)) != 0

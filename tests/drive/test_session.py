@@ -1,0 +1,220 @@
+"""Whole sessions by the scripted driver: what is recorded is what was executed, and every command works on it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.drive.conftest import served, wanted
+from wasp_cli.cli.app import app
+from wasp_cli.drive.command import drive_session, withdrawn
+from wasp_cli.drive.desk import END, Desk
+from wasp_cli.drive.record import SESSION_FILE, TIMING_FILE, read_timing
+from wasp_cli.drive.script import drive, to_the_goal
+from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.learning.playback import play
+from wasp_cli.store.artifact import corruption, read_manifest
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.tables import cell_file, read_episodes, read_steps
+from wasp_cli.tasks.make import make_task
+
+
+@pytest.fixture(scope="module")
+def driven(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Two episodes with WASP, at twice the speed: some decisions are late."""
+    results = tmp_path_factory.mktemp("driven") / "results"
+    shutil.copytree(imported, results)
+    session = wanted(results, "wasp", 2.0, episodes=2).prepared()
+    summary = drive_session(session, 0, open_browser=False, scripted=True)
+    (block,) = summary["blocks"]
+    assert block["episodes"] == block["of"] == 2
+    return results, block["key"]
+
+
+def cell_of(driven: tuple[Path, str]) -> Path:
+    return cell_file(Layout(driven[0]).artifact("evaluate", driven[1]))
+
+
+def test_a_session_is_a_cell_like_any_other(driven: tuple[Path, str]) -> None:
+    layout, key = Layout(driven[0]), driven[1]
+    assert corruption(layout, "evaluate", key) is None
+    manifest = read_manifest(layout, "evaluate", key)
+    assert manifest["label"] == "goal1 s0 wasp person=0"
+    assert manifest["axes"]["variant"] == "person"
+    assert {"world_model", "policies", "calibration"} <= set(manifest["upstream"])
+    episodes = read_episodes([cell_of(driven)])
+    assert episodes["episode"].to_pylist() == [0, 1]
+    assert episodes["tau_c"].to_pylist() == [0.7, 0.7]
+    assert not list(layout.works.glob("*/episodes.parquet")), "what is published is nowhere else"
+
+
+def test_the_same_actions_lead_to_the_same_bits(driven: tuple[Path, str]) -> None:
+    recorded = read_recorded(cell_of(driven))
+    for layout, a, reward in zip(recorded["layouts"], recorded["a"], recorded["reward"], strict=True):
+        world = make_task("goal1", 1, observe=("pixels",))
+        moments = list(play(world, [layout], [a], [reward]))  # refuses any other reward
+        assert len(moments) == len(a) + 1
+
+
+def test_the_record_of_the_clock_has_a_row_for_every_decision(driven: tuple[Path, str]) -> None:
+    folder = cell_of(driven).parent
+    beats, steps = read_timing(folder / TIMING_FILE), read_steps(cell_of(driven))
+    assert beats["episode"].to_pylist() == steps["episode"].to_pylist()
+    assert beats["t"].to_pylist() == steps["t"].to_pylist()
+    late = np.array(beats["late"].to_pylist())
+    a_h, a = np.array(steps["a_h"].to_pylist()), np.array(steps["a"].to_pylist())
+    assert (a_h[late] == a[late]).all(), "where a decision is late the command is executed as it is"
+    assert set(np.array(steps["gate"].to_pylist())[late].tolist()) <= {0}
+    at = np.array(beats["at"].to_pylist())
+    assert (np.diff(at) > 0).all()
+    # 250 decisions of 40 ms each take ten seconds at least, whatever the machine.
+    assert at[249] - at[0] > 249 * 0.04 * 0.9
+    session = json.loads((folder / SESSION_FILE).read_text())
+    assert (session["participant"], session["speed"], session["cut"]) == ("p0", 2.0, [])
+    assert np.isfinite(np.array(beats["round_trip_ms"].to_pylist()[5:], float)).all()
+
+
+def test_commands_are_those_of_the_keys(driven: tuple[Path, str]) -> None:
+    beats, steps = read_timing(cell_of(driven).parent / TIMING_FILE), read_steps(cell_of(driven))
+    for keys, command in zip(beats["keys"].to_pylist(), steps["a_h"].to_pylist(), strict=True):
+        held = set(keys.split())
+        expected = [float("ArrowUp" in held), float("ArrowLeft" in held) - float("ArrowRight" in held)]
+        assert command == expected
+    assert len(set(beats["keys"].to_pylist())) > 2
+
+
+@pytest.mark.parametrize("command", [("explain", "-e", "1"), ("explain", "-e", "0", "--step", "7"), ("show",)], ids=" ".join)
+def test_commands_about_cells_take_it(driven: tuple[Path, str], command: tuple[str, ...]) -> None:
+    name, *options = command
+    found = CliRunner().invoke(app, [name, "goal1 s0 wasp person=0", *options, "--results", str(driven[0])])
+    assert found.exit_code == 0, found.output
+    assert "person" in found.output
+
+
+def test_it_can_be_shown_again(driven: tuple[Path, str], tmp_path: Path) -> None:
+    video = tmp_path / "film.webp"
+    options = ["--episode", "0", "--every", "50", "--results", str(driven[0]), "--out", str(video)]
+    found = CliRunner().invoke(app, ["replay", "goal1 s0 wasp person=0", *options])
+    assert found.exit_code == 0, found.output
+    assert video.stat().st_size > 10_000
+
+
+def test_reports_count_it(driven: tuple[Path, str]) -> None:
+    found = CliRunner().invoke(app, ["report", str(driven[0])])
+    assert found.exit_code == 0, found.output
+    table = (driven[0] / "reports" / "drive" / "table1.md").read_text()
+    assert "WASP" in table
+
+
+def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imported: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(imported, results)
+    session = wanted(results, episodes=2).prepared()
+    with served(session) as (desk, server, clock):
+        asyncio.run(drive(server.address, driver=_ends(desk, after=1)))
+        clock.join(20)
+    (first,) = session.done
+    assert (first["episodes"], first["of"]) == (1, 2)
+    layout = Layout(results)
+    manifest = read_manifest(layout, "evaluate", first["key"])
+    assert manifest["config"]["episodes"] == 1, "it is never taken for whole"
+    told = json.loads((layout.artifact("evaluate", first["key"]) / SESSION_FILE).read_text())
+    (cut,) = told["cut"]
+    assert (cut["why"], cut["before_episode"]) == (END, 1)
+    assert cut["decisions"] > 0
+
+    again = wanted(results, episodes=2, session=0).prepared()
+    with served(again) as (_, server, clock):
+        asyncio.run(drive(server.address))
+        clock.join(20)
+    (whole,) = again.done
+    assert (whole["episodes"], whole["key"] != first["key"]) == (2, True)
+    rows = [read_steps(cell_file(layout.artifact("evaluate", key))) for key in (first["key"], whole["key"])]
+    earlier = rows[1].filter(np.array(rows[1]["episode"].to_pylist()) == 0)
+    assert earlier.equals(rows[0]), "the finished episode was taken over, not driven again"
+    assert len(json.loads((layout.artifact("evaluate", whole["key"]) / SESSION_FILE).read_text())["sittings"]) == 2
+
+
+def _ends(desk: Desk, after: int) -> Any:
+    """A driver who ends in the middle of the episode that follows `after` whole ones."""
+    seen = {"episodes": -1, "t": -1}
+
+    def keys(header: Mapping[str, Any]) -> list[str]:
+        seen["episodes"] += header["t"] < seen["t"] or seen["t"] < 0
+        seen["t"] = header["t"]
+        if seen["episodes"] == after and header["t"] > 20:
+            desk.ask(END)
+        return to_the_goal(header)
+
+    return keys
+
+
+def test_the_next_session_has_other_worlds_and_other_methods_the_same(driven: tuple[Path, str]) -> None:
+    results = driven[0]
+    assert wanted(results, "wasp", episodes=2).loaded().spec.seeds == (1,)
+    assert wanted(results, "human", episodes=2).loaded().spec.seeds == (0,)
+
+
+def test_who_withdraws_leaves_nothing(driven: tuple[Path, str], tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(driven[0], results)
+    assert withdrawn(wanted(results, "wasp", participant=3)) == 0, "somebody else's"
+    assert withdrawn(wanted(results, "wasp", participant=0)) == 1
+    assert not Layout(results).artifact("evaluate", driven[1]).exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"method": "expert"}, "expert"),
+        ({"method": "wsap"}, "wsap"),
+        ({"hide": ("camera",)}, "cameras"),
+        ({"what": "quickstart"}, "nobody drives in 'quickstart'"),
+        ({"what": "drive", "method": None, "participant": 4}, "no participant 4"),
+        ({"what": "drive", "method": "wasp"}, "--method is for a task"),
+        ({"what": "drive", "method": None, "settings": ("side_by_side=2",)}, "one episode at a time"),
+    ],
+)
+def test_mistakes_are_told(tmp_path: Path, more: dict[str, Any], message: str) -> None:
+    with pytest.raises((UsageError, UnknownName)) as refused:
+        wanted(tmp_path / "results", **{"method": None, **more}).prepared()
+    assert message in f"{refused.value.message} {refused.value.hint}"
+
+
+def test_a_grid_cannot_compute_a_person(imported: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(imported, results)
+    found = CliRunner().invoke(app, ["run", "drive", "--method", "human", "--results", str(results), "-j", "0"])
+    assert found.exit_code == 1
+    assert "a person has to drive this cell" in found.output
+
+
+def test_pauses_count_and_the_world_waits(imported: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(imported, results)
+    session = wanted(results).prepared()
+    seen: list[int] = []
+
+    def keys(header: Mapping[str, Any]) -> list[str]:
+        seen.append(header["t"])
+        if header["t"] == 30 and seen.count(30) == 1:
+            desk.ask("pause")
+            time.sleep(0.3)
+        return ["ArrowUp"]
+
+    with served(session) as (desk, server, clock):
+        asyncio.run(drive(server.address, driver=keys))
+        clock.join(20)
+    told = json.loads((Layout(results).artifact("evaluate", session.done[0]["key"]) / SESSION_FILE).read_text())
+    assert told["sittings"][0]["pauses"] == 1
+    assert session.done[0]["decisions"] == 250
