@@ -54,6 +54,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         comes({"ArrowUp"})
         tab.key(True, "KeyA")
         comes({"ArrowUp", "KeyA"})
+        tab.until("frame.header.command[0] === 1 && frame.header.command[1] === 1")
         tab.key(False, "ArrowUp")
         comes({"KeyA"})
         first = tab.value("frame.header.t")
@@ -110,11 +111,12 @@ def test_the_page_fits_a_narrow_window(browser: Browser, imported: Path, tmp_pat
     session = wanted(results).prepared()
     with served(session) as (_, server, _):
         tab = browser.tab()
-        for width in (500, 1280):
+        # Opened again in the middle, the page finds the world waiting.
+        for width, waiting, go in ((500, "ready", "Go"), (1280, "paused", "Go on")):
             tab.size(width, 900)
             tab.open(server.address)
-            tab.until("phase === 'ready'")
-            tab.click("Go")
+            tab.until(f"phase === '{waiting}'")
+            tab.click(go)
             tab.until("phase === 'driving' && frame")
             assert tab.value("document.documentElement.scrollWidth") <= width
             tab.click("Pause")
