@@ -7,7 +7,7 @@ from pathlib import Path
 
 LAYERS: tuple[tuple[tuple[str, str], ...], ...] = (
     (("cli", "commands, options"),),
-    (("notebook", "results and models in one line"),),
+    (("notebook", "results and models in one line"), ("drive", "people at the controls")),
     (("video", "films, replays"), ("studies", "timing, oracle"), ("compare", "two runs")),
     (("run", "workers, progress"), ("report", "tables, figures, claims, page")),
     (("plan", "grid, keys, reuse"),),
@@ -39,8 +39,8 @@ DECISION = (
     ("metrics", "return, cost, interventions"),
 )
 
-WIDTH, HEIGHT = 960, 588
 LEFT, TOP, ROOMS, ROW, GAP = 24, 54, 520, 38, 8
+WIDTH, HEIGHT = 960, TOP + len(LAYERS) * (ROW + GAP) + 16
 INK, GREY, PAPER = "#1b1f24", "#59636e", "#fbfaf7"
 FREE, FREE_EDGE, KEY, KEY_EDGE = "#e6eef7", "#7d9cbd", "#fdeccf", "#c99a45"
 ONE, TWO = "#0072B2", "#B0416B"

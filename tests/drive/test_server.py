@@ -103,7 +103,8 @@ def test_one_driver_at_a_time(server: Server) -> None:
 
 
 BAD = [
-    "not json", "[]", "{}", '{"type": "input"}', '{"type": "steal"}', '{"type": "ask", "what": "../../etc"}', '{"type": "ack", "frame": -1}',
+    "not json", "[]", "{}", '{"type": "input"}', '{"type": "steal"}', '{"type": "ask", "what": "../../etc"}',
+    '{"type": "ack", "frame": -1}',
     '{"type": "input", "number": 1, "keys": [], "axes": [2, 0]}', '{"type": "input", "number": 1, "keys": [], "axes": [NaN, 0]}',
     '{"type": "input", "number": 1, "keys": ["' + "A" * 99 + '"], "axes": [0, 0]}',
     '{"type": "input", "number": 1e300, "keys": [], "axes": [0, 0]}', '{"type": "alive", "more": 1}',

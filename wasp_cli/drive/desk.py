@@ -123,7 +123,7 @@ class Desk:
             return True
 
     def leave(self) -> None:
-        """The driver's connection is over."""
+        """Note that the driver's connection is over."""
         with self._lock:
             self._drivers, self.focused = 0, False
             self.lost += self._state.get("phase") == "driving"

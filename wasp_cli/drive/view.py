@@ -74,7 +74,7 @@ class WorldView:
         return {"half": half, "centre": list(centre), "image": "data:image/webp;base64," + base64.b64encode(file.getvalue()).decode()}
 
     def now(self) -> dict[str, Any]:
-        """Where everything is: the robot as [x, y, direction of its front], things by kind as [x, y, direction], in m and rad."""
+        """Return where everything is: the robot as [x, y, direction of its front], things by kind as [x, y, direction], in m and rad."""
         if self._task is None:
             return {}
         appearance, scene = self._task.appearance(), self._task.scene(_ROW)
