@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -88,10 +90,28 @@ def test_version() -> None:
     assert wasp("--version").stdout == f"wasp {__version__}\n"
 
 
+DRIVING = ["starlette", "uvicorn", "websockets"]
+"""What only `wasp drive` needs."""
+
+
+def test_the_core_asks_for_nothing_that_only_driving_needs() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert not {re.split(r"[<>=\[]", each)[0] for each in project["dependencies"]} & set(DRIVING)
+    assert {each.split(">")[0] for each in project["optional-dependencies"]["drive"]} == set(DRIVING)
+
+
+def test_without_its_packages_drive_says_what_to_install(tmp_path: Path) -> None:
+    (tmp_path / "uvicorn.py").write_text("raise ImportError('no uvicorn here')")
+    done = wasp("drive", "goal1", PYTHONPATH=str(tmp_path))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "pip install 'wasp-cli[drive]'" in done.stderr
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
         ["--help"],
+        ["drive", "--help"],
         ["plan", "specs/table1.yaml", "--results", "/nowhere"],
         ["check", "specs/table1.yaml"],
         ["schema"],
@@ -103,8 +123,8 @@ def test_version() -> None:
 def test_light_commands_import_nothing_heavy(arguments: list[str], tmp_path: Path) -> None:
     places = {"INVALID": str(spec_with(tmp_path, "episodes: 2", "episode: 2")), "RESULTS": str(tmp_path / "results")}
     arguments = [places.get(argument, argument) for argument in arguments]
-    heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium"]
-    if "--help" in arguments:
+    heavy = ["torch", "mujoco", "joblib", "stable_baselines3", "gymnasium", *DRIVING]
+    if arguments == ["--help"]:
         heavy += ["pydantic", "ruamel.yaml", "numpy"]
     code = (
         "import sys\nfrom wasp_cli.cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
