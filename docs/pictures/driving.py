@@ -82,7 +82,7 @@ def drive(browser, results: Path) -> None:
 
 def study(browser, results: Path) -> None:
     """The questionnaire."""
-    server, clock = served("specs/study.yaml", results, 1, None, 1, 4.0)
+    server, _ = served("specs/study.yaml", results, 1, None, 1, 4.0)
     tab = browser.tab()
     tab.size(1280, 900)
     tab.open(server.address)
