@@ -1,0 +1,73 @@
+"""What `wasp view` does with its options: the folder, the second one, the server until Ctrl-C, the browser."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+
+from wasp_cli.console import plain, say
+from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.store.layout import Layout
+from wasp_cli.view.cells import Cells
+from wasp_cli.view.films import Films
+from wasp_cli.view.links import Links
+from wasp_cli.view.server import ViewServer
+from wasp_cli.view.site import Site
+
+
+def site_of(folder: Path, other: Path | None = None) -> Site:
+    """Return a results folder as pages, with a second one to compare with.
+
+    Raises:
+        StoreError: a folder has no results, or links in it.
+    """
+    layout = _layout(folder)
+    second = None if other is None else _layout(other)
+    beside = None if second is None else Site(second, Cells(second), Links("/with"), Films(second))
+    return Site(layout, Cells(layout), Links(), Films(layout), beside)
+
+
+def _layout(folder: Path) -> Layout:
+    layout = Layout(folder)
+    layout.require_own_folders()
+    if not layout.store.is_dir() and not layout.runs.is_dir():
+        raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
+    return layout
+
+
+def view(site: Site, port: int, place: str, *, open_browser: bool, until: threading.Event | None = None) -> None:
+    """Serve pages until Ctrl-C.
+
+    Args:
+        site: what is shown.
+        port: 0 for any free one.
+        place: which page the browser opens, such as `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`.
+        open_browser: otherwise the address is only printed.
+        until: set when it should end; None: at Ctrl-C.
+
+    Raises:
+        UsageError: the port is taken, or the place is none.
+    """
+    if not place.startswith("/"):
+        raise UsageError(f"'{place}' is no place", "places begin with a slash: /cells, /cell/LABEL/episode/3?step=100")
+    server = ViewServer(site, port)
+    server.start()
+    site.cells.numbers()  # read while the browser starts
+    address = server.opening(place)
+    say(f"view here: {address}")
+    plain(
+        f"from another machine: ssh -L {server.port}:127.0.0.1:{server.port} THIS-MACHINE, then open the same address there; Ctrl-C ends it"
+    )
+    if open_browser:
+        with suppress(webbrowser.Error):
+            webbrowser.open(address)
+    waiting = until or threading.Event()
+    try:
+        while not waiting.wait(0.5):
+            pass
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
