@@ -21,7 +21,7 @@ from starlette.routing import Route
 
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.notes import Note, add_note, mark_of
-from wasp_cli.view import pages
+from wasp_cli.view import pages, runs
 from wasp_cli.view.episode import load
 from wasp_cli.view.films import KINDS, Films
 from wasp_cli.view.site import Site
@@ -71,7 +71,15 @@ class ViewServer(LocalServer):
 
     def _more(self) -> list[Route]:
         """The pages beside those of cells."""
-        return [Route("/", self._guard(self._cells))]
+        return [
+            Route("/", self._guard(self._home)),
+            Route("/run/{run}", self._guard(self._run)),
+            Route("/run/{run}/now", self._guard(self._now)),
+            Route("/run/{run}/state", self._guard(self._state)),
+            Route("/run/{run}/log/{key}", self._guard(self._log)),
+            Route("/run/{run}/ask", self._guard(self._confirm), methods=["GET"]),
+            Route("/run/{run}/ask", self._guard(self._ask, changes=True), methods=["POST"]),
+        ]
 
     def opening(self, place: str = "/") -> str:
         """Return what a browser opens to see a place, with the token."""
@@ -161,6 +169,30 @@ class ViewServer(LocalServer):
         stored = load(found, request.path_params["number"])
         step, width = (pages.require_step(request.query_params.get(name)) for name in ("step", "width"))
         return _html(str(pages.step_part(site, cell, stored, step or 0, width)))
+
+    def _home(self, request: Request, site: Site) -> Response:
+        return _html(runs.home_page(site))
+
+    def _run(self, request: Request, site: Site) -> Response:
+        return _html(runs.run_page(site, request.path_params["run"]))
+
+    def _now(self, request: Request, site: Site) -> Response:
+        return _html(str(runs.run_now(site, request.path_params["run"])))
+
+    def _state(self, request: Request, site: Site) -> Response:
+        return _json(runs.run_json(site, request.path_params["run"]))
+
+    def _log(self, request: Request, site: Site) -> Response:
+        return _html(runs.log_page(site, request.path_params["run"], request.path_params["key"]))
+
+    def _confirm(self, request: Request, site: Site) -> Response:
+        asked = request.query_params
+        return _html(runs.confirm_page(site, request.path_params["run"], asked.get("what", ""), asked.get("node", "")))
+
+    def _ask(self, request: Request, site: Site) -> Response:
+        form = self._checked(request, site)
+        runs.asked(site, request.path_params["run"], form.get("what", ""), form.get("node", ""))
+        return RedirectResponse(site.links.run(request.path_params["run"]), 303)
 
     # -- films and notes ------------------------------------------------------------------------------------------------------------
 
