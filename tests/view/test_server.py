@@ -62,7 +62,7 @@ def test_a_page_may_load_nothing_from_elsewhere(server: ViewServer, place: str) 
     _, headers, body = ask(server, place)
     assert headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'; style-src 'self'")
     assert headers["x-frame-options"] == "DENY"
-    assert headers["referrer-policy"] == "no-referrer"
+    assert headers["referrer-policy"] == "same-origin"
     assert server.token not in body
 
 

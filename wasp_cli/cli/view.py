@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from wasp_cli.cli.options import ResultsArgument, ResultsOption, expected_errors, flag, results_folder
+from wasp_cli.cli.options import ResultsArgument, ResultsOption, expected_errors, flag, option, parse_folder, results_folder
 
 view_app = typer.Typer()
 
@@ -25,6 +25,9 @@ def view(
     ] = "/",
     port: Annotated[int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port on 127.0.0.1; 0: any free one.")] = 0,
     browser: Annotated[bool, flag("--no-browser", help="Only print the address.")] = False,
+    other: Annotated[
+        Path | None, option("--with", metavar="DIR", parser=parse_folder, help="A second results folder: where do the two differ?")
+    ] = None,
     results: ResultsOption = Path("results"),
 ) -> None:
     """Walk through results in a browser: cells, episodes, decisions and why; runs as they go on.
@@ -42,4 +45,4 @@ def view(
     from wasp_cli.view.command import site_of
     from wasp_cli.view.command import view as served
 
-    served(site_of(results_folder(folder, results)), port, place, open_browser=not browser)
+    served(site_of(results_folder(folder, results), other), port, place, open_browser=not browser)

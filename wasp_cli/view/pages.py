@@ -282,6 +282,6 @@ def require_step(text: str | None) -> int | None:
     """
     if text is None or text == "":
         return None
-    if not (text.isascii() and text.isdigit() and len(text) < 10):
+    if not (text.isascii() and text.isdigit() and len(text) < 20):
         raise UsageError(f"'{text}' is no decision", "decisions are numbered from 0")
     return int(text)

@@ -21,7 +21,8 @@ from starlette.routing import Route
 
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.notes import Note, add_note, mark_of
-from wasp_cli.view import pages, runs
+from wasp_cli.view import comparisons, pages, runs
+from wasp_cli.view.comparisons import Comparisons
 from wasp_cli.view.episode import load
 from wasp_cli.view.films import KINDS, Films
 from wasp_cli.view.site import Site
@@ -37,6 +38,7 @@ FILES = {
     "view.css": ("wasp_cli.view", "page/view.css", "text/css"),
     "style.css": ("wasp_cli.report.page", "style.css", "text/css"),
 }
+REFERRER = "same-origin"
 LONGEST = 16_384
 """Bytes of a form."""
 
@@ -53,26 +55,36 @@ class ViewServer(LocalServer):
             UsageError: the port is taken, or not allowed.
         """
         self.site = site
-        episode = "/cell/{cell:path}/episode/{number:int}"
+        self._comparisons = Comparisons(site)
         routes = [
             Route("/static/{name}", self._guard(self._file)),
-            Route("/cells", self._guard(self._cells)),
-            Route("/cells/numbers", self._guard(self._numbers)),
-            Route(f"{episode}/explain", self._guard(self._explain)),
-            Route(episode, self._guard(self._episode)),
-            Route("/cell/{cell:path}", self._guard(self._cell)),
-            Route("/film/{key}/{number:int}/{kind}", self._guard(self._film), methods=["GET"]),
-            Route("/film/{key}/{number:int}/{kind}", self._guard(self._film, changes=True), methods=["POST"]),
-            Route("/film/{key}/{number:int}/{kind}/frame/{frame:int}", self._guard(self._frame)),
             Route("/note", self._guard(self._note, changes=True), methods=["POST"]),
+            *self._of(""),
+            *(self._of("/with") if site.other is not None else []),
             *self._more(),
         ]
         super().__init__(routes, port, "view")
+
+    def _of(self, prefix: str) -> list[Route]:
+        """The pages of the cells of a folder; `prefix` is that of its links."""
+        episode, film = prefix + "/cell/{cell:path}/episode/{number:int}", prefix + "/film/{key}/{number:int}/{kind}"
+        return [
+            Route(f"{prefix}/cells", self._guard(self._cells)),
+            Route(f"{prefix}/cells/numbers", self._guard(self._numbers)),
+            Route(f"{episode}/explain", self._guard(self._explain)),
+            Route(episode, self._guard(self._episode)),
+            Route(prefix + "/cell/{cell:path}", self._guard(self._cell)),
+            Route(film, self._guard(self._film), methods=["GET"]),
+            Route(film, self._guard(self._film, changes=True), methods=["POST"]),
+            Route(film + "/frame/{frame:int}", self._guard(self._frame)),
+        ]
 
     def _more(self) -> list[Route]:
         """The pages beside those of cells."""
         return [
             Route("/", self._guard(self._home)),
+            Route("/compare/cells", self._guard(self._beside)),
+            Route("/compare/stores", self._guard(self._stores)),
             Route("/run/{run}", self._guard(self._run)),
             Route("/run/{run}/now", self._guard(self._now)),
             Route("/run/{run}/state", self._guard(self._state)),
@@ -125,11 +137,12 @@ class ViewServer(LocalServer):
         rest = "&".join(part for part in request.url.query.split("&") if part and not part.startswith("token="))
         answer = RedirectResponse(quote(request.url.path, "/=+%") + (f"?{rest}" if rest else ""), 303)
         answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict", path="/")
-        answer.headers["Referrer-Policy"] = "no-referrer"
+        answer.headers["Referrer-Policy"] = REFERRER
         return answer
 
     def _answered(self, answer: Answer, request: Request) -> Response:
-        site = self.site
+        second = self.site.other is not None and request.url.path.startswith("/with/")
+        site = self.site.other if second and self.site.other is not None else self.site
         try:
             return answer(request, site)
         except WaspError as error:
@@ -149,7 +162,7 @@ class ViewServer(LocalServer):
         if known is None:
             return PlainTextResponse("not found", 404)
         package, name, kind = known
-        return page((files(package) / name).read_bytes(), kind, POLICY)
+        return page((files(package) / name).read_bytes(), kind, POLICY, referrer=REFERRER)
 
     def _cells(self, request: Request, site: Site) -> Response:
         return _html(pages.cells_page(site))
@@ -169,6 +182,14 @@ class ViewServer(LocalServer):
         stored = load(found, request.path_params["number"])
         step, width = (pages.require_step(request.query_params.get(name)) for name in ("step", "width"))
         return _html(str(pages.step_part(site, cell, stored, step or 0, width)))
+
+    def _beside(self, request: Request, site: Site) -> Response:
+        asked = request.query_params
+        world, step = (pages.require_step(asked.get(name)) for name in ("world", "step"))
+        return _html(comparisons.cells_page(site, asked.get("a", ""), asked.get("b", ""), world, step))
+
+    def _stores(self, request: Request, site: Site) -> Response:
+        return _html(comparisons.stores_page(site, self._comparisons))
 
     def _home(self, request: Request, site: Site) -> Response:
         return _html(runs.home_page(site))
@@ -249,7 +270,7 @@ async def _form(request: Request) -> dict[str, str]:
 
 
 def _html(text: str, status: int = 200) -> Response:
-    return page(text.encode("utf-8", "replace"), "text/html", POLICY, status)
+    return page(text.encode("utf-8", "replace"), "text/html", POLICY, status, REFERRER)
 
 
 def _json(value: Any) -> Response:

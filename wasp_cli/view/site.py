@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from wasp_cli.view.films import Films
 
 
-@dataclass
+@dataclass(eq=False)
 class Site:
     """A results folder as pages."""
 

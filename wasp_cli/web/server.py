@@ -87,7 +87,7 @@ class LocalServer:
         return PlainTextResponse(f"not allowed: open the address that wasp {self._command} printed, with its token", 403)
 
 
-def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200) -> Response:
+def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200, referrer: str = "no-referrer") -> Response:
     """Return an answer that no other page can show and no cache keeps.
 
     Args:
@@ -95,9 +95,10 @@ def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200) -> 
         kind: its MIME type.
         policy: the Content-Security-Policy.
         status: of HTTP.
+        referrer: the Referrer-Policy; a form is only sent with its origin where that may be told to the server itself (`same-origin`).
     """
     headers = {
-        "Content-Security-Policy": policy, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+        "Content-Security-Policy": policy, "X-Content-Type-Options": "nosniff", "Referrer-Policy": referrer,
         "Cache-Control": "no-store", "X-Frame-Options": "DENY",
     }  # fmt: skip
     kind = f"{kind}; charset=utf-8" if kind.startswith("text/") else kind
