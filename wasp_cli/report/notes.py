@@ -61,6 +61,13 @@ def mark_of(text: str) -> Mark:
     raise UsageError(f"'{text}' is no mark", "invalid, valid, or none")
 
 
+def one_line(note: Note) -> str:
+    """Return a note as a line: where, what, who and when."""
+    text = " ".join(note.text.split())
+    said = " ".join(filter(None, (f"[{note.mark}]" if note.mark else "", text)))
+    return f"{note.where}: {said} ({note.author}, {note.at[:10]})"
+
+
 def author_name() -> str:
     """Return who is at the keyboard, as far as the system knows."""
     try:

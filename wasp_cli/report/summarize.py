@@ -12,9 +12,11 @@ from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.claims.text import numbers_table
 from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
+from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.stats.invalid import without_invalid
 from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
@@ -58,6 +60,9 @@ def report_run(
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
     frame = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
+    keys = {identity_of(cell): key for cell, key in cells}
+    notes = [note for note in notes_of(layout) if note.key in keys.values()]
+    frame, left_out = without_invalid(frame, keys, invalid(notes))
     roots = [
         *(("evaluate", key) for _, key in cells),
         *((COUNTERFACTUAL, key) for _, key in branched),
@@ -97,7 +102,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*_facts(spec, frame), *published, *unknown, *damaged),
+        facts=(*_facts(spec, frame), *left_out, *published, *unknown, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
@@ -106,7 +111,8 @@ def report_run(
         damaged=tuple(damaged),
         published=tuple(published),
         verdict=verdict,
-        keys={identity_of(cell): key for cell, key in cells},
+        keys=keys,
+        notes=tuple(notes),
     )
 
 

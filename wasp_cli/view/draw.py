@@ -1,4 +1,4 @@
-"""The process that draws one film for `view.films`: `python -m wasp_cli.view.draw RESULTS KEY EPISODE KIND STEP FOLDER`.
+"""The process that draws one film for `view.films`: `python -m wasp_cli.view.draw RESULTS KEY EPISODE KIND STEP FOLDER [EVERY]`.
 
 What may be untrusted is read and drawn here as `wasp explain` and reports do; no module is imported that a cell names.
 """
@@ -110,12 +110,12 @@ def _tell(folder: Path, share: float, text: str) -> None:
 
 def main(arguments: list[str], say: Callable[[str], Any] = print) -> int:
     """Draw what the arguments say; the exit code is 0 also where the film could not be drawn, and its state says why."""
-    results, key, episode, kind, step, target = arguments
+    results, key, episode, kind, step, target, *rest = arguments
     folder = Path(target)
     os.nice(5)  # pages go first
     layout = Layout(Path(results))
     try:
-        write_state(folder, draw(layout, find_cell(layout, key), int(episode), kind, int(step), folder))
+        write_state(folder, draw(layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(rest[0]) if rest else None))
     except WaspError as error:
         problem = error.message + (f" ({error.hint})" if error.hint else "")
         write_state(folder, {"state": "failed", "ready": 0, "frames": 0, "problem": problem})

@@ -274,6 +274,18 @@ def _notes(site: Site, key: str, episode: int | None = None) -> list[Note]:
     return [note for note in site.notes() if note.key == key and (episode is None or note.episode in (None, episode))]
 
 
+def require_episode(found: FoundCell, number: int) -> None:
+    """Check that a cell has an episode.
+
+    Raises:
+        UsageError: it has not.
+        StoreError: its rows do not read.
+    """
+    with odd_tables_refused(found.path):
+        if number not in read_episodes([found.path])["episode"].to_pylist():
+            raise UsageError(f"there is no episode {number}", "the page of the cell lists them")
+
+
 def require_step(text: str | None) -> int | None:
     """Return the number of a decision as an address has it.
 

@@ -92,7 +92,12 @@ def _published(site: Site) -> list[tuple[str, list[str]]]:
             for each in sorted(site.layout.within(folder).iterdir()):
                 if each.is_dir() and not each.is_symlink():
                     names = sorted(path.name for path in each.iterdir() if path.suffix in (".html", ".md"))
-                    found.append((str(each), [name for name in names if name.startswith("report.")]))
+                    found.append(
+                        (
+                            str(each if site.links.live else each.relative_to(site.layout.root)),
+                            [name for name in names if name.startswith("report.")],
+                        )
+                    )
     return found
 
 

@@ -235,8 +235,10 @@ class ViewServer(LocalServer):
 
     def _note(self, request: Request, site: Site) -> Response:
         form = self._checked(request, site)
-        cell, _ = site.one(form.get("key", ""))
+        cell, found = site.one(form.get("key", ""))
         episode = pages.require_step(form.get("episode"))
+        if episode is not None:
+            pages.require_episode(found, episode)
         mark = mark_of(form.get("mark", ""))
         add_note(site.layout, Note(cell.key, cell.label, episode, form.get("text", ""), mark, form.get("author", "")))
         site.cells.forget(cell.key)

@@ -41,8 +41,8 @@ class Site:
 
     @property
     def name(self) -> str:
-        """Return the name of the folder."""
-        return str(self.layout.root)
+        """Return the name of the folder; in a bundle, which is for others, without the way to it."""
+        return str(self.layout.root) if self.links.live else self.layout.root.absolute().name
 
     def render(self, template: str, title: str, **values: Any) -> str:
         """Fill a template of a whole page, or of a part of one."""

@@ -60,7 +60,8 @@ def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | N
     rest = np.array([episode not in out for episode in range(cell.count)])
     if not rest.any():
         return None
-    found = replace(cell, episodes={name: values[rest] for name, values in cell.episodes.items()})
+    numbers = {"episode": np.arange(float(cell.count))}  # which ones these are, where they are not all
+    found = replace(cell, episodes={name: values[rest] for name, values in {**numbers, **cell.episodes}.items()})
     pooled = {}
     for name in cell.pooled:
         if name in TIMES:
