@@ -1,4 +1,4 @@
-"""How long a person waits in `wasp view`, in a real Chromium: 5,000 cells within 2 s, an explanation within 100 ms, a first frame within 3 s."""
+"""How long a person waits in `wasp view`, in a real Chromium: 5,000 cells in 2 s, a step explained in 0.1 s, a first frame in 3 s."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def test_five_thousand_cells_appear(benchmark: Any, browser: Browser, grid: Path
 
         benchmark.pedantic(again, rounds=3)
         begun = time.perf_counter()
-        typed = "document.querySelector('[name=text]').value = 'wasp laggy 22'; document.querySelector('#filters').dispatchEvent(new Event('input'))"
-        tab.value(typed + "; document.querySelector('#cells').offsetHeight")
+        tab.value("document.querySelector('[name=text]').value = 'wasp laggy 22'")
+        tab.value("document.querySelector('#filters').dispatchEvent(new Event('input')); document.querySelector('#cells').offsetHeight")
         filtered = time.perf_counter() - begun
         tab.close()
     benchmark.extra_info.update(cold=first, numbers=numbers, filtered=filtered)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
@@ -19,7 +20,7 @@ from tests.view.test_server import ask
 from wasp_cli.errors import WaspError
 from wasp_cli.report.notes import FILE
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
-from wasp_cli.view.films import Films
+from wasp_cli.view.films import BRANCHES, FILM, REPLAY, Films
 from wasp_cli.view.server import ViewServer
 
 HOSTILE = '<img src=x onerror="window.owned=1">\'"><script>window.owned=1</script>'
@@ -99,15 +100,17 @@ def test_hostile_words_stay_words(browser: Browser, tmp_path: Path) -> None:
 
 def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Path) -> None:
     it = UntrustedStore(tmp_path)
-    ATTACKS["a_task_that_is_a_module"](it, outside) if "a_task_that_is_a_module" in ATTACKS else it.manifest(task="gym:evil_module/x-v0")
+    it.rows(task=["evil_module:X-v0"])
+    it.manifest(task="evil_module:X-v0")
     films = Films(it.layout)
-    films.ask(it.key, 0, "film")
-    import time
-
-    end = time.monotonic() + 60
-    while films.state(it.key, 0, "film")["state"] == "drawing":
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    for kind in (FILM, REPLAY, BRANCHES):
+        films.ask(it.key, 0, kind)
+        end = time.monotonic() + 60
+        while (state := films.state(it.key, 0, kind))["state"] == "drawing":
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert state["state"] == "failed"
+        assert "no task of ours" in state["problem"]
     films.close()
     assert not (outside / "imported").exists()
 
