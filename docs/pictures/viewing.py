@@ -5,6 +5,7 @@ It needs Chromium on the path, the extra `web` and the packages for tests, and r
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import tempfile
@@ -24,7 +25,8 @@ def main() -> None:
     from wasp_cli.view.server import ViewServer
 
     with tempfile.TemporaryDirectory() as folder, chromium(Path(folder) / "chromium") as browser:
-        results = Path(folder) / "published"
+        os.chdir(folder)
+        results = Path("published")
         shutil.copytree(ROOT / "results" / "published" / "store", results / "store")
         server = ViewServer(site_of(results))
         server.start()

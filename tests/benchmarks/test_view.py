@@ -55,7 +55,8 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_five_thousand_cells_appear(benchmark: Any, browser: Browser, grid: Path) -> None:
-    """From asking for the page until every row is laid out, of a server that was started just then; and until the last number is there."""
+    """From asking for the page until the rows are laid out (the first of them; the others are there to be filtered and sorted), of a server
+    that was started just then; and until the last number is there."""
     with viewed(grid) as server:
         tab = browser.tab()
         tab.size(1280, 900)

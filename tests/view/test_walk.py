@@ -110,3 +110,26 @@ def test_pages_fit_a_narrow_window(browser: Browser, results: Path, dark: bool) 
             tab.open(server.opening(place))
             assert tab.value("document.documentElement.scrollWidth") <= 500, place
         tab.close()
+
+
+def test_of_many_rows_the_first_are_laid_out_and_all_are_found(browser: Browser, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wasp_cli.view.pages.FIRST", 1)
+    with viewed(results) as server:
+        tab = browser.tab()
+        tab.size(1280, 120)  # what follows the table is out of sight
+        tab.open(server.opening("/cells"))
+        shown = "[...document.querySelectorAll('#cells tbody tr')].filter(row => !row.hidden).map(row => row.cells[0].textContent)"
+        assert len(tab.value(shown)) == 1
+        assert tab.value("document.querySelector('#counted').textContent") == "3 cells"
+        typed = "document.querySelector('[name=text]').value = '{}'; document.querySelector('#filters').dispatchEvent(new Event('input'))"
+        tab.value(typed.format("race1 wasp"))
+        assert tab.value(shown) == ["race1"], "a row that was not laid out is found"
+        tab.value(typed.format(""))
+        tab.value("document.querySelector('#cells thead button').click()")
+        tab.value("document.querySelector('#cells thead button').click()")
+        assert tab.value(shown) == ["race1"], "the greatest of all, not of those shown"
+        tab.value("document.querySelector('#more button').click()")
+        tab.until(f"{shown}.length === 2")
+        tab.value("window.scrollTo(0, 1e6)")
+        tab.until(f"{shown}.length === 3")
+        tab.close()

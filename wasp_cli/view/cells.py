@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from wasp_cli.errors import ArtifactError, StoreError, WaspError
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, WaspError
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, read_frame
 from wasp_cli.report.stats.invalid import without_episodes
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.report.tables.titles import who_title
-from wasp_cli.store.artifact import stored_keys
+from wasp_cli.store.artifact import read_manifest, stored_keys
 from wasp_cli.store.find import KIND, LEAST, FoundCell, find_cell, same_label
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import cell_file
@@ -147,8 +149,21 @@ class Cells:
                 found = planned[:1]
         if len(found) > 1:
             return found, None
-        # The beginning of a key alone: what a person typed never becomes a path.
-        return found, find_cell(self.layout, found[0].key if found else wanted, self._keys())
+        if found:
+            key = found[0].key
+            return found, FoundCell(self.layout.within(cell_file(self.layout.artifact(KIND, key))), key, self._manifest(key))
+        # What a person typed is compared with keys and labels, and never becomes a path: only what begins with a key may be a file.
+        if wanted and not is_key(wanted):
+            raise UnknownName("cell", wanted, [cell.label for cell in self.listed()])
+        return [], find_cell(self.layout, wanted, self._keys())
+
+    def _manifest(self, key: str) -> Mapping[str, Any]:
+        """What is known of a cell; of one that is planned and not computed, nothing.
+
+        Raises:
+            ArtifactError: it is damaged.
+        """
+        return read_manifest(self.layout, KIND, key) if os.path.lexists(self.layout.artifact(KIND, key)) else {}
 
     def _keys(self) -> set[str]:
         return set(filter(is_key, stored_keys(self.layout, KIND)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
@@ -36,6 +37,8 @@ from wasp_cli.view.site import Site
 if TYPE_CHECKING:
     from markupsafe import Markup
 
+FIRST = 400
+"""Rows that are laid out at once; a browser takes seconds for thousands. The others are on the page, and come as one scrolls."""
 NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
 EPISODE_COLUMNS = (
     Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
@@ -77,18 +80,26 @@ def cells_page(site: Site) -> str:
         rows.append(Row(cell.key, site.links.cell(site.ref(cell)), tuple(words(cell)), episodes, known.texts, state, False))
     choices = {name: sorted({row.words[place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
     return site.render(
-        "cells.html", "Cells", rows=rows, choices=choices, columns=COLUMNS, names=NAMES, left=left, problems=site.cells.problems
+        "cells.html",
+        "Cells",
+        rows=rows,
+        choices=choices,
+        columns=COLUMNS,
+        names=NAMES,
+        left=left,
+        problems=site.cells.problems,
+        first=FIRST,
     )
 
 
-def numbers(site: Site) -> dict[str, Any]:
-    """Return the numbers of cells that are read by now, and how many are not."""
+def numbers(site: Site, after: int = 0) -> dict[str, Any]:
+    """Return the numbers of cells that are read by now, but for the first so many; how many are known, and how many are not."""
     shown, left = site.cells.numbers()
     values = {
         key: [str(each.episodes or ""), *(each.texts or [""] * len(COLUMNS)), "damaged" if each.damaged else each.reason]
-        for key, each in shown.items()
+        for key, each in islice(shown.items(), after, None)
     }
-    return {"left": left, "numbers": values}
+    return {"left": left, "known": len(shown), "numbers": values}
 
 
 def cell_page(site: Site, text: str) -> str:

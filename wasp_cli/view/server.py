@@ -168,7 +168,7 @@ class ViewServer(LocalServer):
         return _html(pages.cells_page(site))
 
     def _numbers(self, request: Request, site: Site) -> Response:
-        return _json(pages.numbers(site))
+        return _json(pages.numbers(site, pages.require_step(request.query_params.get("after")) or 0))
 
     def _cell(self, request: Request, site: Site) -> Response:
         return _html(pages.cell_page(site, request.path_params["cell"]))

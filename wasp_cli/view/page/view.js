@@ -26,55 +26,78 @@
           return (rising ? difference : -difference) || a.place - b.place;
         });
         body.append(...rows.map((entry) => entry.row));
+        table.dispatchEvent(new Event("sorted"));
       });
     });
   }
 
+  // Of thousands of rows only the first are laid out; more come as one scrolls to the end of them.
   function filtered(table, form) {
     const columns = ["task", "method", "operator", "severity", "seed"];
-    const rows = Array.from(table.tBodies[0].rows).map((row) => {
-      const texts = Array.from(row.cells).slice(0, 5).map((cell) => cell.textContent);
-      return { row, texts, key: row.dataset.k };
-    });
+    const body = table.tBodies[0], first = Number(table.dataset.first), more = one("#more");
+    const said = new WeakMap();
+    let limit = first;
+    function words(row) {
+      let found = said.get(row);
+      if (!found) {
+        const texts = Array.from(row.cells).slice(0, 5).map((cell) => cell.textContent);
+        found = { texts, all: (texts.join(" ") + " " + row.dataset.k).toLowerCase() };
+        said.set(row, found);
+      }
+      return found;
+    }
     function apply() {
       const wanted = columns.map((name) => form.elements[name].value);
-      const words = form.elements.text.value.toLowerCase().split(/\s+/).filter(Boolean);
+      const asked = form.elements.text.value.toLowerCase().split(/\s+/).filter(Boolean);
       let count = 0;
-      for (const { row, texts, key } of rows) {
-        const said = (texts.join(" ") + " " + key + " " + row.cells[row.cells.length - 1].textContent).toLowerCase();
-        const here = wanted.every((value, place) => !value || texts[place] === value) && words.every((word) => said.includes(word));
-        if (row.hidden === here) row.hidden = !here;
+      for (const row of body.rows) {
+        const { texts, all: text } = words(row);
+        const state = row.lastElementChild.textContent.toLowerCase();
+        const here = wanted.every((value, place) => !value || texts[place] === value)
+          && asked.every((word) => text.includes(word) || state.includes(word));
         count += here;
+        const shown = here && count <= limit;
+        if (row.hidden === shown) row.hidden = !shown;
       }
-      one("#counted").textContent = count === rows.length ? count + " cells" : count + " of " + rows.length + " cells";
+      one("#counted").textContent = count === body.rows.length ? count + " cells" : count + " of " + body.rows.length + " cells";
+      more.hidden = count <= limit;
+    }
+    function changed() {
+      limit = first;
+      apply();
       const query = new URLSearchParams();
       for (const name of ["text", ...columns]) if (form.elements[name].value) query.set(name, form.elements[name].value);
       address(query.toString());
     }
+    function further() { limit += first; apply(); }
     const given = new URLSearchParams(location.search);
     for (const name of ["text", ...columns]) if (given.has(name)) form.elements[name].value = given.get(name);
-    form.addEventListener("input", apply);
+    form.addEventListener("input", changed);
     form.addEventListener("submit", (event) => event.preventDefault());
+    table.addEventListener("sorted", () => { limit = first; apply(); });
+    one("button", more).addEventListener("click", further);
+    new IntersectionObserver((seen) => { if (seen.some((each) => each.isIntersecting)) further(); }).observe(more);
     if (given.size) apply();
+    else more.hidden = body.rows.length <= limit;
   }
 
   function numbered(table) {
     if (!table.dataset.numbers || !Number(table.dataset.left)) return;
     const rows = new Map(Array.from(table.tBodies[0].rows).map((row) => [row.dataset.k, row]));
+    let known = 0;
     async function more() {
-      const answer = await fetch(table.dataset.numbers);
+      const answer = await fetch(table.dataset.numbers + "?after=" + known);
       if (!answer.ok) return;
-      const { left, numbers } = await answer.json();
+      const { left, known: now, numbers } = await answer.json();
+      known = now;
       for (const [key, texts] of Object.entries(numbers)) {
         const row = rows.get(key);
-        if (!row) continue;
-        rows.delete(key);
-        texts.forEach((text, place) => { row.cells[5 + place].textContent = text; });
+        if (row) texts.forEach((text, place) => { row.cells[5 + place].textContent = text; });
       }
       table.dataset.left = left;
-      if (left) setTimeout(more, 300);
+      if (left) setTimeout(more, 400);
     }
-    more();
+    setTimeout(more, 200);
   }
 
   // An address that can be sent; a file of a bundle may not change its own.
