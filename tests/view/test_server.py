@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from http.client import HTTPConnection
@@ -128,3 +129,17 @@ def test_an_answer_does_not_wait_for_more_to_send(server: ViewServer) -> None:
         connection.getresponse().read()
         taken.append(time.perf_counter() - begun)
     assert min(taken[1:]) < 0.03
+
+
+def test_a_session_of_a_person_shows_who_drove_and_how_well_in_time(server: ViewServer) -> None:
+    cell = server.site.cells.listed()[0]
+    session = {"participant": 7, "timing": {"late": 3, "late_share": 0.01}, "sittings": [{"begun": "2026-05-01T12:00:00"}]}
+    path = server.site.layout.artifact("evaluate", cell.key) / "_session.json"
+    assert "The session" not in ask(server, CELL)[2]
+    path.write_text(json.dumps(session), encoding="utf-8")
+    try:
+        body = ask(server, CELL)[2]
+    finally:
+        path.unlink()
+    for name, value in (("participant", "7"), ("timing: late", "3"), ("sittings 1: begun", "2026-05-01T12:00:00")):
+        assert f"<dt>{name}</dt><dd>{value}</dd>" in body
