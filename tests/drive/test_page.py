@@ -12,8 +12,8 @@ import pytest
 
 from tests.drive.browser import CHROMIUM, Browser, chromium
 from tests.drive.conftest import served, wanted
-from wasp_cli.drive.record import TIMING_FILE, read_timing
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")

@@ -18,12 +18,12 @@ from tests.drive.conftest import served, wanted
 from wasp_cli.cli.app import app
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.record import SESSION_FILE, TIMING_FILE, read_timing
 from wasp_cli.drive.script import drive, to_the_goal
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.learning.playback import play
 from wasp_cli.store.artifact import corruption, read_manifest
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.tables import cell_file, read_episodes, read_steps
 from wasp_cli.tasks.make import make_task

@@ -46,7 +46,10 @@ def drive(
     port: Annotated[int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port on 127.0.0.1; 0: any free one.")] = 0,
     browser: Annotated[bool, flag("--no-browser", help="Only print the address.")] = False,
     check: Annotated[bool, flag("--check", help="Measure with a scripted driver whether decisions are in time; record nothing.")] = False,
-    simulate: Annotated[bool, flag("--simulate", help="Let a scripted driver drive, through the real socket.")] = False,
+    simulate: Annotated[
+        bool, flag("--simulate", help="Let scripted drivers drive, through the real socket: of a spec all participants, or the one named.")
+    ] = False,
+    orders: Annotated[bool, flag("--orders", help="Only show who drives what in which order.")] = False,
     withdraw: Annotated[bool, flag("--withdraw", help="Delete everything that the participant drove.")] = False,
     preset: PresetOption = None,
     results: ResultsOption = Path("results"),
@@ -68,23 +71,45 @@ def drive(
     except ImportError as error:
         raise UsageError(f"driving needs packages that are not here: {error}", "pip install 'wasp-cli[drive]'") from error
     from wasp_cli.drive.command import Wanted, drive_session, withdrawn
+    from wasp_cli.drive.script import Habits
 
     wanted = Wanted(
-        what, method, participant, episodes, number, speed, tuple(hide or ()), preset, tuple(set_ or ()), results, jobs,
+        what, method, participant, episodes, number, speed, tuple(hide or ()), preset, tuple(set_ or ()), results, jobs, simulate,
     )  # fmt: skip
     if withdraw:
         withdrawn(wanted)
-        return
-    session = wanted.prepared()
-    if check:
-        _check(session, json)
+    elif orders:
+        from wasp_cli.console import out
+
+        out().print(wanted.orders())
+    elif check:
+        _check(wanted.prepared(), json)
     else:
-        try:
-            summary = drive_session(session, port, open_browser=not browser, scripted=simulate)
-        finally:
-            wanted.record(session)
+        summaries = []
+        for each in wanted.everyone() if simulate else [wanted]:
+            session = each.prepared()
+            habits = Habits(each.participant or 0) if simulate else None
+            try:
+                summaries.append(drive_session(session, port, open_browser=not browser, scripted=habits))
+            finally:
+                each.record(session)
         if json:
-            print_json(summary)
+            print_json(summaries if len(summaries) > 1 else summaries[0])
+        elif len(summaries) > 1:
+            _report(wanted.results, wanted.loaded().spec.name)
+
+
+def _report(results: Path, spec: str) -> None:
+    """Print what `wasp report` prints of a spec."""
+    from wasp_cli.cli.report import show_report
+    from wasp_cli.report.provenance import last_runs
+    from wasp_cli.run.record import read_run, results_of
+
+    layout = results_of(results)
+    recorded = read_run(layout, last_runs(layout)[0][spec])
+    show_report(
+        layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, None, recorded.unknown, films=False, trained=False
+    )
 
 
 def _check(session: Session, json: bool) -> None:

@@ -33,10 +33,12 @@ from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, Selection, limited, run_spec
 from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.model import Spec
 from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
-from wasp_cli.store.artifact import exists
+from wasp_cli.store.artifact import exists, read_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.registry import TASKS
 
@@ -52,6 +54,8 @@ class How:
     speed: float = 1.0
     shown: frozenset[str] = frozenset(SHOWN)
     threads: int = 1
+    simulated: bool = False
+    """a script drives"""
 
 
 @dataclass
@@ -194,6 +198,9 @@ class Session:
         shown = [name for name in SHOWN if name in self.how.shown]
         return {
             "participant": self.participant,
+            "number": int(cell.value or 0),
+            "task": cell.task,
+            "simulated": self.how.simulated,
             "block": number,
             "speed": self.how.speed,
             "shown": shown,
@@ -229,12 +236,11 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
         UsageError: nobody drives in this spec, not this participant, or several episodes are to be driven side by side.
     """
     spec = loaded.spec
-    people = spec.operators.get(PERSON, {})
-    if not people:
+    numbers = participants(spec)
+    if not numbers:
         raise UsageError(f"nobody drives in '{spec.name}'", "name participants in it: operators: {person: {p1: 1, p2: 2}}")
-    numbers = {int(value): name for name, value in people.items()}
     if participant is None and len(numbers) == 1:
-        participant = next(iter(numbers))
+        (participant,) = numbers
     if participant not in numbers:
         known = ", ".join(map(str, numbers))
         raise UsageError(f"'{spec.name}' has no participant {participant}", f"choose one with --participant: {known}")
@@ -244,9 +250,33 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     grid = lay_out_over(spec, layout, None)
     read = dict.fromkeys(needed.kind for cell, node in grid.cells for needed in node.needs.values() if cell.operator == PERSON)
     run_spec(loaded, results, options, Selection((f"stage={'|'.join(read)}",))).require_complete()
-    mine = [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
+    mine = cells_of(grid, participant)
+    _require_one_kind(layout, mine, how)
     run_id = new_run(layout, loaded, plan_against(grid, layout))
     return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study)
+
+
+def participants(spec: Spec) -> dict[int, str]:
+    """Return the pseudonyms of the people who drive in a spec, by their numbers."""
+    return {int(value): name for name, value in spec.operators.get(PERSON, {}).items()}
+
+
+def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
+    """Return the cells that a participant drives, as the grid lists them."""
+    return [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
+
+
+def _require_one_kind(layout: Layout, cells: list[tuple[Cell, Node]], how: How) -> None:
+    """See that no trial of a script passes for a person's session, nor the other way round."""
+    for _, node in cells:
+        if exists(layout, node.kind, node.key):
+            before = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE) or {}
+            if before.get("simulated", False) != how.simulated:
+                whose = "a script" if before.get("simulated") else "a person"
+                raise UsageError(
+                    f"{node.label} was driven by {whose} in '{layout.root}'",
+                    "use another folder with --results, or delete it: --participant N --withdraw",
+                )
 
 
 def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell, Node]]:
