@@ -107,8 +107,7 @@ class Session:
         if study is None or not study.consent:
             return True
         form = {"name": "consent", "title": study.title, "text": study.consent, "version": study.consent_version, "scales": []}
-        desk.state("form", form=form)
-        answers = desk.answers()
+        answers = desk.answers(form)
         agreed = answers is not None and answers.get("agreed") is True
         self.facts["consent"] = {"version": study.consent_version, "agreed": agreed}
         return agreed
@@ -177,8 +176,7 @@ class Session:
         answers: dict[str, dict[str, float]] = {}
         for name in () if self.study is None else self.study.questionnaires:
             scales = [{"name": scale, "text": text, "low": low, "high": high} for scale, text, low, high in QUESTIONS[name]]
-            desk.state("form", form={"name": name, "title": "", "text": "", "scales": scales})
-            given = desk.answers()
+            given = desk.answers({"name": name, "title": "", "text": "", "scales": scales})
             if given is None:
                 break
             answers[name] = {scale["name"]: float(given[scale["name"]]) for scale in scales if scale["name"] in given}
