@@ -17,10 +17,6 @@ VERDICTS = {
     "**does not hold**": r"does not hold(?: for these models)?",
     "undecided": r"undecided with \d seeds?",
 }
-    "holds": r"holds(?: for these models)?",
-    "**does not hold**": r"does not hold(?: for these models)?",
-    "undecided": r"undecided with \d seeds?",
-}
 """As a report of one training says it, or of several."""
 
 
