@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JobsOption, JsonOption, PresetOption, ResultsOption, SetOption, expected_errors, flag, option, print_json
+from wasp_cli.cli.options import (
+    JobsOption,
+    JsonOption,
+    PresetOption,
+    ResultsArgument,
+    ResultsOption,
+    SetOption,
+    TaskOption,
+    expected_errors,
+    flag,
+    option,
+    print_json,
+    results_folder,
+)
 
 if TYPE_CHECKING:
     from wasp_cli.drive.session import Session
@@ -110,6 +123,47 @@ def _report(results: Path, spec: str) -> None:
     show_report(
         layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, None, recorded.unknown, films=False, trained=False
     )
+
+
+@drive_app.command(
+    rich_help_panel="People",
+    epilog="[bold]wasp clone results/ --participant 7[/]   ·   [bold]wasp drive goal1 --participant 7 --set wasp.operator_model=cloned[/]"
+    "\n\nExit codes: 0 done, 1 results cannot be read or written, 2 usage, 3 invalid setting, 130 interrupted.",
+)
+@expected_errors
+def clone(
+    folder: ResultsArgument = None,
+    participant: Annotated[int | None, option("--participant", min=0, metavar="N", help="Number of the participant.")] = None,
+    task: TaskOption = None,
+    preset: PresetOption = None,
+    results: ResultsOption = Path("results"),
+    jobs: JobsOption = None,
+    set_: SetOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit a policy to what a participant commanded: an operator variant, and what WASP can imagine in the person's place.
+
+    Every fourth episode is held out and judges it. Afterwards any spec has `operators: {cloned: {p7: 7}}`, and
+    `wasp.operator_model: cloned` assists this person.
+    """
+    from wasp_cli.console import out, say
+    from wasp_cli.drive.clone import clone_participant, quality_table
+    from wasp_cli.drive.session import driven_tasks, shipped
+    from wasp_cli.errors import UsageError
+    from wasp_cli.run.session import RunOptions, cores
+
+    if participant is None:
+        raise UsageError("whose commands?", "name the participant with --participant N")
+    root = results_folder(folder, results)
+    found = []
+    for name in task or driven_tasks(root, participant):
+        loaded = shipped(name, ["wasp"], participant, [0], preset, ["wasp.operator_model=cloned", *(set_ or ())])
+        found.append(clone_participant(loaded, root, participant, RunOptions(cores() if jobs is None else jobs)))
+        if not json:
+            out().print(quality_table(found[-1]))
+            say(f"{found[-1]['label']} ({found[-1]['key']})")
+    if json:
+        print_json(found)
 
 
 def _check(session: Session, json: bool) -> None:

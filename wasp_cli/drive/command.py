@@ -17,7 +17,7 @@ from wasp_cli.drive.block import SHOWN
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.script import Habits, drive
 from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import How, Session, cells_of, free_session, ordered, participants, prepared
+from wasp_cli.drive.session import How, Session, cells_of, free_session, ordered, participants, prepared, shipped
 from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
@@ -38,13 +38,7 @@ if TYPE_CHECKING:
 
     from wasp_cli.drive.check import Timing
 
-SHIPPED = Path("drive")
-"""The spec behind `wasp drive TASK`."""
-QUICK = ("goal1",)
-"""Tasks whose small models are published; of the others those of the preset `cpu` are."""
 NONE = "none"
-IN_TIME = ("gate_rollouts=4", "takeover_rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2", "finalists=2")
-"""Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
 
 
 @dataclass(frozen=True)
@@ -121,14 +115,8 @@ class Wanted:
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:
             raise UnknownName("method to drive with", method, [*(name for name in METHODS if METHODS[name].impaired), NONE])
-        preset = self.preset or ("quick" if self.what in QUICK else "cpu")
-        settings = [
-            f"preset={preset}", f"tasks=[{self.what}]", f"methods=[{', '.join(methods or [method])}]",
-            f"operators={{{PERSON}: {{p{number}: {number}}}}}", f"seeds=[{', '.join(map(str, seeds or [session]))}]",
-            *([] if self.episodes is None else [f"episodes={self.episodes}"]),
-            *(f"wasp.{setting}" for setting in IN_TIME if preset == "quick"),
-        ]  # fmt: skip
-        return load(SHIPPED, [*settings, *self.settings])
+        wanted = [] if self.episodes is None else [f"episodes={self.episodes}"]
+        return shipped(self.what, methods or [method], number, seeds or [session], self.preset, [*wanted, *self.settings])
 
     def record(self, session: Session) -> None:
         """Write down what this participant has driven of a task so far, so that a report shows all of it."""
