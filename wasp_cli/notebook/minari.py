@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import wasp_cli.tasks.gym  # noqa: F401  # registers the ids
-from wasp_cli import __version__
 from wasp_cli.errors import ArtifactError
 
 
@@ -64,5 +63,5 @@ def written(name: str, env_id: str, recorded: Any, action_repeat: int, observati
             if np.float32(reward) != np.float32(earned) or bool(terminated or truncated) != last:
                 raise ArtifactError(f"episode {e} is another one from decision {t} on: it cannot be exported")
     return env.create_dataset(
-        name, algorithm_name="wasp drive", author="wasp", author_email="", code_permalink=f"wasp {__version__}", description=description
+        name, algorithm_name="wasp drive", author="wasp", author_email="", code_permalink="wasp", description=description
     )
