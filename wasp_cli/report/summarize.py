@@ -104,7 +104,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*_facts(spec, frame), *((people_fact(sittings),) if sittings else ()), *published, *unknown, *damaged),
+        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *published, *unknown, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
