@@ -15,6 +15,7 @@ from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.script import Habits
 from wasp_cli.drive.session import titles
 from wasp_cli.errors import UsageError
+from wasp_cli.report.document import TABLES
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 
@@ -80,6 +81,11 @@ def test_the_report_has_measures_answers_order_and_timing(trial: Path) -> None:
     for words in ("measures by condition", "answers by condition", "effect of the order", "were decisions in time?", "SIMULATED"):
         assert words in found.stdout
     assert "Claims" not in found.stdout, "the paper says nothing of people"
+    assert (
+        {"people", "questionnaires", "order", "timing"}
+        <= {path.stem for path in (trial / "reports" / "trial").glob("*.csv")}
+        <= set(TABLES)
+    )
     page = (trial / "reports" / "trial" / "report.html").read_text()
     assert "Raw TLX" in page
     assert "NOT BALANCED" not in page
