@@ -13,8 +13,10 @@ import typer
 from PIL import Image
 
 from wasp_cli.cli.app import app
+from wasp_cli.drive.session import shipped
 from wasp_cli.spec.derived import ablation, read_sweep
 from wasp_cli.spec.load import load
+from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parent.parent
 PLUGIN = "extending.md"
@@ -62,6 +64,8 @@ def test_shown_commands_parse(page: str, folder: str, line: str) -> None:
     elif shlex.split(line)[1] == "sweep":
         (vary,) = parameters["vary"]
         assert read_sweep(ROOT / folder / parameters["spec"], vary, parameters["method"] or (), parameters["set_"] or ())
+    elif shlex.split(line)[1] == "drive" and parameters["what"] in TASKS:
+        assert shipped(parameters["what"], ["wasp"], parameters["participant"] or 0, [0], parameters["preset"], parameters["set_"] or ())
     elif parameters.get("set_"):
         assert load(ROOT / folder / parameters["spec"], parameters["set_"])
     for value in parameters.values():

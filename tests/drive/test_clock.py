@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import time
 
-from wasp_cli.drive.clock import Clock, Decider, percentiles
+from wasp_cli.drive.clock import Clock, Decider
+from wasp_cli.store.people import percentiles
 
 
 def test_an_answer_in_time_is_taken_and_a_late_one_is_not() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,8 @@ import pytest
 
 from tests.drive.browser import CHROMIUM, Browser, chromium
 from tests.drive.conftest import served, wanted
-from wasp_cli.drive.record import TIMING_FILE, read_timing
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
@@ -23,6 +23,14 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this ma
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with chromium(tmp_path_factory.mktemp("chromium")) as running:
         yield running
+
+
+def eventually(true: Callable[[], bool], seconds: float = 10.0) -> None:
+    """Wait until something holds: what the page says arrives a moment later."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Path) -> None:
@@ -45,10 +53,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
             return desk.controls.now().keys
 
         def comes(expected: set[str]) -> None:
-            end = time.monotonic() + 5
-            while held() != expected:
-                assert time.monotonic() < end, held()
-                time.sleep(0.01)
+            eventually(lambda: held() == expected)
 
         tab.key(True, "ArrowUp")
         comes({"ArrowUp"})
@@ -63,7 +68,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         # The window loses the focus: nothing stays held.
         tab.value("window.dispatchEvent(new Event('blur'))")
         comes(set())
-        assert not desk.focused
+        eventually(lambda: not desk.focused)
         tab.value("window.dispatchEvent(new Event('focus'))")
         tab.key(False, "KeyA")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -205,3 +206,13 @@ def test_the_server_listens_on_this_machine_alone(server: Server) -> None:
         address = socket.gethostbyname(socket.gethostname())
         if not address.startswith("127."):
             assert elsewhere.connect_ex((address, server.port)) != 0
+
+
+def test_an_answer_that_comes_at_once_is_not_lost() -> None:
+    """A script answers before the thread that asked has begun to wait."""
+    desk = Desk(lambda: desk.answer({"agreed": True}) if desk.outgoing()[0] else None)
+    asked = threading.Thread(target=lambda: found.append(desk.answers({"name": "consent"})), daemon=True)
+    found: list[object] = []
+    asked.start()
+    asked.join(5)
+    assert found == [{"agreed": True}]

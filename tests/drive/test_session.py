@@ -18,12 +18,12 @@ from tests.drive.conftest import served, wanted
 from wasp_cli.cli.app import app
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.record import SESSION_FILE, TIMING_FILE, read_timing
-from wasp_cli.drive.script import drive, to_the_goal
+from wasp_cli.drive.script import Habits, drive, to_the_goal
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.learning.playback import play
 from wasp_cli.store.artifact import corruption, read_manifest
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.tables import cell_file, read_episodes, read_steps
 from wasp_cli.tasks.make import make_task
@@ -34,8 +34,8 @@ def driven(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     """Two episodes with WASP, at twice the speed: some decisions are late."""
     results = tmp_path_factory.mktemp("driven") / "results"
     shutil.copytree(imported, results)
-    session = wanted(results, "wasp", 2.0, episodes=2).prepared()
-    summary = drive_session(session, 0, open_browser=False, scripted=True)
+    session = wanted(results, "wasp", 2.0, episodes=2, simulated=True).prepared()
+    summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))
     (block,) = summary["blocks"]
     assert block["episodes"] == block["of"] == 2
     return results, block["key"]
@@ -88,7 +88,7 @@ def test_commands_are_those_of_the_keys(driven: tuple[Path, str]) -> None:
     beats, steps = read_timing(cell_of(driven).parent / TIMING_FILE), read_steps(cell_of(driven))
     for keys, command in zip(beats["keys"].to_pylist(), steps["a_h"].to_pylist(), strict=True):
         held = set(keys.split())
-        expected = [float("ArrowUp" in held), float("ArrowLeft" in held) - float("ArrowRight" in held)]
+        expected = [float("ArrowUp" in held) - float("ArrowDown" in held), float("ArrowLeft" in held) - float("ArrowRight" in held)]
         assert command == expected
     assert len(set(beats["keys"].to_pylist())) > 2
 

@@ -105,7 +105,7 @@ MAY_HAVE = {
     "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation store store.parquet store.tables",
     "counterfactual": (
         f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
-        "learning.playback learning.rerun"
+        "learning.playback learning.rerun models.clone"
     ),
 }
 """By node kind, names and patterns without the package's own name; its stage and what EVERY node has come on top."""

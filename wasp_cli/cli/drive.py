@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JobsOption, JsonOption, PresetOption, ResultsOption, SetOption, expected_errors, flag, option, print_json
+from wasp_cli.cli.options import (
+    JobsOption,
+    JsonOption,
+    PresetOption,
+    ResultsArgument,
+    ResultsOption,
+    SetOption,
+    TaskOption,
+    expected_errors,
+    flag,
+    option,
+    print_json,
+    results_folder,
+)
 
 if TYPE_CHECKING:
     from wasp_cli.drive.session import Session
@@ -46,7 +59,10 @@ def drive(
     port: Annotated[int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port on 127.0.0.1; 0: any free one.")] = 0,
     browser: Annotated[bool, flag("--no-browser", help="Only print the address.")] = False,
     check: Annotated[bool, flag("--check", help="Measure with a scripted driver whether decisions are in time; record nothing.")] = False,
-    simulate: Annotated[bool, flag("--simulate", help="Let a scripted driver drive, through the real socket.")] = False,
+    simulate: Annotated[
+        bool, flag("--simulate", help="Let scripted drivers drive, through the real socket: of a spec all participants, or the one named.")
+    ] = False,
+    orders: Annotated[bool, flag("--orders", help="Only show who drives what in which order.")] = False,
     withdraw: Annotated[bool, flag("--withdraw", help="Delete everything that the participant drove.")] = False,
     preset: PresetOption = None,
     results: ResultsOption = Path("results"),
@@ -68,23 +84,86 @@ def drive(
     except ImportError as error:
         raise UsageError(f"driving needs packages that are not here: {error}", "pip install 'wasp-cli[drive]'") from error
     from wasp_cli.drive.command import Wanted, drive_session, withdrawn
+    from wasp_cli.drive.script import Habits
 
     wanted = Wanted(
-        what, method, participant, episodes, number, speed, tuple(hide or ()), preset, tuple(set_ or ()), results, jobs,
+        what, method, participant, episodes, number, speed, tuple(hide or ()), preset, tuple(set_ or ()), results, jobs, simulate,
     )  # fmt: skip
     if withdraw:
         withdrawn(wanted)
-        return
-    session = wanted.prepared()
-    if check:
-        _check(session, json)
+    elif orders:
+        from wasp_cli.console import out
+
+        out().print(wanted.orders())
+    elif check:
+        _check(wanted.prepared(), json)
     else:
-        try:
-            summary = drive_session(session, port, open_browser=not browser, scripted=simulate)
-        finally:
-            wanted.record(session)
+        summaries = []
+        for each in wanted.everyone() if simulate else [wanted]:
+            session = each.prepared()
+            habits = Habits(each.participant or 0) if simulate else None
+            try:
+                summaries.append(drive_session(session, port, open_browser=not browser, scripted=habits))
+            finally:
+                each.record(session)
         if json:
-            print_json(summary)
+            print_json(summaries if len(summaries) > 1 else summaries[0])
+        elif len(summaries) > 1:
+            _report(wanted.results, wanted.loaded().spec.name)
+
+
+def _report(results: Path, spec: str) -> None:
+    """Print what `wasp report` prints of a spec."""
+    from wasp_cli.cli.report import show_report
+    from wasp_cli.report.provenance import last_runs
+    from wasp_cli.run.record import read_run, results_of
+
+    layout = results_of(results)
+    recorded = read_run(layout, last_runs(layout)[0][spec])
+    show_report(
+        layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, None, recorded.unknown, films=False, trained=False
+    )
+
+
+@drive_app.command(
+    rich_help_panel="People",
+    epilog="[bold]wasp clone results/ --participant 7[/]   ·   [bold]wasp drive goal1 --participant 7 --set wasp.operator_model=cloned[/]"
+    "\n\nExit codes: 0 done, 1 results cannot be read or written, 2 usage, 3 invalid setting, 130 interrupted.",
+)
+@expected_errors
+def clone(
+    folder: ResultsArgument = None,
+    participant: Annotated[int | None, option("--participant", min=0, metavar="N", help="Number of the participant.")] = None,
+    task: TaskOption = None,
+    preset: PresetOption = None,
+    results: ResultsOption = Path("results"),
+    jobs: JobsOption = None,
+    set_: SetOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit a policy to what a participant commanded: an operator variant, and what WASP can imagine in the person's place.
+
+    Every fourth episode is held out and judges it. Afterwards any spec has `operators: {cloned: {p7: 7}}`, and
+    `wasp.operator_model: cloned` assists this person.
+    """
+    from wasp_cli.console import out, say
+    from wasp_cli.drive.clone import clone_participant, quality_table
+    from wasp_cli.drive.session import driven_tasks, shipped
+    from wasp_cli.errors import UsageError
+    from wasp_cli.run.session import RunOptions, cores
+
+    if participant is None:
+        raise UsageError("whose commands?", "name the participant with --participant N")
+    root = results_folder(folder, results)
+    found = []
+    for name in task or driven_tasks(root, participant):
+        loaded = shipped(name, ["wasp"], participant, [0], preset, ["wasp.operator_model=cloned", *(set_ or ())])
+        found.append(clone_participant(loaded, root, participant, RunOptions(cores() if jobs is None else jobs)))
+        if not json:
+            out().print(quality_table(found[-1]))
+            say(f"{found[-1]['label']} ({found[-1]['key']})")
+    if json:
+        print_json(found)
 
 
 def _check(session: Session, json: bool) -> None:

@@ -27,7 +27,7 @@ from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.methods.base import Decision, Parts, checked
 from wasp_cli.methods.record import Planned
 from wasp_cli.metrics.episode import GATE_NONE, Trajectory
-from wasp_cli.operators.base import EpisodeNoise, OperatorContext
+from wasp_cli.operators.base import EpisodeNoise
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.make import make_task
@@ -92,7 +92,6 @@ class BlockConfig:
     method: str
     method_config: Mapping[str, Any]
     action_repeat: int
-    participant: float
     speed: float = 1.0
     """simulated seconds per second"""
     shown: frozenset[str] = frozenset()
@@ -113,8 +112,7 @@ class Block:
         self.view = WorldView(self.task)
         self.period = self.task.decision_seconds / config.speed
         self.assistant = build_assistant(config.method, config.method_config, parts)
-        context = OperatorContext(parts.skills.at, self.task.action_size, self.task.decision_seconds)
-        self.operator = PersonOperator.build(config.participant, context, EpisodeNoise([0]), 1)
+        self.operator = PersonOperator(parts.skills.expert, self.task.action_size, EpisodeNoise([0]), 1)
         self.futures = Futures(config.task, parts, self.assistant, self.task) if "imagined" in config.shown else None
         self._decider: Decider[Decision] = Decider()
         self._clock = Clock(self.period)

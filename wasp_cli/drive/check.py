@@ -13,12 +13,12 @@ import numpy as np
 
 from wasp_cli import seeds
 from wasp_cli.drive.block import Driven
-from wasp_cli.drive.clock import percentiles
 from wasp_cli.drive.desk import Desk
 from wasp_cli.drive.script import drive
 from wasp_cli.drive.server import Server
 from wasp_cli.drive.session import Session
 from wasp_cli.plan.node import Cell, Node
+from wasp_cli.store.people import percentiles
 
 TOLERATED = 0.02
 """Share of late decisions that is said to be in time."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Generic, TypeVar
 
@@ -96,9 +96,3 @@ class Decider(Generic[T]):
     def close(self) -> None:
         """End the thread."""
         self._thread.shutdown()
-
-
-def percentiles(values: Sequence[float]) -> tuple[float, float]:
-    """Return the median and the 99th percentile; NaN of nothing."""
-    known = [value for value in values if value == value]
-    return (float(np.median(known)), float(np.percentile(known, 99))) if known else (float("nan"), float("nan"))

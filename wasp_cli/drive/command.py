@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.console import count_table, plain, say
 from wasp_cli.drive.block import SHOWN
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.script import drive
+from wasp_cli.drive.script import Habits, drive
 from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import How, Session, free_session, prepared
+from wasp_cli.drive.session import How, Session, cells_of, free_session, ordered, participants, prepared, shipped
 from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.report.tables.titles import who_title
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
 from wasp_cli.spec.derived import sized
 from wasp_cli.spec.load import Loaded, load
-from wasp_cli.store.artifact import discard, exists, read_manifest, stored_keys
+from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
@@ -35,13 +38,7 @@ if TYPE_CHECKING:
 
     from wasp_cli.drive.check import Timing
 
-SHIPPED = Path("drive")
-"""The spec behind `wasp drive TASK`."""
-QUICK = ("goal1",)
-"""Tasks whose small models are published; of the others those of the preset `cpu` are."""
 NONE = "none"
-IN_TIME = ("gate_rollouts=4", "takeover_rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2", "finalists=2")
-"""Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +56,7 @@ class Wanted:
     settings: tuple[str, ...]
     results: Path
     jobs: int | None
+    simulated: bool = False
 
     @property
     def _is_task(self) -> bool:
@@ -79,7 +77,25 @@ class Wanted:
         shown = frozenset(SHOWN if study is None else study.shown) - set(self.hide)
         speed = self.speed or (1.0 if study is None else study.speed)
         options = RunOptions(cores() if self.jobs is None else self.jobs)
-        return prepared(loaded, self.results, options, self.participant, How(speed, shown))
+        return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated))
+
+    def everyone(self) -> list[Wanted]:
+        """Return one for each participant of a spec; where a task or a participant is meant, this one."""
+        if self._is_task or self.participant is not None:
+            return [self]
+        return [replace(self, participant=number) for number in sorted(participants(self.loaded().spec))]
+
+    def orders(self) -> Table:
+        """Return who drives what in which order, without computing anything."""
+        loaded = self.loaded()
+        grid = lay_out_over(loaded.spec, Layout(self.results.absolute()), None)
+        found = {number: ordered(cells_of(grid, number), number) for number in sorted(participants(loaded.spec))}
+        table = count_table("participant", *(str(place + 1) for place in range(max(map(len, found.values()), default=0))))
+        for number, cells in found.items():
+            several = len({(cell.task, cell.seed) for cell, _ in cells}) > 1
+            names = (f"{cell.task} s{cell.seed} " * several + who_title(cell.method, cell.assistant) for cell, _ in cells)
+            table.add_row(participants(loaded.spec)[number], *names)
+        return table
 
     def loaded(self) -> Loaded:
         """Return the spec: the shipped one for a task, or the one that was named."""
@@ -99,14 +115,8 @@ class Wanted:
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:
             raise UnknownName("method to drive with", method, [*(name for name in METHODS if METHODS[name].impaired), NONE])
-        preset = self.preset or ("quick" if self.what in QUICK else "cpu")
-        settings = [
-            f"preset={preset}", f"tasks=[{self.what}]", f"methods=[{', '.join(methods or [method])}]",
-            f"operators={{{PERSON}: {{p{number}: {number}}}}}", f"seeds=[{', '.join(map(str, seeds or [session]))}]",
-            *([] if self.episodes is None else [f"episodes={self.episodes}"]),
-            *(f"wasp.{setting}" for setting in IN_TIME if preset == "quick"),
-        ]  # fmt: skip
-        return load(SHIPPED, [*settings, *self.settings])
+        wanted = [] if self.episodes is None else [f"episodes={self.episodes}"]
+        return shipped(self.what, methods or [method], number, seeds or [session], self.preset, [*wanted, *self.settings])
 
     def record(self, session: Session) -> None:
         """Write down what this participant has driven of a task so far, so that a report shows all of it."""
@@ -122,8 +132,14 @@ class Wanted:
             new_run(layout, driven, plan_against(lay_out_over(driven.spec, layout, None), layout))
 
 
-def drive_session(session: Session, port: int, *, open_browser: bool, scripted: bool) -> dict[str, Any]:
+def drive_session(session: Session, port: int, *, open_browser: bool, scripted: Habits | None = None) -> dict[str, Any]:
     """Serve the page until the session is over, and say what was recorded.
+
+    Args:
+        session: what is driven.
+        port: of the page; 0: any free one.
+        open_browser: whether a browser is opened.
+        scripted: who drives in the place of a person.
 
     Raises:
         Interrupted: Ctrl-C; finished episodes are kept.
@@ -134,12 +150,12 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
     clock = threading.Thread(target=_led, args=(session, desk), daemon=True, name="clock")
     clock.start()
     say(f"drive here: {server.address}")
-    if not scripted:
+    if scripted is None:
         plain(f"from another machine: ssh -L {server.port}:127.0.0.1:{server.port} THIS-MACHINE, then open the same address there")
     interrupted = False
     try:
-        if scripted:
-            asyncio.run(drive(server.address))
+        if scripted is not None:
+            asyncio.run(drive(server.address, scripted.keys, scripted.answers))
         elif open_browser:
             with suppress(webbrowser.Error):
                 webbrowser.open(server.address)
@@ -197,8 +213,8 @@ def withdrawn(wanted: Wanted) -> int:
     """Delete everything that a participant drove in the cells of a spec or a task, whatever the session; returns how many cells went."""
     loaded = wanted.loaded()
     layout, spec = Layout(wanted.results.absolute()), loaded.spec
-    numbers = {int(value) for value in spec.operators.get(PERSON, {}).values()}
-    number = wanted.participant if wanted.participant is not None else next(iter(numbers)) if len(numbers) == 1 else None
+    numbers = [*participants(spec)]
+    number = wanted.participant if wanted.participant is not None else numbers[0] if len(numbers) == 1 else None
     if number is None:
         raise UsageError("whose data are to be deleted?", "name the participant with --participant N")
     layout.require_own_folders()
@@ -210,5 +226,13 @@ def withdrawn(wanted: Wanted) -> int:
             discard(layout.artifact("evaluate", key))
             gone += 1
             say(f"{manifest.get('label')}: deleted ({key})")
-    say(f"participant {number} has withdrawn: {gone} cells deleted; reports made before still hold their numbers")
+    for folder in layout.works.glob("*/"):
+        session = read_record(folder / SESSION_FILE) or {}
+        if session.get("number") == number and session.get("task") in spec.tasks:
+            shutil.rmtree(folder)
+            gone += 1
+            say(f"{folder.name}: an unfinished session, deleted")
+    # Reports of large grids keep the rows of episodes.
+    layout.rows(spec.name).unlink(missing_ok=True)
+    say(f"participant {number} has withdrawn: {gone} cell{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers")
     return gone

@@ -96,10 +96,13 @@ class Desk:
                 if request in wanted:
                     return str(request)
 
-    def answers(self) -> dict[str, Any] | None:
-        """Wait for the answers of a form; None where the driver ends instead."""
+    def answers(self, form: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Show a form and wait for its answers; None where the driver ends instead."""
         with self._lock:
+            # Before the page knows of the form: a quick answer must not be taken for one to an earlier form.
             self._answers = None
+        self.state("form", form=form)
+        with self._lock:
             self._lock.wait_for(lambda: self._answers is not None or self._request == END)
             return self._answers
 

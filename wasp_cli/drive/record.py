@@ -1,7 +1,4 @@
-"""What a block leaves behind: a cell like any other, with what the clock and the connection were like in two more files.
-
-    _timing.pq      a row per decision: BEAT
-    _session.json   who drove when, how fast, what was shown, pauses, episodes that were cut
+"""What a block leaves behind: a cell like any other, with what the clock and the connection were like in two more files (`store.people`).
 
 Every finished episode is on disk before the next one begins. A block that ends early is the cell of as many episodes as were finished, so
 that it is never taken for whole; the same session continued takes these over.
@@ -21,36 +18,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from wasp_cli.drive.block import Beat, Cut, Driven
-from wasp_cli.drive.clock import percentiles
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.plan.node import Node
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.worker import manifest_of
 from wasp_cli.store.artifact import commit, read_record, staging_folder, write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.parquet import opened_table, write_table
+from wasp_cli.store.parquet import write_table
+from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, first_rows, read_episodes, write_cell
-
-TIMING_FILE, SESSION_FILE = "_timing.pq", "_session.json"
-VERSION_KEY, VERSION = b"wasp.timing", 1
-BEAT = pa.schema(
-    [
-        pa.field("episode", pa.int32(), nullable=False),
-        pa.field("t", pa.int32(), nullable=False),
-        pa.field("at", pa.float64(), nullable=False),
-        pa.field("decision_ms", pa.float32(), nullable=False),
-        pa.field("late", pa.bool_(), nullable=False),
-        pa.field("behind_ms", pa.float32(), nullable=False),
-        pa.field("rest_ms", pa.float32(), nullable=False),
-        pa.field("input", pa.int32(), nullable=False),
-        pa.field("input_age_ms", pa.float32()),
-        pa.field("round_trip_ms", pa.float32()),
-        pa.field("keys", pa.string(), nullable=False),
-        pa.field("focused", pa.bool_(), nullable=False),
-    ],
-    {VERSION_KEY: str(VERSION).encode()},
-)
-"""A decision; the meaning of the fields is that of `drive.block.Beat`. What is unknown is null."""
 
 
 class CellRecord:
@@ -147,31 +123,6 @@ def _beats(episode: int, beats: Sequence[Beat]) -> pa.Table:
     columns: dict[str, list[Any]] = {"episode": [episode] * len(beats), "t": list(range(len(beats)))}
     columns |= {name: [getattr(beat, name) for beat in beats] for name in Beat._fields}
     return pa.table({field.name: pa.array(columns[field.name], field.type, from_pandas=True) for field in BEAT}, schema=BEAT)
-
-
-def read_timing(path: Path) -> pa.Table:
-    """Read the timing of a cell that a person drove.
-
-    Raises:
-        StoreError: the file is missing, damaged, of a newer version, or another table.
-    """
-    with opened_table(path, VERSION_KEY, VERSION, "the timing of a session") as file:
-        return file.read()
-
-
-def timing_summary(beats: pa.Table) -> dict[str, Any]:
-    """Summarise decisions: how many, how many late, and percentiles of delays in ms; None where nothing is known."""
-    late = np.asarray(beats["late"], bool)
-    found: dict[str, Any] = {
-        "decisions": len(late),
-        "late": int(late.sum()),
-        "late_share": round(float(late.mean()), 4) if len(late) else None,
-    }
-    for name in ("decision_ms", "behind_ms", "input_age_ms", "round_trip_ms"):
-        values = np.array([np.nan if value is None else value for value in beats[name].to_pylist()], np.float64)
-        for label, value in zip(("p50", "p99"), percentiles(values.tolist()), strict=True):
-            found[f"{name[:-3]}_{label}_ms"] = None if value != value else round(value, 1)
-    return found
 
 
 def _now() -> str:

@@ -8,12 +8,16 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 from websockets.asyncio.client import connect
 
+from wasp_cli import seeds
+from wasp_cli.drive.controls import KEYS
 from wasp_cli.drive.server import LONGEST, unpacked
 from wasp_cli.tasks.frames import wrapped
 
@@ -21,6 +25,8 @@ AHEAD, ASIDE = 1.0, 0.25
 """Angles to the goal in rad: below the first it drives forward, above the second it turns."""
 LARGEST = 4_000_000
 """Bytes of what the server sends at most: the picture of the ground is the largest."""
+
+ARROWS = [key for key in KEYS if key.startswith("Arrow")]
 
 Driver = Callable[[Mapping[str, Any]], list[str]]
 """From the header of a frame to the keys that are held."""
@@ -38,6 +44,35 @@ def to_the_goal(header: Mapping[str, Any]) -> list[str]:
     if abs(error) > ASIDE:
         keys.append("ArrowLeft" if error > 0 else "ArrowRight")
     return keys
+
+
+class Habits:
+    """A scripted participant: to the goal, with a delay and slips of its own, and answers that are drawn.
+
+    Habits are drawn by the participant's number. What is driven still differs a little between two trials, as the clock does.
+    """
+
+    DELAY, SLIPS, HELD = 5, 0.08, 5
+    """Frames of delay at most, share of frames in which a key slips at most, frames for which a wrong one is held."""
+
+    def __init__(self, participant: int) -> None:
+        """`participant` is the number."""
+        self._draw = np.random.default_rng(seeds.derive("drive-script", participant))
+        self._seen: deque[list[str]] = deque(maxlen=1 + int(self._draw.integers(self.DELAY)))
+        self._slips = float(self._draw.uniform(0.0, self.SLIPS))
+        self._wrong: list[str] = []
+
+    def keys(self, header: Mapping[str, Any]) -> list[str]:
+        """Return the keys that are held at a frame."""
+        self._seen.append(to_the_goal(header))
+        if not self._wrong and self._draw.random() < self._slips:
+            self._wrong = [str(self._draw.choice(ARROWS))] * self.HELD
+        return [self._wrong.pop()] if self._wrong else self._seen[0]
+
+    def answers(self, form: Mapping[str, Any]) -> dict[str, Any]:
+        """Agree, and draw every scale."""
+        scales = {scale["name"]: float(self._draw.integers(0, 101)) for scale in form["scales"]}
+        return {"agreed": True if form["name"] == "consent" else None, "scales": scales}
 
 
 async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None) -> int:

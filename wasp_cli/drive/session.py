@@ -8,7 +8,7 @@ Cells that are there are not driven again, so that a session that broke off goes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,15 +32,22 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, Selection, limited, run_spec
-from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.load import Loaded, load
+from wasp_cli.spec.model import Spec
 from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
-from wasp_cli.store.artifact import exists
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.artifact import exists, read_manifest, read_record, stored_keys
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.tables import CellIdentity
 from wasp_cli.tasks.registry import TASKS
 
-PRACTICE = "practice"
+SHIPPED = Path("drive")
+"""The spec behind `wasp drive TASK`."""
+QUICK = ("goal1",)
+"""Tasks whose small models are published; of the others those of the preset `cpu` are."""
+IN_TIME = ("gate_rollouts=4", "takeover_rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2", "finalists=2")
+"""Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
 ALONE = "human"
 """The method of practice."""
 
@@ -52,6 +59,8 @@ class How:
     speed: float = 1.0
     shown: frozenset[str] = frozenset(SHOWN)
     threads: int = 1
+    simulated: bool = False
+    """a script drives"""
 
 
 @dataclass
@@ -103,8 +112,7 @@ class Session:
         if study is None or not study.consent:
             return True
         form = {"name": "consent", "title": study.title, "text": study.consent, "version": study.consent_version, "scales": []}
-        desk.state("form", form=form)
-        answers = desk.answers()
+        answers = desk.answers(form)
         agreed = answers is not None and answers.get("agreed") is True
         self.facts["consent"] = {"version": study.consent_version, "agreed": agreed}
         return agreed
@@ -173,8 +181,7 @@ class Session:
         answers: dict[str, dict[str, float]] = {}
         for name in () if self.study is None else self.study.questionnaires:
             scales = [{"name": scale, "text": text, "low": low, "high": high} for scale, text, low, high in QUESTIONS[name]]
-            desk.state("form", form={"name": name, "title": "", "text": "", "scales": scales})
-            given = desk.answers()
+            given = desk.answers({"name": name, "title": "", "text": "", "scales": scales})
             if given is None:
                 break
             answers[name] = {scale["name"]: float(given[scale["name"]]) for scale in scales if scale["name"] in given}
@@ -194,6 +201,9 @@ class Session:
         shown = [name for name in SHOWN if name in self.how.shown]
         return {
             "participant": self.participant,
+            "number": int(cell.value or 0),
+            "task": cell.task,
+            "simulated": self.how.simulated,
             "block": number,
             "speed": self.how.speed,
             "shown": shown,
@@ -209,7 +219,7 @@ class Session:
         inputs = {name: self.layout.artifact(needed.kind, needed.key) for name, needed in node.needs.items()}
         parts = load_parts(inputs, self.loaded.spec.returns, training_device())
         repeat, how = self.loaded.spec.action_repeat, self.how
-        config = BlockConfig(cell.task, cell.method, method_config, repeat, cell.value or 0.0, how.speed, how.shown, how.threads)
+        config = BlockConfig(cell.task, cell.method, method_config, repeat, how.speed, how.shown, how.threads)
         block = Block(config, parts, desk)
         desk.world(block.hello())
         return block
@@ -229,12 +239,11 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
         UsageError: nobody drives in this spec, not this participant, or several episodes are to be driven side by side.
     """
     spec = loaded.spec
-    people = spec.operators.get(PERSON, {})
-    if not people:
+    numbers = participants(spec)
+    if not numbers:
         raise UsageError(f"nobody drives in '{spec.name}'", "name participants in it: operators: {person: {p1: 1, p2: 2}}")
-    numbers = {int(value): name for name, value in people.items()}
     if participant is None and len(numbers) == 1:
-        participant = next(iter(numbers))
+        (participant,) = numbers
     if participant not in numbers:
         known = ", ".join(map(str, numbers))
         raise UsageError(f"'{spec.name}' has no participant {participant}", f"choose one with --participant: {known}")
@@ -244,9 +253,54 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     grid = lay_out_over(spec, layout, None)
     read = dict.fromkeys(needed.kind for cell, node in grid.cells for needed in node.needs.values() if cell.operator == PERSON)
     run_spec(loaded, results, options, Selection((f"stage={'|'.join(read)}",))).require_complete()
-    mine = [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
+    mine = cells_of(grid, participant)
+    _require_one_kind(layout, mine, how)
     run_id = new_run(layout, loaded, plan_against(grid, layout))
     return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study)
+
+
+def shipped(
+    task: str, methods: Sequence[str], participant: int, seeds: Sequence[int], preset: str | None = None, settings: Sequence[str] = ()
+) -> Loaded:
+    """Return the spec behind `wasp drive TASK`.
+
+    Args:
+        task: name of the task.
+        methods: the assistants.
+        participant: number of the person.
+        seeds: of the worlds: sessions.
+        preset: sizes of the models; None: those that are published.
+        settings: further KEY=VALUE.
+    """
+    preset = preset or ("quick" if task in QUICK else "cpu")
+    return load(SHIPPED, [
+        f"preset={preset}", f"tasks=[{task}]", f"methods=[{', '.join(methods)}]", f"seeds=[{', '.join(map(str, seeds))}]",
+        f"operators={{{PERSON}: {{p{participant}: {participant}}}}}",
+        *(f"wasp.{setting}" for setting in IN_TIME if preset == "quick"), *settings,
+    ])  # fmt: skip
+
+
+def participants(spec: Spec) -> dict[int, str]:
+    """Return the pseudonyms of the people who drive in a spec, by their numbers."""
+    return {int(value): name for name, value in spec.operators.get(PERSON, {}).items()}
+
+
+def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
+    """Return the cells that a participant drives, as the grid lists them."""
+    return [(cell, node) for cell, node in grid.cells if cell.operator == PERSON and cell.value == participant]
+
+
+def _require_one_kind(layout: Layout, cells: list[tuple[Cell, Node]], how: How) -> None:
+    """See that no trial of a script passes for a person's session, nor the other way round."""
+    for _, node in cells:
+        if exists(layout, node.kind, node.key):
+            before = read_record(layout.artifact(node.kind, node.key) / SESSION_FILE) or {}
+            if before.get("simulated", False) != how.simulated:
+                whose = "a script" if before.get("simulated") else "a person"
+                raise UsageError(
+                    f"{node.label} was driven by {whose} in '{layout.root}'",
+                    "use another folder with --results, or delete it: --participant N --withdraw",
+                )
 
 
 def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell, Node]]:
@@ -255,6 +309,24 @@ def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell
     for cell, node in cells:
         groups.setdefault((cell.task, cell.seed), []).append((cell, node))
     return [group[place] for group in groups.values() for place in balanced_order(len(group), participant - 1)]
+
+
+def driven_tasks(results: Path, participant: int) -> list[str]:
+    """Return the tasks of which a participant has driven anything.
+
+    Raises:
+        UsageError: there is none.
+    """
+    layout = Layout(results.absolute())
+    found = set()
+    for key in filter(is_key, stored_keys(layout, "evaluate")):
+        manifest = read_manifest(layout, "evaluate", key)
+        axes = manifest.get("axes", {})
+        if axes.get("variant") == PERSON and axes.get("value") == participant:
+            found.add(str(manifest.get("task")))
+    if not found:
+        raise UsageError(f"participant {participant} has driven nothing in '{results}'", f"wasp drive TASK --participant {participant}")
+    return sorted(found)
 
 
 def free_session(layout: Layout, of: Callable[[int], Loaded], most: int = 10_000) -> int:

@@ -6,7 +6,9 @@ import torch
 from torch import Tensor
 
 from wasp_cli.errors import UsageError
-from wasp_cli.operators.base import Memory, NoiseSource, Operator, Policy
+from wasp_cli.operators.base import EpisodeNoise, Memory, NoiseSource, Operator, OperatorContext, Policy
+from wasp_cli.operators.cloned_person import ContinuedPerson
+from wasp_cli.operators.clones import placed_clone
 
 
 class PersonOperator(Operator):
@@ -17,6 +19,14 @@ class PersonOperator(Operator):
         self._next: Tensor | None = None
         self.imagined = False
         """Whether this is a fork"""
+
+    @classmethod
+    def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Operator:  # type: ignore[override]
+        """Build the operator of a session; where a session is branched, one whom the participant's clone continues."""
+        clone = placed_clone()
+        if clone is not None and clone.said and isinstance(noise, EpisodeNoise):
+            return ContinuedPerson.of(clone, noise.seeds, context, noise)
+        return super().build(value, context, noise, batch)
 
     def initial(self, batch: int) -> Memory:
         return {"held": torch.zeros(batch, self.action_size)}
@@ -34,7 +44,10 @@ class PersonOperator(Operator):
         if self.imagined:
             return self.memory["held"]
         if self._next is None:
-            raise UsageError("a person has to drive this cell: nobody's commands can be computed", "wasp drive TASK, or wasp drive SPEC")
+            raise UsageError(
+                "a person has to drive this cell: nobody's commands can be computed",
+                "wasp drive TASK or SPEC; wasp clone RESULTS --participant N makes an operator of what was recorded",
+            )
         issued, self._next = self._next, None
         self.memory = {"held": issued}
         return issued

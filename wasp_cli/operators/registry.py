@@ -21,11 +21,11 @@ class OperatorInfo:
     unit: str
     """Meaning of the severity value, for people."""
     simulated: bool = True
-    """False of people: what they command cannot be computed."""
+    """False of people, and of what was learned of one: their commands do not follow from a rule and the seed alone."""
 
 
-PERSON = "person"
-"""The variant of people, who drive with `wasp drive`."""
+PERSON, CLONED = "person", "cloned"
+"""The variants of people, who drive with `wasp drive`, and of their clones, which `wasp clone` makes."""
 
 OPERATORS: Registry[OperatorInfo] = Registry(
     "operator variant",
@@ -60,6 +60,15 @@ OPERATORS: Registry[OperatorInfo] = Registry(
         OperatorInfo("reaction-time", "Reaction time", "wasp_cli.operators.delayed:DelayedOperator", 0.0, 10.0, "delay in seconds"),
         OperatorInfo(
             PERSON, "Person", "wasp_cli.operators.person:PersonOperator", 0.0, 9999.0, "number of the participant", simulated=False
+        ),
+        OperatorInfo(
+            CLONED,
+            "Clone of a person",
+            "wasp_cli.operators.cloned_person:CloneOfPerson",
+            0.0,
+            9999.0,
+            "number of the participant whom `wasp clone` has cloned",
+            simulated=False,
         ),
     ),
 )

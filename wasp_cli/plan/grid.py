@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from wasp_cli.config import Config
 from wasp_cli.errors import UnknownName
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
 from wasp_cli.plan.closure import PACKAGE, closure_hash
 from wasp_cli.plan.keys import Text, canonical, joined, key_of, recipe_of
 from wasp_cli.plan.node import Cell, Node, Part, sort_of, with_upstream
@@ -28,6 +28,8 @@ CALIBRATED_VARIANT = "full"
 """Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
 COUNTERFACTUAL = "counterfactual"
 """The stage that runs for every cell whose method may intervene."""
+OPERATOR_CLONE = "operator_clone"
+"""The name under which a node reads the clone of the person who drives in it."""
 ROLLOUTS, ASSISTANT = "rollouts", "wasp"
 """The stage that begins every round after the first, and the method that it runs."""
 
@@ -196,9 +198,10 @@ class _Builder:
         text = joined({**axes, "method_config": shared.text})
         roots = (*shared.roots, *_roots(_operator_targets([cell.operator])))
         needs, upstream = shared.needs, shared.upstream
-        if shared.of_operator:
-            chain = self.spec.chain_seed(cell.seed)
-            needs = {**needs, **self._of_operator(shared.of_operator, cell.task, chain, self.spec.rounds, cell.operator, cell.value)}
+        if shared.of_operator or cell.operator == CLONED:
+            chain, rounds = self.spec.chain_seed(cell.seed), self.spec.rounds
+            needs = {**needs, **self._of_operator(shared.of_operator, cell.task, chain, rounds, cell.operator, cell.value)}
+            needs |= self._cloned_person(cell.task, chain, rounds, cell.operator, cell.value)
             upstream = self._upstream(needs)
         return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), (text, upstream, shared.sort))
 
@@ -206,6 +209,8 @@ class _Builder:
         """Return the node that branches the interventions of an evaluated cell."""
         chain = self.spec.chain_seed(cell.seed)
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain, self.spec.rounds) | {evaluation.kind: evaluation}
+        # A person cannot be asked again: in the branches the clone goes on.
+        needs |= self._cloned_person(cell.task, chain, self.spec.rounds, cell.operator, cell.value, PERSON, CLONED)
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
         # The assistant is not asked again: its code is in the key through the evaluation alone.
         return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, _roots(_operator_targets([cell.operator])), label)
@@ -263,7 +268,14 @@ class _Builder:
         targets = _operator_targets([operator])
         axes = _round_axis(number) | {"variant": operator, "value": value} | _plugins(targets)
         label = f"{kind} {_driver(operator, value)}"
-        return self._node(kind, task, seed, axes, self._inputs(kind, task, seed, number), _roots(targets), _in_round(label, number))
+        needs = self._inputs(kind, task, seed, number) | self._cloned_person(task, seed, number, operator, value)
+        return self._node(kind, task, seed, axes, needs, _roots(targets), _in_round(label, number))
+
+    def _cloned_person(self, task: str, seed: int, number: int, operator: str, value: float | None, *standing_in: str) -> dict[str, Node]:
+        """The clone of a participant, where it drives; it is made by `wasp clone`, not by a run."""
+        if operator not in (standing_in or (CLONED,)):
+            return {}
+        return {OPERATOR_CLONE: self.operator_stage("clone", task, seed, number, PERSON, value)}
 
     def _inputs(self, kind: str, task: str, seed: int, number: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
         needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))

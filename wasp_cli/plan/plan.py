@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, uncollected
 from wasp_cli.plan.node import Cell, Node, Part, levels
 from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
@@ -56,6 +57,10 @@ class Plan:
         """Return the nodes that a run computes, needed ones first."""
         return [step.node for step in self.steps if step.runs]
 
+    def by_people(self) -> list[Node]:
+        """Return those of them that no run can compute: people have to drive."""
+        return [node for node in self.to_run() if node.axes.get("variant") == PERSON]
+
     def count(self, state: State, kind: str | None = None) -> int:
         """Return the number of nodes in a state."""
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
@@ -70,7 +75,8 @@ class Plan:
 
     def estimate(self, workers: int) -> tuple[float, int]:
         """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""
-        nodes = self.to_run()
+        people = {node.key for node in self.by_people()}
+        nodes = [node for node in self.to_run() if node.key not in people]
         known = {node.key: self.seconds.get(node.sort) for node in nodes}
         total, _ = simulated(nodes, {key: seconds or 0.0 for key, seconds in known.items()}, workers)
         return total, sum(seconds is None for seconds in known.values())

@@ -87,6 +87,15 @@ def _time(plan: Plan, workers: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
         return [f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}" if copied else "nothing to run"]
+    people = plan.by_people()
+    if people:
+        waiting = f"{len(people)} cell{'s wait' if len(people) > 1 else ' waits'} for people, whom no run replaces: wasp drive SPEC"
+        return [waiting] if len(people) == len(plan.to_run()) else [waiting, *_computed(plan, workers)]
+    return _computed(plan, workers)
+
+
+def _computed(plan: Plan, workers: int) -> list[str]:
+    """How long what is computed takes."""
     seconds, unknown = plan.estimate(workers)
     if not seconds:
         return ["no time estimate: neither here nor elsewhere was a node like these measured"]

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.recorded import last_plan, upstream_first
@@ -17,11 +18,13 @@ from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assum
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.stats.invalid import without_invalid
+from wasp_cli.report.stats.people import read_people
 from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.necessity import necessity_table
+from wasp_cli.report.tables.people import people_fact, people_tables
 from wasp_cli.report.tables.severity_check import check_table, judged
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
@@ -59,7 +62,7 @@ def report_run(
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
+    frame = stored = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
     keys = {identity_of(cell): key for cell, key in cells}
     notes = [note for note in notes_of(layout) if note.key in keys.values()]
     frame, left_out = without_invalid(frame, keys, invalid(notes))
@@ -73,13 +76,17 @@ def report_run(
     trained = with_warnings(layout, trained)
     published = list(origins.facts())
     # What nothing needs is no gap in a run that took published results; in any other one it once was there.
-    absent = absent_parts(layout, parts, spec.stages) if published and not frame.missing else []
+    absent = absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
     if absent:
         published.append(absent_fact(absent))
         parts = [(part, key) for part, key in parts if part not in absent]
-    # Of a task of one's own the paper says nothing.
-    verdict = judge(frame, paper, spec) if paper is not None and frame.cells and paper.tasks & {*spec.tasks} else None
+    sittings, unread = read_people(wanted, frame)
+    damaged += unread
+    # Of a task of one's own, and of people, the paper says nothing.
+    judging = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.variant != PERSON for cell in frame.cells)
+    verdict = judge(frame, paper, spec) if paper is not None and judging else None
     front = [main_table(frame)] if cells else []
+    front += people_tables(sittings)
     ablations = ablation_table(frame)
     if ablations is not None:
         front.append(ablations)
@@ -102,7 +109,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*_facts(spec, frame), *left_out, *published, *unknown, *damaged),
+        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *left_out, *published, *unknown, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,

@@ -13,10 +13,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
+from wasp_cli import seeds
 from wasp_cli.config import Config
 from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, WaspError
 from wasp_cli.memory import keep_memory
+from wasp_cli.operators.clones import PlacedClone, placed
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.closure import changed_since
+from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.registry import load_target
 from wasp_cli.run.heartbeat import Heartbeat
 from wasp_cli.run.interrupt import Cancelled, cancellable, limited
@@ -37,7 +41,9 @@ from wasp_cli.store.artifact import (
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.provenance import cuda_devices
+from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import without_steps
+from wasp_cli.store.tables import cell_file
 
 DEATHS = 2
 """Killed processes after which a node has failed."""
@@ -102,7 +108,8 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
             stage: Stage = load_target(job.stage)()
             keep_memory()
             _set_threads(getattr(stage, "torch_threads", 1))
-            summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
+            with placed(_clone_of(job, layout)):
+                summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
         _require_planned_source(job)
         seconds = time.monotonic() - began
         commit(layout, job.kind, job.key, staging, manifest_of(job, summary, seconds, started_at))
@@ -118,6 +125,17 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
     layout.failure(job.key).unlink(missing_ok=True)
     discard(layout.work(job.key))
     return NodeResult(job.key, "done", time.monotonic() - started, summary, log=str(log))
+
+
+def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
+    """The clone that drives in a node, or that continues a person's session in its branches."""
+    if OPERATOR_CLONE not in job.inputs:
+        return None
+    folder = layout.artifact(*job.inputs[OPERATOR_CLONE])
+    if job.axes.get("variant") != PERSON:
+        return PlacedClone(folder)
+    commands = read_recorded(cell_file(layout.artifact(*job.inputs["evaluate"])))["a_h"]
+    return PlacedClone(folder, {seeds.operator_seed(job.task, PERSON, job.seed, e): said for e, said in enumerate(commands)})
 
 
 def _require_inputs(job: NodeJob, layout: Layout) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.metrics.episode import INTERVENED
+from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.report.explain.stored import Episode, read_episode, signal_of
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.find import FoundCell
@@ -147,11 +148,13 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     size = size if isinstance(size, int) and size > 0 else len(recorded.a)
     first = episode // size * size
     threads = cell.setting("provenance", "threads")
+    clone = cell.setting("upstream", OPERATOR_CLONE)
     return Source(
         **known, recorded=recorded.of(range(first, first + size)), first=first,
         world_model=layout.artifact("world_model", upstream["world_model"]),
         policies=layout.artifact("policies", upstream["policies"]),
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
+        clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
     )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.stages.evaluate import EvaluateStage
@@ -51,6 +52,8 @@ class Source:
     """of the simulator; they change nothing"""
     first: int = 0
     """number of the first of the episodes within their cell"""
+    clone: Path | None = None
+    """of the person in whose place an operator drove"""
 
     def world(self) -> VectorTask:
         """Build the task as the cell was evaluated in."""
@@ -63,7 +66,8 @@ class Source:
             return SaidAgain(self.recorded, world.action_size)
         mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, self.first + row) for row in range(batch)]
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
-        return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
+        with placed(None if self.clone is None else PlacedClone(self.clone)):
+            return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
 
 
 class SaidAgain(PersonOperator):

@@ -17,6 +17,7 @@ from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.report.tables.table import Column
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import FoundCell
+from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.view.cells import COLUMNS, problem_of, words
@@ -44,8 +45,6 @@ EPISODE_COLUMNS = (
     Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
     Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
 )  # fmt: skip
-SESSION_FILE = "_session.json"
-"""What is beside the rows of a cell that a person drove."""
 
 
 class Row(NamedTuple):

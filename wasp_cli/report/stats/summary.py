@@ -22,9 +22,9 @@ class Interval:
 
     low: float
     high: float
-    unit: Literal["seed", "world"]
+    unit: Literal["seed", "world", "participant"]
     clusters: int
-    """K, how many seeds or worlds were resampled"""
+    """K, how many of them were resampled"""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,172 @@
+"""A participant's clone: fitted to recorded commands, an operator of the grid, and who continues a session in its branches."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.commands import run_here
+from tests.drive.conftest import wanted
+from wasp_cli.drive.clone import fitted_mixture, judged, mixture_density, together
+from wasp_cli.drive.command import drive_session
+from wasp_cli.drive.script import Habits
+from wasp_cli.errors import UsageError
+from wasp_cli.learning.clone import Issued
+from wasp_cli.models.clone import Clone
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+from wasp_cli.operators.cloned_person import CloneOfPerson, ContinuedPerson
+from wasp_cli.operators.clones import PlacedClone, placed
+from wasp_cli.store.branches import BRANCHES_FILE, read_branches
+from wasp_cli.store.layout import Layout
+
+SPEC = """\
+name: beside
+preset: quick
+tasks: [goal1]
+methods: [ida]
+operators: {person: {p7: 7}, cloned: {p7: 7}}
+seeds: [0]
+training_seed: 1
+episodes: 4
+side_by_side: 1
+stages: [counterfactual]
+counterfactual: {stride: 20, window: 5}
+reuse: published
+"""
+
+
+def wasp(*arguments: object) -> Any:
+    return run_here(*map(str, arguments), columns=200)
+
+
+@pytest.fixture(scope="module")
+def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("spec") / "beside.yaml"
+    path.write_text(SPEC)
+    return path
+
+
+@pytest.fixture(scope="module")
+def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The results folder of four episodes, and what `wasp clone` says of them."""
+    results = tmp_path_factory.mktemp("clone") / "results"
+    asked = wanted(results, what=str(spec), method=None, speed=5.0, episodes=None, participant=7, simulated=True)
+    drive_session(asked.prepared(), 0, open_browser=False, scripted=Habits(7))
+    found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=300")
+    assert found.exit_code == 0, found.output
+    (said,) = json.loads(found.stdout)
+    return results, said
+
+
+def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dict[str, Any]]) -> None:
+    results, said = cloned
+    assert said["label"] == "goal1 s1 clone person=7"
+    assert (said["episodes"], said["heldout_episodes"], said["simulated"], len(said["cells"])) == (3, 1, True, 1)
+    models = said["models"]
+    assert set(models) == {"clone", "repeat", "expert", "uniform"}
+    assert models["clone"]["log_density"] > models["expert"]["log_density"] > -math.inf
+    assert models["uniform"]["log_density"] == pytest.approx(-2 * math.log(2))
+    assert json.loads((Layout(results).artifact("clone", said["key"]) / "quality.json").read_text())["models"] == models
+
+
+def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(cloned[0], results)
+    # A clone of other settings is another one.
+    found = wasp("run", spec, "--results", results, "-j", "0", "--set", "clone.updates=300")
+    assert found.exit_code == 0, found.output
+    assert "goal1 s0 ida cloned=7" in found.output
+    branched = {path.parent.name: read_branches(path) for path in (Layout(results).store / "counterfactual").glob(f"*/{BRANCHES_FILE}")}
+    assert len(branched) == 2
+    assert all(len(each.t) for each in branched.values())
+    shown = wasp("replay", "goal1 s0 ida cloned=7", "-e", "0", "--every", "100", "--results", results, "--out", tmp_path / "film.webp")
+    assert shown.exit_code == 0, shown.output
+    again = wasp("clone", results, "--participant", 7, "--set", "clone.updates=300")
+    assert again.exit_code == 2
+    assert "was computed from the clone that is there" in again.output
+
+
+def test_made_again_it_has_the_same_bytes(cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    results, said = tmp_path / "results", cloned[1]
+    shutil.copytree(cloned[0], results)
+    weights = Layout(results).artifact("clone", said["key"]) / "clone.safetensors"
+    before = weights.read_bytes()
+    found = wasp("clone", results, "--participant", 7, "--set", "clone.updates=300")
+    assert found.exit_code == 0, found.output
+    assert "in the place of the earlier one" in found.output
+    assert weights.read_bytes() == before
+
+
+def test_who_has_driven_nothing_cannot_be_cloned(cloned: tuple[Path, dict[str, Any]]) -> None:
+    found = wasp("clone", cloned[0], "--participant", 3)
+    assert (found.exit_code, "participant 3 has driven nothing" in found.output) == (2, True)
+
+
+def test_a_missing_clone_is_said(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(cloned[0], results)
+    shutil.rmtree(Layout(results).store / "clone")
+    found = wasp("run", spec, "--results", results, "-j", "0", "--select", "operator=cloned")
+    assert found.exit_code == 1
+    assert "wasp clone RESULTS --participant N" in found.output
+
+
+def test_elsewhere_no_clone_is_known() -> None:
+    context = OperatorContext(skill=lambda fraction: lambda f: f[:, :2], action_size=2, decision_seconds=0.08)
+    with pytest.raises(UsageError, match="evaluations and their branches"):
+        build_operator("cloned", 7.0, context, EpisodeNoise([1]), 1)
+
+
+def test_a_session_is_played_as_it_was_and_its_branches_by_the_clone(cloned: tuple[Path, dict[str, Any]]) -> None:
+    folder = Layout(cloned[0]).artifact("clone", cloned[1]["key"])
+    width = json.loads((folder / "clone.json").read_text())["features"]
+    context = OperatorContext(skill=lambda fraction: lambda f: f[:, :2].tanh(), action_size=2, decision_seconds=0.08)
+    said = np.random.default_rng(0).uniform(-1, 1, (6, 2)).astype(np.float32)
+    features = [torch.randn(1, width, generator=torch.Generator().manual_seed(t)) for t in range(10)]
+    with placed(PlacedClone(folder, {5: said})):
+        person = build_operator("person", 7.0, context, EpisodeNoise([5]), 1)
+    assert isinstance(person, ContinuedPerson)
+    snapshots = []
+    for t in range(6):
+        np.testing.assert_array_equal(person.command(features[t])[0], said[t])
+        snapshots.append(person.snapshot())
+    # The clone itself, with the same memory and at the same place of its noise, goes on with the same commands.
+    with placed(PlacedClone(folder)):
+        alone = build_operator("cloned", 7.0, context, EpisodeNoise([5]), 1)
+    assert isinstance(alone, CloneOfPerson)
+    for start in (2, 4):
+        person.restore(snapshots[start])
+        alone.restore(snapshots[start])
+        for f in features[start + 1 :]:
+            assert torch.equal(person.command(f), alone.command(f))
+
+
+def test_the_shares_of_a_baseline_are_the_most_likely_ones() -> None:
+    source = torch.Generator().manual_seed(1)
+    near = 0.05 * torch.randn(4000, 2, generator=source)
+    residual = torch.cat([near[:3200], 2 * torch.rand(800, 2, generator=source) - 1])
+    spread, share = fitted_mixture(residual)
+    assert share == pytest.approx(0.8, abs=0.03)
+    torch.testing.assert_close(spread, torch.full((2,), 0.05), atol=0.005, rtol=0)
+    best = mixture_density(residual, spread, share).mean()
+    for other in ((1.1 * spread, share), (0.9 * spread, share), (spread, share - 0.05), (spread, share + 0.05)):
+        assert mixture_density(residual, *other).mean() < best
+
+
+def test_judged_by_hand() -> None:
+    """A driver who holds every command: the last one foretells it without an error."""
+    command = torch.tensor([[1.0, 0.0]]).repeat(9, 1)
+    episode = Issued(torch.zeros(9, 3), command, torch.cat([torch.full((1, 2), torch.nan), command[:-1]]))
+    torch.manual_seed(0)
+    found = judged(Clone(3, (4,), 2), lambda f: torch.zeros(len(f), 2), together([episode, episode]), episode)
+    assert found["repeat"]["squared_error"] == 0.0
+    assert found["expert"]["squared_error"] == 1.0
+    assert found["uniform"]["squared_error"] == 1.0
+    assert found["repeat"]["log_density"] > found["expert"]["log_density"]

@@ -1,0 +1,113 @@
+"""A whole study by scripted participants, through the real socket: orders, questionnaires, the report, withdrawal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.commands import run_here
+from tests.drive.conftest import wanted
+from wasp_cli.cli.app import app
+from wasp_cli.drive.command import drive_session, withdrawn
+from wasp_cli.drive.script import Habits
+from wasp_cli.drive.session import titles
+from wasp_cli.errors import UsageError
+from wasp_cli.report.document import TABLES
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import SESSION_FILE
+
+SPEC = """\
+name: trial
+preset: quick
+tasks: [goal1]
+methods: [human, ida]
+operators: {person: {p1: 1, p2: 2}}
+seeds: [0]
+training_seed: 1
+episodes: 1
+side_by_side: 1
+stages: []
+reuse: published
+study: {consent: "Agree?", consent_version: "3", practice: 1, speed: 4.0}
+"""
+
+
+@pytest.fixture(scope="module")
+def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("spec") / "trial.yaml"
+    path.write_text(SPEC)
+    return path
+
+
+@pytest.fixture(scope="module")
+def trial(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results folder of both participants; far faster than any person, so that most decisions of IDA are late."""
+    results = tmp_path_factory.mktemp("trial") / "results"
+    for each in wanted(results, what=str(spec), method=None, speed=40.0, episodes=None, simulated=True).everyone():
+        drive_session(each.prepared(), 0, open_browser=False, scripted=Habits(each.participant or 0))
+    return results
+
+
+def sessions(results: Path) -> list[dict[str, object]]:
+    found = [json.loads(path.read_text()) for path in (Layout(results).store / "evaluate").glob(f"*/{SESSION_FILE}")]
+    return sorted(found, key=lambda each: (each["number"], each["block"]))
+
+
+def test_everybody_drove_every_condition_in_an_order_of_their_own(trial: Path, spec: Path) -> None:
+    found = sessions(trial)
+    assert [(each["number"], each["block"]) for each in found] == [(1, 0), (1, 1), (2, 0), (2, 1)]
+    assert all(each["simulated"] and each["consent"] == {"version": "3", "agreed": True} for each in found)
+    for each in found:
+        answers = each["answers"]
+        assert isinstance(answers, dict)
+        assert {name: len(scales) for name, scales in answers.items()} == {"tlx": 6, "assistance": 3}
+    orders = [titles(each.prepared()) for each in wanted(trial, what=str(spec), method=None, episodes=None, simulated=True).everyone()]
+    assert orders == [["Human-only", "IDA"], ["IDA", "Human-only"]]
+
+
+def test_orders_are_shown_without_computing_anything(spec: Path, tmp_path: Path) -> None:
+    found = CliRunner().invoke(app, ["drive", str(spec), "--orders", "--results", str(tmp_path / "none")])
+    assert found.exit_code == 0, found.output
+    assert [line.split() for line in found.stdout.splitlines()[1:]] == [["p1", "Human-only", "IDA"], ["p2", "IDA", "Human-only"]]
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_report_has_measures_answers_order_and_timing(trial: Path) -> None:
+    found = run_here("report", trial, "--no-films", "--no-trained", "--strict", columns=200)
+    assert found.exit_code == 0, found.output
+    for words in ("measures by condition", "answers by condition", "effect of the order", "were decisions in time?", "SIMULATED"):
+        assert words in found.stdout
+    assert "Claims" not in found.stdout, "the paper says nothing of people"
+    assert (
+        {"people", "questionnaires", "order", "timing"}
+        <= {path.stem for path in (trial / "reports" / "trial").glob("*.csv")}
+        <= set(TABLES)
+    )
+    page = (trial / "reports" / "trial" / "report.html").read_text()
+    assert "Raw TLX" in page
+    assert "NOT BALANCED" not in page
+
+
+def test_a_trial_does_not_pass_for_a_person(trial: Path, spec: Path) -> None:
+    with pytest.raises(UsageError, match="was driven by a script"):
+        wanted(trial, what=str(spec), method=None, episodes=None, participant=1).prepared()
+
+
+def test_a_plan_says_who_has_to_drive(spec: Path, tmp_path: Path) -> None:
+    found = run_here("plan", spec, "--results", tmp_path / "none", columns=200)
+    assert "4 cells wait for people" in found.stdout
+    assert "critical path" not in found.stdout
+
+
+def test_who_withdraws_leaves_no_row_and_no_unfinished_session(trial: Path, spec: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    layout = Layout(trial)
+    unfinished = layout.works / ("0" * 20)
+    unfinished.mkdir(parents=True)
+    (unfinished / SESSION_FILE).write_text('{"number": 2, "task": "goal1"}')
+    assert withdrawn(wanted(trial, what=str(spec), method=None, episodes=None, participant=2)) == 3
+    assert [each["number"] for each in sessions(trial)] == [1, 1]
+    assert not unfinished.exists()
+    assert "participant 2 has withdrawn: 3 cells deleted" in capsys.readouterr().out

@@ -1,0 +1,256 @@
+"""`wasp clone`: a policy fitted to what a participant commanded, which then drives in the grid, or is imagined in the person's place.
+
+The sessions are played again for what the world model saw. Every fourth episode is held out and judges the clone beside what needs no
+learning: repeating the last command, commanding what the expert would, any command at all. K decisions, F features, A actions.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from rich.table import Table as RichTable
+from torch import Tensor
+
+from wasp_cli.console import count_table, plain, say
+from wasp_cli.drive.session import cells_of
+from wasp_cli.errors import UsageError
+from wasp_cli.learning.clone import Issued, fit_clone
+from wasp_cli.learning.configs.latent import CloneConfig
+from wasp_cli.learning.rerun import Recorded, Rerun
+from wasp_cli.models.clone import REPEAT, Clone
+from wasp_cli.models.policy import load_skills
+from wasp_cli.models.weights import save_weights
+from wasp_cli.models.world_model import load_world_model
+from wasp_cli.operators.base import Policy
+from wasp_cli.operators.registry import PERSON
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.plan import plan_against
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.run.record import new_run
+from wasp_cli.run.runner import job_of
+from wasp_cli.run.session import RunOptions, Selection, run_spec
+from wasp_cli.run.worker import manifest_of
+from wasp_cli.seeds import derive
+from wasp_cli.spec.load import Loaded
+from wasp_cli.store.artifact import commit, discard, exists, read_manifest, staging_folder, stored_keys
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.people import SESSION_FILE
+from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.tables import cell_file
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video.trace import SaidAgain, threads_of_evaluations
+
+FEWEST, HELD_OUT = 4, 4
+"""Episodes that are needed at least, and of how many one is held out."""
+ROUNDS = 50
+"""Of expectation and maximisation, for the shares of a baseline."""
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """The cells of a participant that were driven with the models of one clone."""
+
+    node: Node
+    """of the clone"""
+    keys: tuple[str, ...]
+    """of the cells, in ascending order"""
+
+
+def clone_participant(loaded: Loaded, results: Path, participant: int, options: RunOptions) -> dict[str, Any]:
+    """Fit a clone to everything that a participant drove on a task with the models of a spec, and put it where plans look for it.
+
+    Args:
+        loaded: a spec of one task in whose cells the participant is imagined by a clone.
+        results: the results folder.
+        participant: number.
+        options: for models that are not here yet.
+
+    Returns:
+        what was found, as JSON values.
+
+    Raises:
+        UsageError: there are too few episodes, or results were computed from an earlier clone of the same person.
+    """
+    layout = Layout(results.absolute())
+    grid = lay_out_over(loaded.spec, layout, None)
+    ((_, evaluation),) = cells_of(grid, participant)
+    sessions = _sessions(layout, evaluation.needs["clone"], participant)
+    node = sessions.node
+    _require_unused(layout, node)
+    run_spec(loaded, results, options, Selection(("stage=world_model|policies",))).require_complete()
+    model = load_world_model(layout.artifact("world_model", node.needs["world_model"].key))
+    skills = load_skills(layout.artifact("policies", node.needs["policies"].key))
+    with threads_of_evaluations():
+        episodes = [seen for key in sessions.keys for seen in _episodes(layout, key, node, model)]
+        if len(episodes) < FEWEST:
+            raise UsageError(
+                f"participant {participant} drove {len(episodes)} episodes of {node.task} with these models, and {FEWEST} are needed",
+                f"wasp drive {node.task} --participant {participant}",
+            )
+        held = [seen for number, seen in enumerate(episodes) if number % HELD_OUT == HELD_OUT - 1]
+        learnt = [seen for number, seen in enumerate(episodes) if number % HELD_OUT != HELD_OUT - 1]
+        config = CloneConfig.model_validate(node.config)
+        torch.manual_seed(derive("clone-weights", node.task, node.seed, PERSON, participant))
+        stream = derive("clone", node.task, node.seed, PERSON, participant)
+        clone, curve = fit_clone(together(learnt), skills.expert, config, stream, lambda share, text: plain(text) if share == 1 else None)
+    document = {
+        "participant": participant, "cells": list(sessions.keys),
+        "simulated": any(_session(layout, key).get("simulated", False) for key in sessions.keys),
+        "episodes": len(learnt), "heldout_episodes": len(held), "decisions": sum(len(seen.command) for seen in learnt),
+        "ways": dict(zip(("repeat", "own", "uniform"), clone.weight_logits.softmax(-1).tolist(), strict=True)),
+        "models": judged(clone, skills.expert, together(learnt), together(held)),
+    }  # fmt: skip
+    staging = staging_folder(layout, node.key)
+    arguments = {"features": learnt[0].features.shape[1], "hidden": list(config.hidden), "action": learnt[0].command.shape[1]}
+    save_weights(clone, staging / "clone.safetensors", **arguments)
+    (staging / "curve.json").write_text(json.dumps(curve, indent=1))
+    (staging / "quality.json").write_text(json.dumps(document, indent=1))
+    run_id = new_run(layout, loaded, plan_against(grid, layout))
+    again = exists(layout, "clone", node.key)
+    if again:
+        say(f"{node.label}: made again, in the place of the earlier one")
+        discard(layout.artifact("clone", node.key))
+    models = cast(dict[str, dict[str, float]], document["models"])
+    summary = {f"{name}_{figure}": round(number, 3) for name, row in models.items() for figure, number in row.items()}
+    begun = read_manifest(layout, "evaluate", sessions.keys[0])["provenance"]["started_at"]
+    commit(layout, "clone", node.key, staging, manifest_of(job_of(layout, run_id, node), summary, 0.0, begun))
+    return {"label": node.label, "key": node.key, **document}
+
+
+def quality_table(found: Mapping[str, Any]) -> RichTable:
+    """Return what a clone foretells, beside what needs no learning."""
+    held, learnt = found["heldout_episodes"], found["episodes"]
+    table = count_table(f"on {held} held-out episode{'' if held == 1 else 's'}, learnt from {learnt}", "log-density", "squared error")
+    for name, row in found["models"].items():
+        table.add_row(name, f"{row['log_density']:.2f}", f"{row['squared_error']:.3f}")
+    return table
+
+
+def _sessions(layout: Layout, node: Node, participant: int) -> Sessions:
+    """The cells of a participant with the models that the clone reads."""
+    models = {name: needed.key for name, needed in node.needs.items()}
+    found, others = [], 0
+    for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
+        manifest = read_manifest(layout, "evaluate", key)
+        axes, upstream = manifest.get("axes", {}), manifest.get("upstream", {})
+        if axes.get("variant") == PERSON and axes.get("value") == participant and manifest.get("task") == node.task:
+            same = all(upstream.get(name) == key for name, key in models.items())
+            same &= manifest.get("settings", {}).get("action_repeat") == node.settings.get("action_repeat")
+            found += [key] if same else []
+            others += not same
+    if not found:
+        more = f"; {others} cells of theirs were driven with other models: --preset or --set" if others else ""
+        raise UsageError(
+            f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}",
+            f"wasp drive {node.task} --participant {participant}",
+        )
+    return Sessions(node, tuple(found))
+
+
+def _session(layout: Layout, key: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((layout.artifact("evaluate", key) / SESSION_FILE).read_text(encoding="utf-8"))
+    return found
+
+
+def _require_unused(layout: Layout, node: Node) -> None:
+    """See that no result was computed from an earlier clone: it would say that it came from this one."""
+    if not exists(layout, node.kind, node.key):
+        return
+    using = [
+        str(manifest.get("label"))
+        for kind in ("evaluate", "counterfactual", "clone")
+        for key in sorted(filter(is_key, stored_keys(layout, kind)))
+        if node.key in (manifest := read_manifest(layout, kind, key)).get("upstream", {}).values()
+    ]
+    if using:
+        more = f" and {len(using) - 1} more" if len(using) > 1 else ""
+        raise UsageError(
+            f"{using[0]}{more} was computed from the clone that is there", "use another results folder, or delete these results first"
+        )
+
+
+def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
+    """What a participant saw and commanded in each episode of a cell."""
+    recorded = Recorded(**read_recorded(cell_file(layout.artifact("evaluate", key))))
+    found = []
+    for e in range(len(recorded.a)):
+        own = recorded.of(range(e, e + 1))
+        world = make_task(node.task, 1, action_repeat=node.settings["action_repeat"], observe=("pixels",))
+        moments = Rerun(world, model, SaidAgain(own, world.action_size), own)
+        seen = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]
+        features, command = torch.stack([f for f, _ in seen]), torch.stack([a for _, a in seen])
+        last = torch.cat([torch.full_like(command[:1], torch.nan), command[:-1]])
+        # What was computed without gradients cannot be learned from as it is.
+        found.append(Issued(features.clone(), command.clone(), last))
+    return found
+
+
+def together(episodes: Sequence[Issued]) -> Issued:
+    """Return the decisions of several episodes as one."""
+    return Issued(*(torch.cat(parts) for parts in zip(*episodes, strict=True)))
+
+
+@torch.no_grad()
+def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[str, dict[str, float]]:
+    """Judge the clone and what needs no learning on held-out decisions, from the second of each episode on.
+
+    Returns:
+        by model, `log_density` of a command (mean; larger is better) and `squared_error` of its mean; a baseline's density is a normal
+        around what it foretells and a uniform one, with the shares that fit the learnt episodes best.
+    """
+
+    def later(seen: Issued) -> Issued:
+        keep = ~seen.last.isnan().any(-1)
+        return Issued(*(values[keep] for values in seen))
+
+    learnt, held = later(learnt), later(held)
+    wanted = expert(held.features)
+    found = {
+        "clone": {
+            "log_density": float(clone.log_density(held.command, held.features, held.last, wanted).mean()),
+            "squared_error": _error(clone.mean(held.features, held.last, wanted), held),
+        }
+    }
+    foretold: Mapping[str, tuple[Tensor, Tensor]] = {
+        "repeat": (learnt.last, held.last),
+        "expert": (expert(learnt.features), wanted),
+    }
+    for name, (before, now) in foretold.items():
+        spread, share = fitted_mixture(learnt.command - before)
+        found[name] = {
+            "log_density": float(mixture_density(held.command - now, spread, share).mean()), "squared_error": _error(now, held),
+        }  # fmt: skip
+    actions = held.command.shape[1]
+    found["uniform"] = {"log_density": -actions * math.log(2.0), "squared_error": _error(torch.zeros_like(held.command), held)}
+    return found
+
+
+def _error(mean: Tensor, seen: Issued) -> float:
+    return float((mean - seen.command).square().sum(-1).mean())
+
+
+def fitted_mixture(residual: Tensor) -> tuple[Tensor, float]:
+    """Return the spread [A] of a normal around zero and its share beside a uniform density that make residuals [K, A] most likely."""
+    spread, share = residual.square().mean(0).sqrt().clamp(REPEAT, 1.0), 0.5
+    for _ in range(ROUNDS):
+        near = share * _normal(residual, spread)
+        own = near / (near + (1 - share) * 0.5 ** residual.shape[1])
+        share = float(own.mean().clamp(0.001, 0.999))
+        spread = ((own.unsqueeze(-1) * residual.square()).sum(0) / own.sum().clamp_min(1e-6)).sqrt().clamp(REPEAT, 1.0)
+    return spread, share
+
+
+def mixture_density(residual: Tensor, spread: Tensor, share: float) -> Tensor:
+    """Return the log-density [K] of residuals [K, A] under `fitted_mixture`."""
+    return (share * _normal(residual, spread) + (1 - share) * 0.5 ** residual.shape[1]).log()
+
+
+def _normal(residual: Tensor, spread: Tensor) -> Tensor:
+    return torch.exp(-0.5 * (residual / spread).square().sum(-1)) / float(np.prod(spread.numpy() * math.sqrt(2 * math.pi)))
