@@ -60,6 +60,7 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     np.testing.assert_array_equal(new.episode, [e - (e > 1) for e in old.episode[kept]])
     if kept.any():
         assert found.pooled["uir"] == pytest.approx(old.worth.unnecessary[kept].mean())
+    assert "1 episode marked as invalid is in no number here." in after.facts
     assert any("Episode 1 of" in fact and "is left out: marked as invalid by Ada" in fact for fact in after.facts)
     for other in before.frame.cells:
         if other.identity != cell.identity:
@@ -85,6 +86,7 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
     assert len(after.frame.cells) == len(before.frame.cells) - 1
     (gap,) = after.frame.missing
     assert "marked as invalid by" in gap.reason
+    assert "1 cell marked as invalid is in no number here." in after.facts
     assert any("is left out" in fact for fact in after.facts)
     assert "INCOMPLETE" in after.markdown()
     assert "&lt;b&gt;wrong&lt;/b&gt; weights" in after.html()

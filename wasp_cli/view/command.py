@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import time
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
@@ -70,7 +70,7 @@ LISTED = 12
 """Problems that are named."""
 
 
-def view(site: Site, port: int, place: str, *, open_browser: bool, until: threading.Event | None = None) -> None:
+def view(site: Site, port: int, place: str, *, open_browser: bool) -> None:
     """Serve pages until Ctrl-C.
 
     Args:
@@ -78,7 +78,6 @@ def view(site: Site, port: int, place: str, *, open_browser: bool, until: thread
         port: 0 for any free one.
         place: which page the browser opens, such as `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`.
         open_browser: otherwise the address is only printed.
-        until: set when it should end; None: at Ctrl-C.
 
     Raises:
         UsageError: the port is taken, or the place is none.
@@ -96,10 +95,9 @@ def view(site: Site, port: int, place: str, *, open_browser: bool, until: thread
     if open_browser:
         with suppress(webbrowser.Error):
             webbrowser.open(address)
-    waiting = until or threading.Event()
     try:
-        while not waiting.wait(0.5):
-            pass
+        while True:
+            time.sleep(0.5)
     except KeyboardInterrupt:
         pass
     finally:

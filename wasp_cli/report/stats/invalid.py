@@ -50,6 +50,10 @@ def without_invalid(
             if cell.identity in judged:
                 judged[cell.identity] = _without(judged[cell.identity], out)
         kept.append(rest)
+    if said:
+        cells, episodes = len(missing), len(said) - len(missing)
+        counts = [f"{count} {name}{'' if count == 1 else 's'}" for count, name in ((episodes, "episode"), (cells, "cell")) if count]
+        said.insert(0, f"{' and '.join(counts)} marked as invalid {'is' if len(said) == 1 else 'are'} in no number here.")
     return replace(frame, cells=tuple(kept), missing=(*frame.missing, *missing), judged=judged), tuple(said)
 
 
