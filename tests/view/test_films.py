@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.video.replayed import CELL, made_store
 from tests.view.conftest import brought
 from tests.view.test_walk import WASP
 from wasp_cli.errors import UsageError
@@ -18,8 +19,9 @@ from wasp_cli.report.explain.stored import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.video.film import film
+from wasp_cli.video.replay import replay_frames
 from wasp_cli.view.draw import SIZE
-from wasp_cli.view.films import FILM, REPLAY, Films
+from wasp_cli.view.films import BRANCHES, FILM, REPLAY, Films
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +79,31 @@ def test_what_cannot_be_drawn_says_why(layout: Layout) -> None:
     with pytest.raises(UsageError):
         films.ask(key, 0, "../film")
     assert films.frame(key, 0, FILM, 10**6) is None
+    films.close()
+
+
+def test_imagined_futures_and_both_branches_are_those_of_replay(tmp_path: Path) -> None:
+    """Of a whole cell with its models; tiny ones."""
+    layout = Layout(made_store(tmp_path))
+    stored = read_episode(find_cell(layout, CELL), 1)
+    step = int(np.flatnonzero(stored.intervened)[0])
+    films = Films(layout)
+    for kind, at in ((REPLAY, 0), (BRANCHES, step)):
+        films.ask(CELL, 1, kind, at)
+        end = time.monotonic() + 120
+        while (state := films.state(CELL, 1, kind, at))["state"] == "drawing":
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert state["state"] == "done", state
+        found = films.frame(CELL, 1, kind, 0, at)
+        assert found is not None
+        image = Image.open(io.BytesIO(found[0]))
+        if kind == REPLAY:
+            assert state["frames"] == stored.decisions
+            expected = next(iter(replay_frames(layout, find_cell(layout, CELL), 1, 1)))
+            assert np.abs(np.asarray(image.convert("RGB"), float) - expected).mean() < 6
+        else:
+            assert getattr(image, "n_frames", 1) > 1, "it moves"
     films.close()
 
 
