@@ -13,7 +13,7 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, WaspError
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
-from wasp_cli.report.notes import invalid, notes_of
+from wasp_cli.report.notes import FILE, invalid, notes_of
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, read_frame
 from wasp_cli.report.stats.invalid import without_episodes
 from wasp_cli.report.tables.main import PAPER_COLUMNS
@@ -57,6 +57,8 @@ class Cells:
         self._problems: list[str] = []
         self._at = -FRESH
         self._numbers: dict[str, Shown] = {}
+        self._noted = (0, 0)
+        """Time and size of the file of notes when it was last read."""
         self._lock = threading.RLock()
         self._reader: threading.Thread | None = None
 
@@ -76,6 +78,7 @@ class Cells:
 
     def numbers(self) -> tuple[Mapping[str, Shown], int]:
         """Return what is known by key, and how many cells are yet to be read; reading goes on in the background."""
+        self._heed_notes()
         left = [cell for cell in self.listed() if cell.key not in self._numbers]
         with self._lock:
             if left and (self._reader is None or not self._reader.is_alive()):
@@ -91,11 +94,25 @@ class Cells:
                 reader.join()
         return self._numbers
 
-    def forget(self, key: str | None = None) -> None:
-        """Read a cell again, or those without rows: what is absent may be there by now."""
+    def refresh(self) -> None:
+        """Read the cells without rows again: what was absent may be there by now."""
         with self._lock:
-            gone = [each for each, shown in self._numbers.items() if each == key or (key is None and shown.numbers is None)]
-            self._numbers = {each: shown for each, shown in self._numbers.items() if each not in gone}
+            self._numbers = {key: shown for key, shown in self._numbers.items() if shown.numbers is not None}
+
+    def _heed_notes(self) -> None:
+        """Read the cells again of which somebody has noted something since, here or with the command."""
+        try:
+            state = os.stat(self.layout.root / FILE)
+            stamp = (state.st_mtime_ns, state.st_size)
+        except OSError:
+            stamp = (0, 0)
+        with self._lock:
+            if stamp != self._noted:
+                keys: set[str] = set()
+                with suppress(StoreError):
+                    keys = {note.key for note in notes_of(self.layout)}
+                self._numbers = {key: shown for key, shown in self._numbers.items() if key not in keys}
+                self._noted = stamp
 
     def one(self, cell: ListedCell) -> Shown:
         """Return the numbers of one cell, read now."""
@@ -130,6 +147,7 @@ class Cells:
                 continue
             if out and numbers is not None:
                 numbers = without_episodes(numbers, out)
+                count = 0 if numbers is None else numbers.count
             found[cell.key] = Shown(numbers, count, "" if numbers is not None else "all episodes are marked as invalid")
         return found
 

@@ -65,6 +65,7 @@ class Row(NamedTuple):
 def cells_page(site: Site) -> str:
     """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
     listed = site.cells.listed()
+    site.cells.refresh()
     shown, left = (site.cells.wait(), 0) if not site.links.live else site.cells.numbers()
     marked = {key for key, _ in invalid(site.notes())}
     rows = []

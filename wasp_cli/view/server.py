@@ -241,7 +241,6 @@ class ViewServer(LocalServer):
             pages.require_episode(found, episode)
         mark = mark_of(form.get("mark", ""))
         add_note(site.layout, Note(cell.key, cell.label, episode, form.get("text", ""), mark, form.get("author", "")))
-        site.cells.forget(cell.key)
         ref = site.ref(cell)
         place = site.links.cell(ref) if episode is None else site.links.episode(ref, episode)
         return RedirectResponse(place, 303)
