@@ -97,10 +97,10 @@ def test_the_explanation_of_a_step_comes_at_once(benchmark: Any, browser: Browse
           }).observe(part, { attributes: true });
           document.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight', bubbles: true }));
         })"""
-        taken = [tab.value(measure % step) for step in range(1, 41)]
+        taken: list[float] = []
+        benchmark.pedantic(lambda: taken.extend(tab.value(measure % step) for step in range(1, 41)), rounds=1)
         tab.close()
     benchmark.extra_info.update(p50=float(np.median(taken)), p95=float(np.percentile(taken, 95)), most=max(taken))
-    benchmark.pedantic(lambda: None, rounds=1)
     assert np.percentile(taken, 95) < 100.0
 
 

@@ -120,7 +120,12 @@ class Cells:
 
     def _read(self, cells: Sequence[ListedCell]) -> None:
         for first in range(0, len(cells), TOGETHER):
-            found = self._shown(cells[first : first + TOGETHER])
+            part = cells[first : first + TOGETHER]
+            try:
+                found = self._shown(part)
+            except Exception as error:  # whatever is wrong with one of them, the page must not wait for ever
+                reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+                found = {cell.key: Shown(None, 0, reason, damaged=True) for cell in part}
             with self._lock:
                 self._numbers = {**self._numbers, **found}
 

@@ -202,9 +202,9 @@ def graph(run: PlannedRun, stages: Sequence[Stage]) -> tuple[list[Box], list[str
 
 def _parts(counts: Mapping[str, int], total: int, width: float) -> list[tuple[str, float, float]]:
     found, x = [], 0.0
-    for name in STATES:
+    for name in sorted(STATES, key=lambda each: each != "cached"):  # what was there before comes first
         wide = width * min(counts.get(name, 0) / max(total, 1), 1.0)
-        if wide and name not in ("waiting",):
+        if wide and name != "waiting":
             found.append((name, round(x, 1), round(wide, 1)))
         x += wide
     return found
