@@ -7,7 +7,8 @@ from pathlib import Path
 
 LAYERS: tuple[tuple[tuple[str, str], ...], ...] = (
     (("cli", "commands, options"),),
-    (("notebook", "results and models in one line"), ("drive", "people at the controls")),
+    (("drive", "people at the controls"), ("view", "walking through results")),
+    (("notebook", "results and models in one line"), ("web", "a local server")),
     (("video", "films, replays"), ("studies", "timing, oracle"), ("compare", "two runs")),
     (("run", "workers, progress"), ("report", "tables, figures, claims, page")),
     (("plan", "grid, keys, reuse"),),

@@ -100,6 +100,18 @@ def test_the_core_asks_for_nothing_that_only_driving_needs() -> None:
     assert {each.split(">")[0] for each in project["optional-dependencies"]["drive"]} == set(DRIVING)
 
 
+def test_viewing_needs_a_part_of_what_driving_needs() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(project["optional-dependencies"]["web"]) < set(project["optional-dependencies"]["drive"])
+
+
+def test_without_its_packages_view_says_what_to_install(tmp_path: Path) -> None:
+    (tmp_path / "starlette.py").write_text("raise ImportError('no starlette here')")
+    done = wasp("view", "results/published", PYTHONPATH=str(tmp_path))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "pip install 'wasp-cli[web]'" in done.stderr
+
+
 def test_without_its_packages_drive_says_what_to_install(tmp_path: Path) -> None:
     (tmp_path / "uvicorn.py").write_text("raise ImportError('no uvicorn here')")
     done = wasp("drive", "goal1", PYTHONPATH=str(tmp_path))
@@ -112,6 +124,8 @@ def test_without_its_packages_drive_says_what_to_install(tmp_path: Path) -> None
     [
         ["--help"],
         ["drive", "--help"],
+        ["view", "--help"],
+        ["note", "no such cell", "text", "--results", "RESULTS"],
         ["plan", "specs/table1.yaml", "--results", "/nowhere"],
         ["check", "specs/table1.yaml"],
         ["schema"],

@@ -54,8 +54,12 @@ class Tab:
         """Wait until an expression is true, and return it."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            if found := self.value(expression):
-                return found
+            try:
+                if found := self.value(expression):
+                    return found
+            except AssertionError as error:  # it was asked just as one page made way for the next
+                if "navigated" not in str(error):
+                    raise
             time.sleep(0.03)
         raise AssertionError(f"never true: {expression}; the page says: {self.value('document.body.innerText')}")
 

@@ -34,7 +34,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_by_key_label_and_path(results: Path) -> None:
     folder = results / "store" / "evaluate" / KEY
     said = [wasp("explain", cell, "-e", "0", "--results", results) for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))]
-    assert {(done.returncode, done.stderr) for done in said} == {(0, "")}
+    browser = f"in a browser: wasp view {results} --open /cell/01234567/episode/0\n"
+    assert {(done.returncode, done.stderr) for done in said} == {(0, browser)}
     assert len({done.stdout for done in said}) == 1
     hint = f"one decision in full: wasp explain 01234567 --results {results} --episode 0 --step 2\n"
     assert said[0].stdout.endswith(hint)

@@ -19,6 +19,7 @@ from wasp_cli.cli.report import report_app
 from wasp_cli.cli.run import run_app
 from wasp_cli.cli.spec import spec_app, tasks_app
 from wasp_cli.cli.store import store_app
+from wasp_cli.cli.view import view_app
 
 app = typer.Typer(
     name="wasp",
@@ -29,7 +30,7 @@ app = typer.Typer(
     "A spec (a YAML file, or a name such as quickstart) says what to run. Results are kept in results/, and nothing is computed twice.",
     epilog="Start here:  [bold]wasp run quickstart[/]   ·   then:  [bold]wasp report results/[/]",
 )
-for group in (run_app, report_app, inspect_app, drive_app, spec_app, store_app):
+for group in (run_app, report_app, view_app, inspect_app, drive_app, spec_app, store_app):
     app.add_typer(group)
 app.add_typer(tasks_app, name="tasks", rich_help_panel="Specs and tasks")
 app.add_typer(bench_app, name="bench", rich_help_panel="Maintenance")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,6 +21,9 @@ from wasp_cli.cli.options import (
     print_json,
     results_folder,
 )
+
+if TYPE_CHECKING:
+    from wasp_cli.store.find import FoundCell
 
 NODES, EPISODES = "Runs and nodes", "Episodes"
 WIDTH = 140
@@ -208,6 +211,7 @@ def explain(
         again += f" --results {shlex.quote(str(results))}"
     lines = episode_lines(facts, width, again) if isinstance(facts, EpisodeSummary) else decision_lines(facts, width)
     say(*lines)
+    _say_place(results, stored.cell, episode, step)
 
 
 @inspect_app.command(
@@ -271,3 +275,15 @@ def replay(
         print_json(verdict.as_json() | {"cell": stored.label, "key": stored.key, "file": str(path)})
     else:
         say(*verdict.lines(), str(path))
+    if not json:
+        _say_place(results, stored, episode, step)
+
+
+def _say_place(results: Path, cell: FoundCell, episode: int, step: int | None) -> None:
+    """Say which command shows a place in a browser; not of a file that lies outside of the results."""
+    from wasp_cli.console import plain
+    from wasp_cli.report.address import cell_address, open_command
+    from wasp_cli.store.layout import Layout
+
+    if cell.key is not None and cell.path.absolute().parent.parent == Layout(results.absolute()).kind("evaluate"):
+        plain(f"in a browser: {open_command(results, cell_address(cell.key[:8], episode, step))}")

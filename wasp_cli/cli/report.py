@@ -23,7 +23,7 @@ from wasp_cli.cli.options import (
 from wasp_cli.errors import WaspError
 
 if TYPE_CHECKING:
-    from wasp_cli.compare.runs import Compared, Side
+    from wasp_cli.compare.runs import Compared
     from wasp_cli.plan.node import Cell, Part
     from wasp_cli.report.document import Report
     from wasp_cli.report.page.films import Draw
@@ -200,6 +200,7 @@ def compare(
 
     The last run of each spec counts. Only stored rows are read; nothing is computed.
     """
+    from wasp_cli.compare.pairs import pairs
     from wasp_cli.compare.runs import compare as compared_runs
     from wasp_cli.compare.text import as_json, show, write
     from wasp_cli.console import out as console
@@ -208,7 +209,7 @@ def compare(
 
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"'{out}' is not a folder", "--out names a folder; it is created if it does not exist")
-    comparisons: list[Compared] = [compared_runs(*pair) for pair in _pairs(first, second, spec, spec_a, spec_b)]
+    comparisons: list[Compared] = [compared_runs(*pair) for pair in pairs(first, second, spec, spec_a, spec_b)]
     paths = [] if out is None else write(comparisons, out)
     if json:
         print_json([as_json(each) for each in comparisons])
@@ -220,38 +221,3 @@ def compare(
     unlike = [each.first.spec.name for each in comparisons if not each.alike]
     if strict and unlike:
         raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names the cells that are missing or differ by more than noise")
-
-
-def _pairs(first: Path, second: Path, spec: str | None, spec_a: str | None, spec_b: str | None) -> list[tuple[Side, Side]]:
-    """Return the pairs of runs to compare: two named specs, or every spec that has run in both folders.
-
-    Raises:
-        UsageError: a folder has no readable results, or not this spec; or no spec has run in both.
-    """
-    from wasp_cli.compare.runs import Side
-    from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
-    from wasp_cli.report.provenance import last_runs
-    from wasp_cli.run.record import read_run, results_of
-
-    if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):
-        what = "--spec-a and --spec-b need each other, and exclude --spec"
-        raise UsageError(what, "wasp compare A B --spec-a mine --spec-b other")
-    spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
-    try:
-        layouts = [results_of(folder) for folder in (first, second)]
-        runs = [last_runs(layout)[0] for layout in layouts]
-        for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
-            if name is not None and name not in known:
-                raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
-        names = [(spec_a, spec_b)] if spec_a is not None and spec_b is not None else [(name, name) for name in runs[0] if name in runs[1]]
-        if not names:
-            which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))
-            raise UsageError(f"no spec has run in both folders: {which}", "choose one of each with --spec-a and --spec-b")
-        pairs = []
-        for pair in names:
-            sides = [(layout, read_run(layout, known[name])) for layout, known, name in zip(layouts, runs, pair, strict=True)]
-            a, b = (Side(layout, run.run_id, run.spec, run.cells) for layout, run in sides)
-            pairs.append((a, b))
-    except (StoreError, ArtifactError) as error:
-        raise UsageError(error.message, error.hint) from error
-    return pairs

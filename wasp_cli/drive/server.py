@@ -8,28 +8,20 @@ from __future__ import annotations
 
 import asyncio
 import json
-import secrets
-import socket
 import struct
-import threading
 import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import uvicorn
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
-from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from wasp_cli.drive.desk import Desk, Frame
-from wasp_cli.errors import UsageError
+from wasp_cli.web.server import LocalServer, local, own_origin, page
 
-HOST = "127.0.0.1"
-NAMES = ("127.0.0.1", "localhost", "[::1]")
-"""Names of this machine in Host and Origin: what a browser says here, or at the other end of an SSH tunnel."""
 LONGEST = 8192
 """Bytes of a message."""
 MOST = 300
@@ -38,7 +30,6 @@ SILENT = 10.0
 """Seconds without any message after which a connection counts as lost; a page says something every second."""
 PAGE = Path(__file__).parent / "page"
 FILES = {"drive.js": "text/javascript", "drive.css": "text/css"}
-POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'"
 
 REFUSED, BUSY, TOO_MUCH = 4403, 4409, 4429
 """Codes with which the socket closes: not allowed, somebody drives already, too many or too large messages."""
@@ -99,7 +90,7 @@ class Alive(_Message):
 MESSAGE: TypeAdapter[Any] = TypeAdapter(Annotated[Input | Ack | Focus | Ask | Answers | Alive, Field(discriminator="type")])
 
 
-class Server:
+class Server(LocalServer):
     """Serves the page of a desk, from a thread of its own or until it is stopped."""
 
     def __init__(self, desk: Desk, port: int = 0) -> None:
@@ -108,47 +99,16 @@ class Server:
         Raises:
             UsageError: the port is taken, or not allowed.
         """
-        self.desk, self.token = desk, secrets.token_urlsafe(16)
-        self.refused = 0
-        """Requests, connections and messages that were turned away."""
-        self._socket = _listening(port)
-        self.port: int = self._socket.getsockname()[1]
+        self.desk = desk
         routes = [
             Route("/", self._index),
             Route("/{name}", self._file),
             WebSocketRoute("/socket", self._drive),
         ]
-        config = uvicorn.Config(
-            Starlette(routes=routes), log_level="error", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None, lifespan="off",
-            server_header=False, access_log=False, timeout_graceful_shutdown=2,
-        )  # fmt: skip
-        self._server = uvicorn.Server(config)
+        super().__init__(routes, port, "drive", ws_max_size=LONGEST, ws_max_queue=64, ws_ping_interval=None)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._wake: asyncio.Event | None = None
-        self._thread: threading.Thread | None = None
         desk.changed = self._changed
-
-    @property
-    def address(self) -> str:
-        """Return what a browser opens."""
-        return f"http://{HOST}:{self.port}/?token={self.token}"
-
-    def start(self) -> None:
-        """Serve from a thread; returns once it answers."""
-        self._thread = threading.Thread(target=self._serve, daemon=True, name="server")
-        self._thread.start()
-        until = time.monotonic() + 10.0
-        while not self._server.started and time.monotonic() < until:
-            time.sleep(0.01)
-
-    def stop(self) -> None:
-        """End the connections and the thread."""
-        self._server.should_exit = True
-        if self._thread is not None:
-            self._thread.join(5.0)
-
-    def _serve(self) -> None:
-        asyncio.run(self._server.serve(sockets=[self._socket]))
 
     def _changed(self) -> None:
         """Wake the sender, from whatever thread."""
@@ -159,30 +119,22 @@ class Server:
     # -- requests -----------------------------------------------------------------------------------------------------------------
 
     async def _index(self, request: Request) -> Response:
-        if not (_local(request.headers.get("host")) and self._known(request.query_params.get("token"))):
-            return self._forbidden()
-        return _page((PAGE / "index.html").read_bytes(), "text/html")
+        if not (local(request.headers.get("host")) and self.known(request.query_params.get("token"))):
+            return self.forbidden()
+        return page((PAGE / "index.html").read_bytes(), "text/html")
 
     async def _file(self, request: Request) -> Response:
         # By name among FILES: what was asked for never becomes a path.
         kind = FILES.get(request.path_params["name"])
-        if not _local(request.headers.get("host")):
-            return self._forbidden()
-        return PlainTextResponse("not found", 404) if kind is None else _page((PAGE / request.path_params["name"]).read_bytes(), kind)
-
-    def _forbidden(self) -> Response:
-        self.refused += 1
-        return PlainTextResponse("not allowed: open the address that wasp drive printed, with its token", 403)
-
-    def _known(self, token: str | None) -> bool:
-        return token is not None and secrets.compare_digest(token.encode(), self.token.encode())
+        if not local(request.headers.get("host")):
+            return self.forbidden()
+        return PlainTextResponse("not found", 404) if kind is None else page((PAGE / request.path_params["name"]).read_bytes(), kind)
 
     # -- the socket ---------------------------------------------------------------------------------------------------------------
 
     async def _drive(self, ws: WebSocket) -> None:
         host, origin = ws.headers.get("host"), ws.headers.get("origin")
-        # Browsers always name an origin; programs on this machine, which know the token, need not.
-        allowed = _local(host) and origin in (None, f"http://{host}") and self._known(ws.query_params.get("token"))
+        allowed = local(host) and own_origin(host, origin) and self.known(ws.query_params.get("token"))
         if not allowed:
             self.refused += 1
             await ws.close(REFUSED)
@@ -267,30 +219,3 @@ def unpacked(data: bytes) -> tuple[dict[str, Any], bytes]:
     (length,) = struct.unpack_from("<I", data)
     header: dict[str, Any] = json.loads(data[4 : 4 + length])
     return header, data[4 + length :]
-
-
-def _page(content: bytes, kind: str) -> Response:
-    headers = {
-        "Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
-        "Cache-Control": "no-store", "X-Frame-Options": "DENY",
-    }  # fmt: skip
-    return Response(content, headers=headers, media_type=f"{kind}; charset=utf-8")
-
-
-def _local(host: str | None) -> bool:
-    """Whether a Host is a name of this machine, with whatever port: a tunnel may have another one."""
-    if host is None:
-        return False
-    name = host[: host.rindex("]") + 1] if host.startswith("[") and "]" in host else host.partition(":")[0]
-    return name in NAMES
-
-
-def _listening(port: int) -> socket.socket:
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((HOST, port))
-    except OSError as error:
-        listening.close()
-        raise UsageError(f"cannot use port {port}: {(error.strerror or str(error)).lower()}", "choose another one with --port") from error
-    return listening

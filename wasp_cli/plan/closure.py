@@ -19,7 +19,23 @@ from wasp_cli.errors import WaspError
 
 PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset(
-    {"cli", "compare", "console", "drive", "errors", "notebook", "plan", "report", "run", "spec", "studies", "video", "__main__"}
+    {
+        "cli",
+        "compare",
+        "console",
+        "drive",
+        "errors",
+        "notebook",
+        "plan",
+        "report",
+        "run",
+        "spec",
+        "studies",
+        "video",
+        "view",
+        "web",
+        "__main__",
+    }
 )
 """Parts of the package that move no number, so that a better message re-runs nothing."""
 CONFIGURATION = frozenset({"config", "configs"})

@@ -15,6 +15,7 @@ from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.kept import drawn_before, keep, mark_of
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
+from wasp_cli.report.notes import Note, one_line
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
@@ -71,6 +72,8 @@ class Report:
     """What was published and not computed here; `facts` has it too."""
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)
     """Of the evaluations."""
+    notes: tuple[Note, ...] = ()
+    """What somebody noted about the cells; `facts` says what is left out for it."""
     verdict: VerdictReport | None = None
     """What becomes of the paper's claims; None where nothing was evaluated."""
 
@@ -87,6 +90,8 @@ class Report:
             console.print(Text(fact), soft_wrap=True)
         for table in self.tables[: min(self.shown, 1)]:
             console.print(terminal(table, console.width))
+        for note in self.notes[-NAMED:]:
+            console.print(Text(f"note on {one_line(note)}"), soft_wrap=True)
         if self.verdict is not None:
             console.print(verdict_terminal(self.verdict))
         if self.missing:
@@ -131,6 +136,9 @@ class Report:
         parts += [markdown(table) for table in self.tables[: self.shown]]
         parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
         parts += [markdown(table) for table in self.tables[self.shown :]]
+        if self.notes:
+            lines = "".join(f"- {one_line(note)}\n" for note in self.notes)
+            parts.append(f"## Notes\n\n{lines}")
         if self.trained:
             parts.append(trained_markdown(self.trained))
         parts.append(assumptions_markdown(self.assumptions))
@@ -143,6 +151,7 @@ class Report:
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
             figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,
             assumptions=self.assumptions, films=films, cells=cell_sources(self.layout, self.frame.cells, self.keys),
+            notes=[one_line(note) for note in self.notes],
         )  # fmt: skip
 
 

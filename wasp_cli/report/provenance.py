@@ -19,6 +19,7 @@ from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import ASSISTANT, ROLLOUTS, stage_class
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
+from wasp_cli.report.address import cell_address
 from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.stats.frame import CellNumbers
 from wasp_cli.spec.model import Spec
@@ -131,6 +132,11 @@ class CellSource:
     def command(self) -> str:
         """What shows its first episode."""
         return f'wasp explain "{self.label}" --episode 0'
+
+    @property
+    def place(self) -> str:
+        """Where `wasp view` shows it."""
+        return cell_address(self.label)
 
 
 def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]) -> list[CellSource]:

@@ -13,9 +13,11 @@ from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.claims.text import numbers_table
 from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
+from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
+from wasp_cli.report.stats.invalid import without_invalid
 from wasp_cli.report.stats.people import read_people
 from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
@@ -60,7 +62,10 @@ def report_run(
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
+    frame = stored = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
+    keys = {identity_of(cell): key for cell, key in cells}
+    notes = [note for note in notes_of(layout) if note.key in keys.values()]
+    frame, left_out = without_invalid(frame, keys, invalid(notes))
     roots = [
         *(("evaluate", key) for _, key in cells),
         *((COUNTERFACTUAL, key) for _, key in branched),
@@ -71,7 +76,7 @@ def report_run(
     trained = with_warnings(layout, trained)
     published = list(origins.facts())
     # What nothing needs is no gap in a run that took published results; in any other one it once was there.
-    absent = absent_parts(layout, parts, spec.stages) if published and not frame.missing else []
+    absent = absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
     if absent:
         published.append(absent_fact(absent))
         parts = [(part, key) for part, key in parts if part not in absent]
@@ -104,7 +109,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *published, *unknown, *damaged),
+        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *left_out, *published, *unknown, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
@@ -113,7 +118,8 @@ def report_run(
         damaged=tuple(damaged),
         published=tuple(published),
         verdict=verdict,
-        keys={identity_of(cell): key for cell, key in cells},
+        keys=keys,
+        notes=tuple(notes),
     )
 
 

@@ -48,9 +48,9 @@ def show_status(states: list[RunState], console: Console, now: datetime | None =
 def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None = None) -> Group:
     """Return what changes while a run goes on: bar, pace and running nodes; `names` are by key, where a label does not say enough."""
     named = [replace(node, label=names.get(node.key, node.label)) for node in state.active]
-    pace = _pace(state)
+    going = pace(state)
     table = _running_table(replace(state, active=tuple(named)), now or datetime.now(UTC))
-    return Group(_progress(state), *([Text(pace)] if pace else []), table)
+    return Group(_progress(state), *([Text(going)] if going else []), table)
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
@@ -68,9 +68,9 @@ def _plain(value: Any) -> Any:
 
 
 def _block(state: RunState, now: datetime) -> Group:
-    lines = [Text.assemble((state.spec, "bold"), f"  {_life(state, now)}"), Text(f"run {state.run_id}", style="dim"), _progress(state)]
-    if pace := _pace(state):
-        lines.append(Text(pace))
+    lines = [Text.assemble((state.spec, "bold"), f"  {life(state, now)}"), Text(f"run {state.run_id}", style="dim"), _progress(state)]
+    if going := pace(state):
+        lines.append(Text(going))
     parts: list[Text | Table] = [*lines]
     if state.active and state.state in ("running", "died"):
         parts.append(_running_table(state, now))
@@ -83,7 +83,8 @@ def _block(state: RunState, now: datetime) -> Group:
     return Group(*parts)
 
 
-def _life(state: RunState, now: datetime) -> str:
+def life(state: RunState, now: datetime) -> str:
+    """Say whether a run goes on, since when, and how it ended."""
     if state.state == "not started":
         return "planned; nothing computed yet"
     if not state.total:
@@ -124,8 +125,8 @@ def _progress(state: RunState) -> Text:
     return Text.assemble("[", ("=" * filled, "green"), " " * (BAR - filled), f"] {', '.join(counts)}")
 
 
-def _pace(state: RunState) -> str:
-    """How fast it goes and how long it takes yet; of a run that is over, nothing."""
+def pace(state: RunState) -> str:
+    """Say how fast a run goes and how long it takes yet; of one that is over, nothing."""
     if state.state != "running":
         return ""
     rate = state.per_minute or 0.0

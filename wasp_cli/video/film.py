@@ -6,6 +6,7 @@ T = decisions of the episode, A = action size.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,21 @@ class Film(NamedTuple):
     """what its map shows, see `map.things_of`; nothing of a task without a map"""
 
 
+class Moment(NamedTuple):
+    """A frame of a film."""
+
+    frame: Pixels
+    """uint8 [size, size, 3]"""
+    decision: int
+    """how many decisions had been made"""
+    positions: Floats
+    """[N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is"""
+    things: tuple[tuple[str, str], ...]
+    """see `Film`"""
+    seen: Pixels | None
+    """[cameras, side, side, 3] what the robot's cameras see, where that was asked for"""
+
+
 def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int) -> Film:
     """Draw the map of an episode with trail, commands and costs; of a task without a map, what its front camera sees.
 
@@ -64,15 +80,24 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
         UnknownName: no such task.
         TaskError: the module of the task does not import.
     """
-    made = make_task(task, 1, action_repeat=action_repeat, observe=())
+    found = list(moments(task, action_repeat, layout_seed, a, a_h, reward, every, size))
+    last = found[-1]
+    positions = last.positions if len(last.positions) else np.full((len(a) + 1, 2), np.nan)
+    return Film([each.frame for each in found], [each.decision for each in found], positions, last.things)
+
+
+def moments(
+    task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, *, cameras: bool = False
+) -> Iterator[Moment]:
+    """Draw the frames of a film one after the other; `cameras` adds what the robot sees. See `film` for the rest."""
+    made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",) if cameras else ())
     if not isinstance(made, HasScene):
         made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
     for actions in (a, a_h):
         if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
             raise ArtifactError(f"the rows do not have {made.action_size} finite numbers for every action", "run the spec again")
     view = MapView(made.appearance(), size) if isinstance(made, HasScene) else None
-    frames: list[Pixels] = []
-    decisions: list[int] = []
+    things = things_of(made.appearance()) if isinstance(made, HasScene) else ()
     positions: list[Floats] = []
     paid: list[Floats] = []
     costly = False
@@ -93,13 +118,17 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
                 draw_actions(picture, made, Pose(made.appearance(), scene), a_h[played.t], a[played.t], size / 70)
             if costly:
                 picture.edge(COST, size / 50)
-            frames.append(np.asarray(picture.finished()))
+            frame = np.asarray(picture.finished())
         else:
-            frames.append(_camera(played, size, costly))
-        decisions.append(played.t)
+            frame = _camera(played, size, costly)
+        yield Moment(frame, played.t, along(positions), things, _seen(played) if cameras else None)
         costly = False
-    things = things_of(made.appearance()) if isinstance(made, HasScene) else ()
-    return Film(frames, decisions, along(positions) if positions else np.full((len(a) + 1, 2), np.nan), things)
+
+
+def _seen(played: Played) -> Pixels | None:
+    """Images of three channels each, behind one another in the channels of the observation."""
+    pixels = played.observation.pixels
+    return None if pixels is None else np.ascontiguousarray(np.moveaxis(pixels[0].reshape(-1, 3, *pixels.shape[2:]), 1, -1))
 
 
 def _camera(played: Played, size: int, costly: bool) -> Pixels:

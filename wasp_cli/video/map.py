@@ -50,6 +50,23 @@ def things_of(appearance: Appearance) -> tuple[tuple[str, str], ...]:
     return tuple((name, "#" + "".join(f"{round(255 * (alpha * c + 1 - alpha)):02x}" for c in colour)) for name, colour, alpha in shown)
 
 
+def legend_of(things: Sequence[tuple[str, str]]) -> tuple[tuple[str, str, str], ...]:
+    """Say what a map shows: name, colour `#rrggbb` and meaning of its things (`things_of`), then of the marks that are drawn on it."""
+    meanings = {
+        "robot": "with its path so far", "goal": "where it should go", "hazard": "being there costs",
+        "vase": "an obstacle; in some tasks touching or moving it costs",
+    }  # fmt: skip
+    marks = (
+        ("command", COMMAND, "arrow: what the operator commands"),
+        ("executed", EXECUTED, "arrow: what was executed instead, where the assistant corrected"),
+        ("cost", COST, "dots and edge: where it cost"),
+    )
+    return (*((name, colour, meanings.get(name, "")) for name, colour in things), *marks)
+
+
+SEEN = "The map is drawn for people. The assistant never sees it: it gets what the robot's own cameras see, here at the right."
+
+
 class Pose:
     """Where a robot is [2] and where it looks: unit vectors forward and left [2]."""
 

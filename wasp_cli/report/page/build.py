@@ -40,6 +40,7 @@ def build_page(
     assumptions: Sequence[Assumption],
     films: Sequence[TaskFilms],
     cells: Sequence[CellSource] = (),
+    notes: Sequence[str] = (),
 ) -> str:
     """Return one HTML document that needs no other file and no network.
 
@@ -56,6 +57,7 @@ def build_page(
         assumptions: values in force that are not the paper's.
         films: of the tasks that have any.
         cells: where each comes from, and how to look into it.
+        notes: what somebody noted about cells, a line each.
     """
     svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
     shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
@@ -67,8 +69,9 @@ def build_page(
         figures=[figure for figure in shown if figure not in training_figures],
         films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
         training_tables=training_tables, training_figures=training_figures, learned=bool(training_tables or training_figures or trained),
-        assumptions=assumptions, cells=cells, style=_part("style.css"), script=_part("script.js"), task_title=task_title, duration=duration,
-        numbers_text=numbers_text, as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
+        notes=notes, assumptions=assumptions, cells=cells, style=_part("style.css"), script=_part("script.js"), task_title=task_title,
+        duration=duration, numbers_text=numbers_text,
+        as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
     )  # fmt: skip
     return str(page)
 

@@ -10,11 +10,11 @@ can be set to any of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -127,7 +127,7 @@ def _of_task(
     chosen = [cell for cell in impaired if (cell.identity.variant, cell.identity.value, cell.identity.seed) == condition]
     chosen += [cell for cell in full if cell.identity.variant == UNIMPAIRED and cell.identity.seed == first.identity.seed]
     alone = next((cell for cell in chosen if cell.identity.method == "human"), None)
-    number = _median_episode((alone or first).episodes["cost"])
+    number = _median_episode((alone or first).episodes)
     how = "the one whose cost is the median under Human-only" if alone is not None else "the one of median cost"
     if any(_is_slim(layout, keys[cell.identity]) for cell in chosen):
         number, how = 0, "the first, since what is published has the steps of no other"
@@ -149,10 +149,12 @@ def _is_slim(layout: Layout, key: str) -> bool:
         return False
 
 
-def _median_episode(costs: Any) -> int:
-    """The first episode whose cost is the (upper) median."""
+def _median_episode(episodes: Mapping[str, Floats]) -> int:
+    """The first episode whose cost is the (upper) median; where some are left out, `episode` numbers the others."""
+    costs = episodes["cost"]
     wanted = np.sort(costs)[len(costs) // 2]
-    return int(np.flatnonzero(costs == wanted)[0])
+    place = int(np.flatnonzero(costs == wanted)[0])
+    return int(episodes["episode"][place]) if "episode" in episodes else place
 
 
 def _film(layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw) -> MethodFilm | None:

@@ -1,0 +1,154 @@
+"""Notes beside the store: reports show them, leave out what is invalid, and say so; no result changes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.commands import run_here
+from tests.report.golden_store import STORE
+from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.report.document import Report
+from wasp_cli.report.notes import FILE, LONGEST, Note, add_note, invalid, notes_of
+from wasp_cli.report.provenance import last_runs
+from wasp_cli.report.summarize import report_run
+from wasp_cli.run.record import read_run
+from wasp_cli.store.layout import Layout
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    return shutil.copytree(STORE, tmp_path / "results")
+
+
+def report_of(results: Path) -> Report:
+    layout = Layout(results)
+    recorded = read_run(layout, last_runs(layout)[0]["golden"])
+    return report_run(results, recorded.spec, recorded.cells, recorded.parts, None, recorded.branched)
+
+
+def stored(results: Path) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in sorted((results / "store").rglob("*")) if path.is_file()}
+
+
+def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> None:
+    before = report_of(results)
+    cell = next(cell for cell in before.frame.cells if cell.identity in before.frame.judged)
+    key, bytes_before = before.keys[cell.identity], stored(results)
+    done = run_here(
+        "note", key, "it starts within a hazard", "--episode", "1", "--invalid", "--author", "Ada", "--results", results, columns=200
+    )
+    assert done.exit_code == 0, done.output
+    after = report_of(results)
+    (found,) = (each for each in after.frame.cells if each.identity == cell.identity)
+    others = np.arange(cell.count) != 1
+    assert found.count == cell.count - 1
+    for name, values in cell.episodes.items():
+        np.testing.assert_array_equal(found.episodes[name], values[others])
+    assert found.pooled["return"] == pytest.approx(cell.episodes["return"][others].mean())
+    weight = cell.episodes["decisions"][others]
+    assert found.pooled["int_rate"] == pytest.approx((cell.episodes["int_rate"][others] * weight).sum() / weight.sum())
+    assert found.pooled["decision_p50_ms"] == pytest.approx(np.median(cell.episodes["decision_p50_ms"][others]))
+    old, new = before.frame.judged[cell.identity], after.frame.judged[cell.identity]
+    kept = old.episode != 1
+    np.testing.assert_array_equal(new.worth.rho, old.worth.rho[kept])
+    np.testing.assert_array_equal(new.episode, [e - (e > 1) for e in old.episode[kept]])
+    if kept.any():
+        assert found.pooled["uir"] == pytest.approx(old.worth.unnecessary[kept].mean())
+    assert "1 episode marked as invalid is in no number here." in after.facts
+    assert any("Episode 1 of" in fact and "is left out: marked as invalid by Ada" in fact for fact in after.facts)
+    for other in before.frame.cells:
+        if other.identity != cell.identity:
+            (same,) = (each for each in after.frame.cells if each.identity == other.identity)
+            assert {name: same.pooled[name] for name in ("return", "cost")} == {name: other.pooled[name] for name in ("return", "cost")}
+    page = after.html()
+    assert "it starts within a hazard" in page
+    assert "it starts within a hazard" in after.markdown()
+    assert stored(results) == bytes_before
+
+    # Taken back, everything is as it was.
+    assert run_here("note", key, "", "-e", "1", "--valid", "--results", results, columns=200).exit_code == 0
+    again = report_of(results)
+    assert not any("left out" in fact for fact in again.facts)
+    assert [each.pooled for each in again.frame.cells] == [pytest.approx(each.pooled, nan_ok=True) for each in before.frame.cells]
+
+
+def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
+    before = report_of(results)
+    key = before.keys[before.frame.cells[0].identity]
+    assert run_here("note", key, "<b>wrong</b> weights", "--invalid", "--results", results, columns=200).exit_code == 0
+    after = report_of(results)
+    assert len(after.frame.cells) == len(before.frame.cells) - 1
+    (gap,) = after.frame.missing
+    assert "marked as invalid by" in gap.reason
+    assert "1 cell marked as invalid is in no number here." in after.facts
+    assert any("is left out" in fact for fact in after.facts)
+    assert "INCOMPLETE" in after.markdown()
+    assert "&lt;b&gt;wrong&lt;/b&gt; weights" in after.html()
+    assert "<b>wrong</b>" not in after.html()
+
+
+def test_every_episode_invalid_is_the_cell_invalid(results: Path) -> None:
+    before = report_of(results)
+    cell = before.frame.cells[0]
+    for number in range(cell.count):
+        add_note(Layout(results), Note(before.keys[cell.identity], "x", number, "", "invalid"))
+    assert [gap.identity for gap in report_of(results).frame.missing] == [cell.identity]
+
+
+def test_a_note_alone_excludes_nothing(results: Path) -> None:
+    key = next(iter(report_of(results).keys.values()))
+    done = run_here("note", key, "worth a look", "--results", results, columns=200)
+    assert done.exit_code == 0
+    assert "worth a look" in done.stdout
+    report = report_of(results)
+    assert not report.frame.missing
+    assert [note.text for note in report.notes] == ["worth a look"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("zzz", "text"), "no evaluation 'zzz'"), (("KEY", ""), "says nothing"), (("KEY", "x", "-e", "99"), "there is no episode 99"),
+        (("KEY", "x", "--valid", "--invalid"), "exclude each other"), (("KEY", "x" * (LONGEST + 1)), "may have"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_noted_is_said(results: Path, arguments: tuple[str, ...], expected: str) -> None:
+    key = next(iter(report_of(results).keys.values()))
+    done = run_here("note", *(key if word == "KEY" else word for word in arguments), "--results", results, columns=300)
+    assert done.exit_code == 2
+    assert expected in done.stderr
+    assert not (results / FILE).exists()
+
+
+def test_lines_of_another_form_are_left_out_and_a_file_that_does_not_read_is_an_error(tmp_path: Path) -> None:
+    layout = Layout(tmp_path)
+    good = add_note(layout, Note("0123456789abcdef0123", "a cell", 2, "fine\x1b[31m", "invalid", "me"))
+    records = [{"key": "../../x", "text": "x"}, {"key": good.key, "mark": "root"}]
+    records += [{"key": good.key, "episode": episode} for episode in (True, -1, "3")]
+    lines = ["not json", "[]", "{}", *map(json.dumps, records), '{"key": "0123', "[" * 5000]
+    with (tmp_path / FILE).open("a", encoding="utf-8") as file:
+        file.write("\n".join(lines) + "\n")
+    (found,) = notes_of(layout)
+    assert found == good
+    assert "\x1b" not in found.text
+    assert set(invalid([found])) == {(good.key, 2)}
+    (tmp_path / FILE).unlink()
+    (tmp_path / "elsewhere").write_text("")
+    os.symlink(tmp_path / "elsewhere", tmp_path / FILE)
+    with pytest.raises(StoreError, match="link"):
+        notes_of(layout)
+    with pytest.raises(StoreError):
+        add_note(layout, Note(good.key, "a cell", None, "text"))
+    assert (tmp_path / "elsewhere").read_text() == ""
+    (tmp_path / FILE).unlink()
+    os.mkfifo(tmp_path / FILE)
+    with pytest.raises(StoreError):
+        notes_of(layout)
+    with pytest.raises(UsageError):
+        add_note(Layout(tmp_path / "new"), Note(good.key, "a cell", None, " "))

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.drive.browser import CHROMIUM, Browser, chromium
+from wasp_cli.view.command import site_of
+from wasp_cli.view.server import ViewServer
+
+PUBLISHED = Path(__file__).parents[2] / "results" / "published"
+
+
+@contextmanager
+def viewed(folder: Path, other: Path | None = None) -> Iterator[ViewServer]:
+    """The server of a results folder."""
+    server = ViewServer(site_of(folder, other))
+    server.start()
+    try:
+        yield server
+    finally:
+        server.stop()
+
+
+def brought(folder: Path, *labels: str) -> Path:
+    """A results folder with published cells, by their labels, and their branches."""
+    import json
+
+    keys = {}
+    for path in sorted((PUBLISHED / "store" / "evaluate").glob("*/_manifest.json")):
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        if manifest["label"] in labels:
+            keys[manifest["label"]] = manifest["key"]
+            shutil.copytree(path.parent, folder / "store" / "evaluate" / path.parent.name)
+    for path in sorted((PUBLISHED / "store" / "counterfactual").glob("*/_manifest.json")):
+        if json.loads(path.read_text(encoding="utf-8"))["upstream"]["evaluate"] in keys.values():
+            shutil.copytree(path.parent, folder / "store" / "counterfactual" / path.parent.name)
+    assert set(keys) == set(labels)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with chromium(tmp_path_factory.mktemp("chromium")) as running:
+        yield running

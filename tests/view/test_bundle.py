@@ -1,0 +1,88 @@
+"""The pages as a folder: from file:// a real Chromium walks to a step and back, and asks nobody for anything."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.commands import run_here
+from tests.drive.browser import Browser
+from tests.view.conftest import brought
+from tests.view.test_walk import BRANCHED, HUMAN, press
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Results of two cells, and a bundle with the first episode of one."""
+    folder = tmp_path_factory.mktemp("bundle")
+    results = brought(folder / "results", BRANCHED, HUMAN)
+    done = run_here("view", results, "--bundle", folder / "pages", "--cell", BRANCHED, "--episodes", "0,1", columns=200)
+    assert done.exit_code == 0, done.output
+    assert "2 cells, 1 episodes, 1 films" in done.stdout
+    assert "the steps of episode 1 are not here" in done.stderr
+    return results, folder / "pages"
+
+
+def test_a_browser_walks_through_files(browser: Browser, made: tuple[Path, Path]) -> None:
+    _, pages = made
+    tab = browser.tab()
+    tab.size(1280, 900)
+    tab.open((pages / "index.html").as_uri())
+    assert tab.value("getComputedStyle(document.querySelector('nav.top')).display") == "flex", "its style is there"
+    tab.value("[...document.querySelectorAll('a')].find(a => a.textContent === '2 cells').click()")
+    tab.until("location.pathname.endsWith('/cells.html') && document.readyState === 'complete'")
+    tab.value("document.querySelector('[name=task]').value = 'race1'; document.querySelector('#filters').dispatchEvent(new Event('input'))")
+    assert tab.value("[...document.querySelectorAll('#cells tbody tr')].filter(row => !row.hidden).length") == 1
+    tab.value("[...document.querySelectorAll('#cells tbody tr')].find(row => !row.hidden).querySelector('a').click()")
+    tab.until("location.pathname.includes('/cell-') && document.readyState === 'complete'")
+    assert tab.value("document.querySelectorAll('table.sortable tbody a').length") == 1, "only what is here has a link"
+    tab.value("document.querySelector('table.sortable tbody a').click()")
+    tab.until("location.pathname.includes('/episode-') && document.readyState === 'complete'")
+    tab.until("document.querySelector('.screen img').naturalWidth > 0", 5)
+    for step in (1, 2):
+        press(tab, "ArrowRight")
+        tab.until(f"document.querySelector('.step').dataset.shown === '{step}'")
+        assert f"decision {step} " in tab.value("document.querySelector('.step').innerText")
+    first = tab.value("document.querySelector('.screen img').src")
+    for _ in range(6):
+        press(tab, "ArrowRight")
+    tab.until(f"document.querySelector('.screen img').src !== {first!r} && document.querySelector('.screen img').naturalWidth > 0")
+    branched = tab.value("JSON.parse(document.querySelector('section.episode').dataset.branched)")
+    address = tab.value("location.href.split('?')[0]")
+    tab.open(f"{address}?step={branched[0]}")
+    tab.until(f"document.querySelector('.step').dataset.shown === '{branched[0]}'")
+    assert "as executed" in tab.value("document.querySelector('.pair').innerText")
+    press(tab, "Escape")
+    tab.until("location.pathname.includes('/cell-') && document.readyState === 'complete'")
+    press(tab, "Escape")
+    tab.until("location.pathname.endsWith('/cells.html') && document.readyState === 'complete'")
+    asked = tab.requests()
+    tab.close()
+    assert all(url.startswith(("file://", "data:")) for url in asked), asked
+
+
+def test_it_has_no_way_to_change_anything_and_tells_nothing_of_the_machine(made: tuple[Path, Path]) -> None:
+    results, pages = made
+    texts = {path.name: path.read_text(encoding="utf-8") for path in pages.glob("*.html")}
+    assert len(texts) == 5
+    for name, text in texts.items():
+        assert "<form method" not in text, name
+        assert "default-src 'none'" in text, name
+        assert str(results.parent) not in text, name
+        for link in re.findall(r'(?:href|src)="([^"]*)"', text):
+            assert (pages / link.partition("?")[0]).is_file(), (name, link)
+
+
+def test_a_folder_of_somebody_else_is_left_alone(made: tuple[Path, Path], tmp_path: Path) -> None:
+    results, pages = made
+    (tmp_path / "mine.txt").write_text("mine")
+    done = run_here("view", results, "--bundle", tmp_path, columns=200)
+    assert done.exit_code == 2
+    assert "holds something else" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    before = {path.name for path in pages.iterdir()}
+    assert run_here("view", results, "--bundle", pages, "--cell", BRANCHED, columns=200).exit_code == 0, "its own is written again"
+    assert {path.name for path in pages.iterdir()} == before
+    assert run_here("view", results, "--bundle", tmp_path / "new", "--episodes", "x", columns=200).exit_code == 2

@@ -1,0 +1,145 @@
+"""Who may ask: token, Host, Origin; and nothing that is asked for becomes a path."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.parse import quote, urlencode
+
+import pytest
+
+from tests.view.conftest import brought, viewed
+from wasp_cli.view.server import LONGEST, ViewServer
+
+LABEL = "goal1 s1 human noisy=0.45"
+CELL = "/cell/" + quote(LABEL)
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewServer]:
+    with viewed(brought(tmp_path_factory.mktemp("view") / "results", LABEL)) as running:
+        yield running
+
+
+def ask(
+    server: ViewServer, path: str, method: str = "GET", body: str | None = None, known: bool = True, **headers: str
+) -> tuple[int, dict[str, str], str]:
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=20)
+    if known:
+        headers["Cookie"] = f"wasp_view_{server.port}={server.token}"
+    connection.request(method, path, body, headers)
+    answer = connection.getresponse()
+    return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read().decode("utf-8", "replace")
+
+
+PLACES = ("/", "/cells", "/cells/numbers", CELL, f"{CELL}/episode/0", f"{CELL}/episode/0/explain?step=3", "/static/view.js")
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_every_page_needs_the_token(server: ViewServer, place: str) -> None:
+    assert ask(server, place, known=False)[0] == 403
+    assert ask(server, place, known=False, Cookie=f"wasp_view_{server.port}=guess")[0] == 403
+    assert ask(server, place + ("&" if "?" in place else "?") + "token=guess", known=False)[0] == 403
+    assert ask(server, place)[0] == 200
+
+
+def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_gets(server: ViewServer) -> None:
+    status, headers, _ = ask(server, f"{CELL}/episode/0?step=3&token={server.token}", known=False)
+    assert (status, headers["location"]) == (303, f"{CELL}/episode/0?step=3".replace("%3D", "="))
+    assert "HttpOnly" in headers["set-cookie"]
+    assert "samesite=strict" in headers["set-cookie"].lower()
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "localhost.evil.example:80"])
+def test_a_name_of_another_host_is_refused(server: ViewServer, place: str, host: str) -> None:
+    assert ask(server, place, Host=host)[0] == 403
+
+
+@pytest.mark.parametrize("place", [each for each in PLACES if each != "/cells/numbers"])
+def test_a_page_may_load_nothing_from_elsewhere(server: ViewServer, place: str) -> None:
+    _, headers, body = ask(server, place)
+    assert headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'; style-src 'self'")
+    assert headers["x-frame-options"] == "DENY"
+    assert headers["referrer-policy"] == "same-origin"
+    assert server.token not in body
+
+
+ODD = [
+    "/static/../server.py", "/static/%2e%2e/server.py", "/static/base.html", "/cell/../../etc/passwd", "/cell/%2e%2e%2f%2e%2e",
+    "/film/../x/0/film", "/film/0123456789abcdef0123/0/film", f"{CELL}/episode/99", f"{CELL}/episode/0?step=x", "/cell/x",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", ODD)
+def test_nothing_that_is_asked_for_becomes_a_path(server: ViewServer, path: str) -> None:
+    status, _, body = ask(server, path)
+    assert status == 404
+    assert "root:" not in body
+
+
+def test_a_change_needs_origin_and_form(server: ViewServer) -> None:
+    here = f"http://127.0.0.1:{server.port}"
+    key = server.site.cells.listed()[0].key
+    good = {"form": server.site.form, "key": key, "text": "from a form", "mark": "", "author": "ada"}
+    notes = server.site.layout.root / "notes.jsonl"
+
+    def send(fields: dict[str, str], **headers: str) -> int:
+        return ask(server, "/note", "POST", urlencode(fields), **headers)[0]
+
+    assert send(good) == 403, "no page of ours sends a form without its origin"
+    assert send(good, Origin="http://evil.example") == 403
+    assert send(good, Origin="null") == 403
+    assert send({**good, "form": "guess"}, Origin=here) == 404
+    assert send({**good, "mark": "root"}, Origin=here) == 404
+    assert send({**good, "key": "../../etc"}, Origin=here) == 404
+    assert send({**good, "text": "x" * LONGEST}, Origin=here) == 404
+    assert ask(server, "/note", "POST", urlencode(good), known=False, Origin=here)[0] == 403
+    assert ask(server, "/note")[0] == 405
+    assert not notes.exists()
+    assert send(good, Origin=here) == 303
+    assert "from a form" in notes.read_text(encoding="utf-8")
+
+
+def test_a_film_is_only_begun_by_a_page_of_ours(server: ViewServer) -> None:
+    key = server.site.cells.listed()[0].key
+    assert ask(server, f"/film/{key}/0/film", "POST")[0] == 403
+    assert '"absent"' in ask(server, f"/film/{key}/0/film")[2].replace(" ", "").replace('"state":', "")
+    assert ask(server, f"/film/{key}/0/film/frame/0")[0] == 404
+
+
+def test_the_pages_change_nothing(server: ViewServer) -> None:
+    store = server.site.layout.store
+    before = {path: path.stat().st_mtime_ns for path in Path(store).rglob("*")}
+    for place in PLACES:
+        ask(server, place)
+    assert {path: path.stat().st_mtime_ns for path in Path(store).rglob("*")} == before
+
+
+def test_an_answer_does_not_wait_for_more_to_send(server: ViewServer) -> None:
+    """With Nagle's algorithm every answer of two parts takes the 40 ms of a delayed acknowledgement."""
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
+    taken = []
+    for _ in range(20):
+        begun = time.perf_counter()
+        connection.request("GET", "/static/view.css", headers={"Cookie": f"wasp_view_{server.port}={server.token}"})
+        connection.getresponse().read()
+        taken.append(time.perf_counter() - begun)
+    assert min(taken[1:]) < 0.03
+
+
+def test_a_session_of_a_person_shows_who_drove_and_how_well_in_time(server: ViewServer) -> None:
+    cell = server.site.cells.listed()[0]
+    session = {"participant": 7, "timing": {"late": 3, "late_share": 0.01}, "sittings": [{"begun": "2026-05-01T12:00:00"}]}
+    path = server.site.layout.artifact("evaluate", cell.key) / "_session.json"
+    assert "The session" not in ask(server, CELL)[2]
+    path.write_text(json.dumps(session), encoding="utf-8")
+    try:
+        body = ask(server, CELL)[2]
+    finally:
+        path.unlink()
+    for name, value in (("participant", "7"), ("timing: late", "3"), ("sittings 1: begun", "2026-05-01T12:00:00")):
+        assert f"<dt>{name}</dt><dd>{value}</dd>" in body

@@ -1,0 +1,126 @@
+"""Untrusted, damaged and hostile results in the viewer: it shows what is wrong, executes nothing, reads nothing outside of the folder."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+
+from tests.drive.browser import Browser
+from tests.store.attacks import ATTACKS
+from tests.store.test_untrusted import SECRET
+from tests.store.untrusted import LABEL, RUN, UntrustedStore
+from tests.view.conftest import viewed
+from tests.view.test_server import ask
+from wasp_cli.errors import WaspError
+from wasp_cli.report.notes import FILE
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
+from wasp_cli.view.films import BRANCHES, FILM, REPLAY, Films
+from wasp_cli.view.server import ViewServer
+
+HOSTILE = '<img src=x onerror="window.owned=1">\'"><script>window.owned=1</script>'
+
+
+@pytest.fixture
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """What belongs to the reader, and a module that tells when it is imported."""
+    folder = tmp_path / "outside"
+    (folder / "inner").mkdir(parents=True)
+    for name in ("secret.json", "inner/secret.json", "_manifest.json", "report.md", EPISODES_FILE, STEPS_FILE):
+        (folder / name).write_text(json.dumps({"label": SECRET, "message": SECRET, "spec": SECRET}))
+    (folder / "evil_module.py").write_text(f"open({str(folder / 'imported')!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.chdir(tmp_path)
+    before = sorted(path.name for path in folder.rglob("*") if path.name != "__pycache__")
+    yield folder
+    assert sorted(path.name for path in folder.rglob("*") if path.name != "__pycache__") == before
+
+
+def walked(server: ViewServer, key: str) -> str:
+    """Everything that the pages say of a folder."""
+    episode = f"/cell/{key}/episode/0"
+    places = ["/", "/cells", "/cells/numbers", f"/cell/{key}", f"/cell/{quote(LABEL)}", episode, f"{episode}/explain?step=3",
+              f"/run/{RUN}", f"/run/{RUN}/now", f"/run/{RUN}/state", f"/run/{RUN}/log/{key}", f"/compare/cells?a={key}&b={key}&world=100",
+              f"/film/{key}/0/film"]  # fmt: skip
+    texts = []
+    for place in places:
+        status, _, body = ask(server, place)
+        assert status in (200, 404, 409), (place, status, body[-600:])
+        texts.append(body)
+    return "\n".join(texts)
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_it_shows_what_is_wrong_and_goes_on(name: str, tmp_path: Path, outside: Path) -> None:
+    it = UntrustedStore(tmp_path)
+    ATTACKS[name](it, outside)
+    try:
+        with viewed(it.layout.root) as server:
+            said = walked(server, it.key)
+    except WaspError:
+        return  # refused as a whole: a part of it is a link
+    assert SECRET not in said
+    assert "\x1b" not in said
+    assert "Traceback" not in said
+
+
+def test_hostile_words_stay_words(browser: Browser, tmp_path: Path) -> None:
+    it = UntrustedStore(tmp_path)
+    it.manifest(label=HOSTILE, provenance={"started_at": HOSTILE, "git": {"sha": HOSTILE}})
+    plan = it.layout.run(RUN) / "plan.json"
+    record = json.loads(plan.read_text(encoding="utf-8"))
+    for node in record["nodes"]:
+        node["label"], node["kind"] = HOSTILE, node["kind"]
+    record["spec"] = HOSTILE
+    for cell in record["cells"]:
+        cell["severity"] = HOSTILE
+    plan.write_text(json.dumps(record), encoding="utf-8")
+    (it.layout.artifact("evaluate", it.key) / "_session.json").write_text(json.dumps({HOSTILE: HOSTILE, "who": {"name": HOSTILE}}))
+    note = {"key": it.key, "label": HOSTILE, "episode": None, "text": HOSTILE, "mark": "", "author": HOSTILE, "at": HOSTILE}
+    (it.layout.root / FILE).write_text(json.dumps(note) + "\n", encoding="utf-8")
+    with viewed(it.layout.root) as server:
+        tab = browser.tab()
+        for place in ("/", "/cells", f"/cell/{it.key}", f"/cell/{it.key}/episode/0?step=2", f"/run/{RUN}", f"/cell/{HOSTILE}"):
+            tab.open(server.opening(place))
+            tab.value("new Promise(done => setTimeout(done, 200))")
+            assert tab.value("window.owned === undefined"), place
+            assert tab.value("document.querySelectorAll('img[src=x]').length") == 0, place
+        tab.open(server.opening(f"/cell/{it.key}"))
+        assert HOSTILE in tab.value("document.querySelector('.note').textContent")
+        asked = tab.requests()
+        tab.close()
+        port = server.port
+    assert all(url.startswith((f"http://127.0.0.1:{port}/", "data:")) for url in asked), asked
+
+
+def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Path) -> None:
+    it = UntrustedStore(tmp_path)
+    it.rows(task=["evil_module:X-v0"])
+    it.manifest(task="evil_module:X-v0")
+    films = Films(it.layout)
+    for kind in (FILM, REPLAY, BRANCHES):
+        films.ask(it.key, 0, kind)
+        end = time.monotonic() + 60
+        while (state := films.state(it.key, 0, kind))["state"] == "drawing":
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert state["state"] == "failed"
+        assert "no task of ours" in state["problem"]
+    films.close()
+    assert not (outside / "imported").exists()
+
+
+def test_a_request_that_is_no_http_or_too_long_ends_nothing(tmp_path: Path) -> None:
+    it = UntrustedStore(tmp_path)
+    with viewed(it.layout.root) as server:
+        connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
+        connection.request(
+            "POST", "/note", b"x" * 5_000_000, {"Cookie": f"wasp_view_{server.port}={server.token}", "Origin": "http://evil.example"}
+        )
+        assert connection.getresponse().status == 403
+        assert ask(server, "/")[0] == 200

@@ -1,0 +1,145 @@
+"""Notes on cells and episodes, and marks of what is invalid: one line each in `notes.jsonl` beside the store, never in a result's bytes.
+
+    add_note(layout, Note(key, label, 3, "the robot starts within a hazard", mark="invalid", author="ada"))
+    notes_of(layout)                  all of them, oldest first
+    invalid(notes_of(layout))         what reports leave out: by key the episodes, None for the whole cell
+
+The file is only appended to: a later `valid` takes back an earlier `invalid`. It may be untrusted, as everything in a results folder.
+"""
+
+from __future__ import annotations
+
+import getpass
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from wasp_cli.errors import StoreError, UsageError, refusal
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.plain import open_plain, printable, read_json_lines
+
+FILE = "notes.jsonl"
+LONGEST = 2000
+"""Characters of a note."""
+Mark = Literal["", "invalid", "valid"]
+
+
+@dataclass(frozen=True)
+class Note:
+    """What somebody said of a cell or an episode."""
+
+    key: str
+    """Of the cell."""
+    label: str
+    episode: int | None
+    """None: the cell."""
+    text: str
+    mark: Mark = ""
+    author: str = ""
+    at: str = ""
+    """When it was written, ISO, UTC."""
+
+    @property
+    def where(self) -> str:
+        """Return what it is about, in words."""
+        return self.label if self.episode is None else f"{self.label}, episode {self.episode}"
+
+
+def mark_of(text: str) -> Mark:
+    """Return a mark that somebody wrote.
+
+    Raises:
+        UsageError: there is no such mark.
+    """
+    marks: tuple[Mark, ...] = ("", "invalid", "valid")
+    for mark in marks:
+        if text == mark:
+            return mark
+    raise UsageError(f"'{text}' is no mark", "invalid, valid, or none")
+
+
+def one_line(note: Note) -> str:
+    """Return a note as a line: where, what, who and when."""
+    text = " ".join(note.text.split())
+    said = " ".join(filter(None, (f"[{note.mark}]" if note.mark else "", text)))
+    return f"{note.where}: {said} ({note.author}, {note.at[:10]})"
+
+
+def author_name() -> str:
+    """Return who is at the keyboard, as far as the system knows."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"
+
+
+def add_note(layout: Layout, note: Note) -> Note:
+    """Append a note; returns it with its time and author.
+
+    Raises:
+        UsageError: it is too long, or says nothing.
+        StoreError: the file is no plain one, or cannot be written.
+    """
+    text, author = printable(note.text).strip(), printable(note.author).strip()[:80] or author_name()
+    if not text and not note.mark:
+        raise UsageError("the note says nothing", "write what there is to know")
+    if len(text) > LONGEST:
+        raise UsageError(f"the note has {len(text)} characters, and may have {LONGEST}")
+    note = replace(note, text=text, author=author, at=datetime.now(UTC).isoformat(timespec="seconds"))
+    path = layout.within(layout.root / FILE)
+    try:
+        # One write, so that lines of two who note something at once do not mix; never through a link.
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        file = os.open(path, flags, 0o666)
+        try:
+            os.write(file, (json.dumps(asdict(note), ensure_ascii=False) + "\n").encode())
+        finally:
+            os.close(file)
+    except OSError as error:
+        raise StoreError(f"the note cannot be written to '{path}': {refusal(error).message}") from error
+    return note
+
+
+def notes_of(layout: Layout) -> list[Note]:
+    """Return all notes that read, oldest first; nothing where there is no file.
+
+    Raises:
+        StoreError: there is a file, and it cannot be read: what is invalid would be taken for valid.
+    """
+    path = layout.within(layout.root / FILE)
+    try:
+        open_plain(path).close()
+        records = read_json_lines(path)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise StoreError(f"the notes cannot be read: {refusal(error).message}") from error
+    return [note for record in records if (note := _note(record)) is not None]
+
+
+def _note(record: dict[str, Any]) -> Note | None:
+    texts = {name: record.get(name, "") for name in ("key", "label", "text", "mark", "author", "at")}
+    episode = record.get("episode")
+    if not all(isinstance(text, str) for text in texts.values()) or not is_key(texts["key"]):
+        return None
+    if not (episode is None or (type(episode) is int and episode >= 0)):
+        return None
+    try:
+        mark = mark_of(texts.pop("mark"))
+    except UsageError:
+        return None
+    return Note(episode=episode, mark=mark, **texts)
+
+
+def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
+    """Return what is marked as invalid, by key and episode (None: the whole cell), each with the note that says so."""
+    found: dict[tuple[str, int | None], Note] = {}
+    for note in notes:
+        if note.mark == "invalid":
+            found[note.key, note.episode] = note
+        elif note.mark == "valid":
+            found.pop((note.key, note.episode), None)
+    return found

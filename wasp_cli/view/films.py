@@ -1,0 +1,191 @@
+"""Films on demand: drawn by a process of their own, frame by frame, and kept beside the store until there is no room.
+
+films = Films(Path("results"))
+films.ask(key, 3, FILM)        begins to draw, where nobody has; returns how far it is
+films.frame(key, 3, FILM, 17)  the bytes of a frame, None while it is not there
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.plain import open_plain, parse, read_plain
+
+FOLDER = ".wasp-view"
+FILM, REPLAY, BRANCHES = "film", "replay", "branches"
+"""From the physics alone; with cameras and imagined futures; both branches of one decision."""
+KINDS = (FILM, REPLAY, BRANCHES)
+ROOM = 400 * 2**20
+"""Bytes of all films together, beyond which the ones that were asked for longest ago go."""
+AT_ONCE = 2
+"""Films that are drawn side by side."""
+LARGEST = 32 * 2**20
+"""Bytes of a frame."""
+MIME = {"webp": "image/webp", "png": "image/png"}
+
+
+@dataclass
+class _Drawing:
+    process: subprocess.Popen[bytes]
+    folder: Path
+    begun: float = field(default_factory=time.monotonic)
+
+
+class Films:
+    """The films of a results folder."""
+
+    def __init__(self, layout: Layout, room: int = ROOM) -> None:
+        """Use a folder within the results, or one of our own where these cannot be written."""
+        self._layout, self._room = layout, room
+        self._lock = threading.Lock()
+        self._drawing: dict[str, _Drawing] = {}
+        self._own: tempfile.TemporaryDirectory[str] | None = None
+        self.folder = layout.root / FOLDER / "films"
+        try:
+            layout.within(self.folder).mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.folder):
+                pass
+        except (OSError, StoreError):
+            self._own = tempfile.TemporaryDirectory(prefix="wasp-view-")
+            self.folder = Path(self._own.name)
+
+    def ask(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
+        """Begin a film unless it is there or being drawn; return how far it is, see `state`.
+
+        Raises:
+            UsageError: there is no such kind.
+        """
+        name = _name(key, episode, kind, step)
+        with self._lock:
+            self._reap()
+            state = self._state(name)
+            if state["state"] in ("done", "drawing"):
+                return state
+            if len(self._drawing) >= AT_ONCE:
+                return {"state": "waiting", "ready": 0, "frames": 0}
+            self._tidy()
+            folder = self.folder / name
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+            command = [
+                sys.executable,
+                "-m",
+                "wasp_cli.view.draw",
+                str(self._layout.root.absolute()),
+                key,
+                str(episode),
+                kind,
+                str(step),
+                str(folder),
+            ]
+            with (folder / "log").open("wb") as log:
+                environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+                process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
+            self._drawing[name] = _Drawing(process, folder)
+            return {"state": "drawing", "ready": 0, "frames": 0}
+
+    def state(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
+        """Return how far a film is.
+
+        `state` is absent, drawing, done, or failed, with `problem`; of a film that is begun `frames`, `ready` of them, decisions between
+        two (`every`), `ending` of the files and `legend`.
+        """
+        with self._lock:
+            self._reap()
+            return self._state(_name(key, episode, kind, step))
+
+    def frame(self, key: str, episode: int, kind: str, number: int, step: int = 0) -> tuple[bytes, str] | None:
+        """Return a frame and its MIME type; None where it is not there."""
+        folder = self.folder / _name(key, episode, kind, step)
+        for ending, mime in MIME.items():
+            try:
+                with open_plain(folder / f"{number:05d}.{ending}") as file:
+                    return file.read(LARGEST), mime
+            except OSError:
+                continue
+        return None
+
+    def close(self) -> None:
+        """Stop drawing."""
+        with self._lock:
+            for drawing in self._drawing.values():
+                drawing.process.kill()
+                drawing.process.wait()
+                shutil.rmtree(drawing.folder, ignore_errors=True)
+            self._drawing.clear()
+        if self._own is not None:
+            self._own.cleanup()
+
+    def _state(self, name: str) -> dict[str, Any]:
+        record = read_state(self.folder / name)
+        if record is None:
+            return {"state": "drawing" if name in self._drawing else "absent", "ready": 0, "frames": 0}
+        if record["state"] == "drawing" and name not in self._drawing:
+            return {"state": "absent", "ready": 0, "frames": 0}  # of a server that was killed
+        return record
+
+    def _reap(self) -> None:
+        for name, drawing in list(self._drawing.items()):
+            if drawing.process.poll() is not None:
+                del self._drawing[name]
+                record = read_state(drawing.folder)
+                if record is None or record["state"] == "drawing":
+                    why = _last_line(drawing.folder / "log") or f"its process ended ({drawing.process.returncode})"
+                    write_state(drawing.folder, {"state": "failed", "ready": 0, "frames": 0, "problem": why})
+
+    def _tidy(self) -> None:
+        """Make room: the films that were written longest ago go first."""
+        films = []
+        for folder in self.folder.iterdir():
+            if folder.is_symlink() or not folder.is_dir() or folder.name in self._drawing:
+                continue
+            sizes = [path.lstat().st_size for path in folder.iterdir()]
+            films.append((folder.lstat().st_mtime_ns, sum(sizes), folder))
+        total = sum(size for _, size, _ in films)
+        for _, size, folder in sorted(films):
+            if total <= self._room:
+                break
+            shutil.rmtree(folder, ignore_errors=True)
+            total -= size
+
+
+def read_state(folder: Path) -> dict[str, Any] | None:
+    """Return what the drawing process says; None before it has said anything, or where that does not read."""
+    try:
+        record = parse(read_plain(folder / "film.json"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) and isinstance(record.get("state"), str) else None
+
+
+def write_state(folder: Path, record: dict[str, Any]) -> None:
+    """Write what there is to say of a film; readers see the old words or the new ones."""
+    part = folder / "film.json.part"
+    part.write_text(json.dumps(record), encoding="utf-8")
+    part.replace(folder / "film.json")
+
+
+def _name(key: str, episode: int, kind: str, step: int) -> str:
+    if not is_key(key) or kind not in KINDS or episode < 0 or step < 0:
+        raise UsageError("there is no such film")
+    return f"{key}-{episode}-{kind}" + (f"-{step}" if kind == BRANCHES else "")
+
+
+def _last_line(path: Path) -> str:
+    try:
+        lines = [line for line in read_plain(path).splitlines() if line.strip()]
+    except (OSError, ValueError):
+        return ""
+    return lines[-1][:500] if lines else ""
