@@ -107,7 +107,12 @@ def test_who_withdraws_leaves_no_row_and_no_unfinished_session(trial: Path, spec
     unfinished = layout.works / ("0" * 20)
     unfinished.mkdir(parents=True)
     (unfinished / SESSION_FILE).write_text('{"number": 2, "task": "goal1"}')
+    told = {path.parent.name: json.loads(path.read_text()) for path in (layout.store / "evaluate").glob(f"*/{SESSION_FILE}")}
+    mine = next(key for key, each in told.items() if each["number"] == 2)
+    film = trial / ".wasp-view" / "films" / f"{mine}-0-film"
+    film.mkdir(parents=True)
     assert withdrawn(wanted(trial, what=str(spec), method=None, episodes=None, participant=2)) == 3
+    assert not film.exists()
     assert [each["number"] for each in sessions(trial)] == [1, 1]
     assert not unfinished.exists()
     assert "participant 2 has withdrawn: 3 cells deleted" in capsys.readouterr().out

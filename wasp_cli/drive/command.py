@@ -224,6 +224,9 @@ def withdrawn(wanted: Wanted) -> int:
         axes = manifest.get("axes", {})
         if axes.get("variant") == PERSON and axes.get("value") == number and manifest.get("task") in spec.tasks:
             discard(layout.artifact("evaluate", key))
+            # Films that `wasp view` has drawn of it.
+            for film in (layout.root / ".wasp-view" / "films").glob(f"{key}-*"):
+                shutil.rmtree(film, ignore_errors=True)
             gone += 1
             say(f"{manifest.get('label')}: deleted ({key})")
     for folder in layout.works.glob("*/"):
