@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -11,6 +12,10 @@ from tests.commands import run_here
 from tests.drive.browser import Browser
 from tests.view.conftest import brought
 from tests.view.test_walk import BRANCHED, HUMAN, press
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.tables import cell_file, read_episodes
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -86,3 +91,19 @@ def test_a_folder_of_somebody_else_is_left_alone(made: tuple[Path, Path], tmp_pa
     assert run_here("view", results, "--bundle", pages, "--cell", BRANCHED, columns=200).exit_code == 0, "its own is written again"
     assert {path.name for path in pages.iterdir()} == before
     assert run_here("view", results, "--bundle", tmp_path / "new", "--episodes", "x", columns=200).exit_code == 2
+
+
+def test_the_published_results_ship_as_pages() -> None:
+    """Every published cell has its page, with the return that its rows have; no other one does."""
+    published = Layout(ROOT / "results" / "published")
+    pages = published.root / "pages"
+    manifests = {path.parent.name: json.loads(path.read_text()) for path in (published.store / "evaluate").glob("*/_manifest.json")}
+    assert len(manifests) > 100
+    shown = {path.stem.rpartition("-")[2]: path for path in pages.glob("cell-*.html")}
+    assert set(shown) == {key[:8] for key in manifests}
+    for key, manifest in manifests.items():
+        text = shown[key[:8]].read_text(encoding="utf-8")
+        assert manifest["label"] in text
+        returns = read_episodes([cell_file(published.artifact("evaluate", key))])["return"].to_numpy()
+        assert f"{returns.mean():.2f}" in text, manifest["label"]
+    assert list(pages.glob("episode-race1-s1-wasp-*.html"))

@@ -1,0 +1,317 @@
+"use strict";
+// The table of cells, the scrubber of an episode, and what follows a live run. Without it pages still show what they say.
+(function () {
+  const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
+  const one = (selector, within) => (within || document).querySelector(selector);
+
+  // -- tables ---------------------------------------------------------------------------------------------------------------------
+
+  function sortable(table) {
+    const headings = Array.from(table.tHead.rows[0].cells);
+    headings.forEach((heading, column) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.append(...heading.childNodes);
+      heading.append(button);
+      button.addEventListener("click", () => {
+        const rising = heading.getAttribute("aria-sort") !== "ascending";
+        for (const other of headings) other.removeAttribute("aria-sort");
+        heading.setAttribute("aria-sort", rising ? "ascending" : "descending");
+        const body = table.tBodies[0];
+        const rows = Array.from(body.rows).map((row, place) => ({ row, place, text: row.cells[column].textContent.trim() }));
+        rows.sort((a, b) => {
+          if (a.text === "" || b.text === "") return (a.text === "") - (b.text === "") || a.place - b.place;
+          const [x, y] = [parseFloat(a.text), parseFloat(b.text)];
+          const difference = Number.isNaN(x) || Number.isNaN(y) ? a.text.localeCompare(b.text) : x - y;
+          return (rising ? difference : -difference) || a.place - b.place;
+        });
+        body.append(...rows.map((entry) => entry.row));
+        table.dispatchEvent(new Event("sorted"));
+      });
+    });
+  }
+
+  // Of thousands of rows only the first are laid out; more come as one scrolls to the end of them.
+  function filtered(table, form) {
+    const columns = ["task", "method", "operator", "severity", "seed"];
+    const body = table.tBodies[0], first = Number(table.dataset.first), more = one("#more");
+    const said = new WeakMap();
+    let limit = first;
+    function words(row) {
+      let found = said.get(row);
+      if (!found) {
+        const texts = Array.from(row.cells).slice(0, 5).map((cell) => cell.textContent);
+        found = { texts, all: (texts.join(" ") + " " + row.dataset.k).toLowerCase() };
+        said.set(row, found);
+      }
+      return found;
+    }
+    function apply() {
+      const wanted = columns.map((name) => form.elements[name].value);
+      const asked = form.elements.text.value.toLowerCase().split(/\s+/).filter(Boolean);
+      let count = 0;
+      for (const row of body.rows) {
+        const { texts, all: text } = words(row);
+        const state = row.lastElementChild.textContent.toLowerCase();
+        const here = wanted.every((value, place) => !value || texts[place] === value)
+          && asked.every((word) => text.includes(word) || state.includes(word));
+        count += here;
+        const shown = here && count <= limit;
+        if (row.hidden === shown) row.hidden = !shown;
+      }
+      one("#counted").textContent = count === body.rows.length ? count + " cells" : count + " of " + body.rows.length + " cells";
+      more.hidden = count <= limit;
+    }
+    function changed() {
+      limit = first;
+      apply();
+      const query = new URLSearchParams();
+      for (const name of ["text", ...columns]) if (form.elements[name].value) query.set(name, form.elements[name].value);
+      address(query.toString());
+    }
+    function further() { limit += first; apply(); }
+    const given = new URLSearchParams(location.search);
+    for (const name of ["text", ...columns]) if (given.has(name)) form.elements[name].value = given.get(name);
+    form.addEventListener("input", changed);
+    form.addEventListener("submit", (event) => event.preventDefault());
+    table.addEventListener("sorted", () => { limit = first; apply(); });
+    one("button", more).addEventListener("click", further);
+    new IntersectionObserver((seen) => { if (seen.some((each) => each.isIntersecting)) further(); }).observe(more);
+    if (given.size) apply();
+    else more.hidden = body.rows.length <= limit;
+  }
+
+  function numbered(table) {
+    if (!table.dataset.numbers || !Number(table.dataset.left)) return;
+    const rows = new Map(Array.from(table.tBodies[0].rows).map((row) => [row.dataset.k, row]));
+    let known = 0;
+    async function more() {
+      const answer = await fetch(table.dataset.numbers + "?after=" + known);
+      if (!answer.ok) return;
+      const { left, known: now, numbers } = await answer.json();
+      known = now;
+      for (const [key, texts] of Object.entries(numbers)) {
+        const row = rows.get(key);
+        if (row) texts.forEach((text, place) => { row.cells[5 + place].textContent = text; });
+      }
+      table.dataset.left = left;
+      if (left) setTimeout(more, 400);
+    }
+    setTimeout(more, 200);
+  }
+
+  // An address that can be sent; a file of a bundle may not change its own.
+  function address(query) {
+    try { history.replaceState(null, "", query ? "?" + query : location.pathname); } catch (error) { /* a file: it keeps its name */ }
+  }
+
+  // -- episodes -------------------------------------------------------------------------------------------------------------------
+
+  function film(figure) {
+    const image = one("img", figure), told = one(".told", figure), legend = one("ul.legend", figure);
+    let base = figure.dataset.film, state = null, wanted = 0, shown = -1, timer = null, still = false;
+
+    function name(index) {
+      if (figure.dataset.done) return base + "/" + String(index).padStart(5, "0") + "." + state.ending;
+      const [path, query] = base.split("?");
+      return path + "/frame/" + index + (query ? "?" + query : "");
+    }
+    function show(decision) {
+      wanted = decision;
+      if (!state || !state.ready) return;
+      const place = still ? 0 : Math.min(Math.floor(decision / state.every), state.frames - 1);
+      const index = Math.min(place, state.ready - 1);
+      if (index === shown) return;
+      shown = index;
+      image.src = name(index);
+      image.hidden = false;
+    }
+    function tell() {
+      if (state.state === "failed") told.textContent = "no film: " + state.problem;
+      else if (state.state === "done") told.textContent = "";
+      else if (state.share !== undefined) told.textContent = state.text + " (" + Math.round(100 * state.share) + " %)";
+      else if (state.state === "waiting") told.textContent = "waiting for other films";
+      else told.textContent = state.frames ? "drawing: " + state.ready + " of " + state.frames + " frames" : "drawing begins";
+    }
+    function explainColours() {
+      if (!state.legend || legend.childElementCount) return;
+      for (const [thing, colour, meaning] of state.legend) {
+        const item = document.createElement("li");
+        const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+        const rect = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+        for (const [key, value] of [["width", 12], ["height", 12]]) { svg.setAttribute(key, value); rect.setAttribute(key, value); }
+        rect.setAttribute("fill", colour);
+        svg.append(rect);
+        item.append(svg, " " + thing + (meaning ? ": " + meaning : ""));
+        legend.append(item);
+      }
+    }
+    async function follow(method) {
+      const asked = base;
+      let answer;
+      try { answer = await fetch(asked, { method }); } catch (error) { told.textContent = "the server is gone"; return; }
+      if (asked !== base) return;
+      if (!answer.ok) { told.textContent = "no film: " + (await answer.text()).slice(0, 200); return; }
+      state = await answer.json();
+      tell();
+      explainColours();
+      show(wanted);
+      // One that waits, or that another server gave up, is asked for again.
+      if (["drawing", "waiting", "absent"].includes(state.state)) timer = setTimeout(() => follow(state.state === "drawing" ? "GET" : "POST"), 150);
+    }
+    function choose(next) {
+      clearTimeout(timer);
+      base = next; state = null; shown = -1; still = next.includes("/branches");
+      legend.textContent = "";
+      follow("POST");
+    }
+    if (figure.dataset.done) {
+      state = JSON.parse(figure.dataset.done);
+      if (state && state.ready) { told.textContent = ""; } else state = null;
+    } else {
+      choose(base);
+    }
+    for (const button of all(".films-of button", figure)) {
+      button.addEventListener("click", () => {
+        for (const other of all(".films-of button", figure)) other.setAttribute("aria-pressed", String(other === button));
+        choose(button.dataset.kind);
+      });
+    }
+    return { show, choose, get still() { return still; }, back: () => choose(figure.dataset.film) };
+  }
+
+  function episode(section) {
+    const decisions = Number(section.dataset.decisions);
+    const part = one(".step", section), pictures = film(one(".film-of", section));
+    const kept = new Map();
+    let asked = null, columns = 92;
+
+    function measure() {
+      const pre = one("pre.explain", part);
+      if (!pre) return;
+      const probe = document.createElement("span");
+      probe.textContent = "0".repeat(100);
+      pre.append(probe);
+      const wide = probe.getBoundingClientRect().width / 100;
+      probe.remove();
+      if (wide > 0) columns = Math.max(40, Math.min(140, Math.floor((pre.clientWidth - 20) / wide)));
+    }
+    function fill(content) {
+      part.replaceChildren(content);
+      for (const button of all(".branch-film", part)) button.addEventListener("click", () => pictures.choose(button.dataset.kind));
+    }
+    async function explain(t) {
+      asked = t;
+      const own = one('template[data-step="' + t + '"]', section);
+      if (own) { fill(own.content.cloneNode(true)); part.dataset.shown = t; return; }
+      if (!section.dataset.explain) return;
+      let html = kept.get(t);
+      if (html === undefined) {
+        const answer = await fetch(section.dataset.explain + "?step=" + t + "&width=" + columns);
+        html = await answer.text();
+        if (!answer.ok) return;
+        kept.set(t, html);
+      }
+      if (asked !== t) return;
+      // From our own server, where every text is escaped.
+      const holder = document.createElement("template");
+      holder.innerHTML = html;
+      fill(holder.content);
+      part.dataset.shown = t;
+    }
+    function at(t) {
+      const here = Math.min(t, decisions - 1);
+      if (pictures.still) pictures.back();
+      pictures.show(t);
+      for (const cursor of all(".cursor", section)) {
+        cursor.setAttribute("x1", here + 0.5);
+        cursor.setAttribute("x2", here + 0.5);
+      }
+      explain(here);
+    }
+    measure();
+    return { at, decisions, stops: JSON.parse(section.dataset.stops), first: Number(section.dataset.step), section };
+  }
+
+  function scrubbed(bar) {
+    const episodes = all("section.episode").map(episode);
+    const slider = one("input", bar), output = one("output", bar), play = one("#play", bar);
+    const last = Math.max(...episodes.map((each) => each.decisions)) - 1;
+    const seconds = Number(episodes[0].section.dataset.seconds);
+    const stops = Array.from(new Set(episodes.flatMap((each) => each.stops))).sort((a, b) => a - b);
+    const given = new URLSearchParams(location.search);
+    let timer = null;
+    slider.max = last;
+
+    function go(t) {
+      const step = Math.max(0, Math.min(last, t));
+      slider.value = step;
+      output.textContent = "decision " + step + " of " + last + (seconds ? ", " + (step * seconds).toFixed(1) + " s" : "");
+      for (const each of episodes) each.at(step);
+      given.set("step", step);
+      address(given.toString());
+    }
+    const now = () => Number(slider.value);
+    const next = () => { const found = stops.find((stop) => stop > now()); if (found !== undefined) go(found); };
+    const previous = () => { const found = stops.filter((stop) => stop < now()).pop(); if (found !== undefined) go(found); };
+    function stop() { if (timer !== null) clearInterval(timer); timer = null; play.textContent = "Play"; }
+    function run() {
+      if (now() >= last) go(0);
+      play.textContent = "Pause";
+      timer = setInterval(() => { if (now() >= last) stop(); else go(now() + 1); }, 100);
+    }
+    slider.addEventListener("input", () => { stop(); go(now()); });
+    play.addEventListener("click", () => (timer === null ? run() : stop()));
+    for (const [id, act] of [["before", () => go(now() - 1)], ["after", () => go(now() + 1)], ["stop-before", previous], ["stop-after", next]]) {
+      one("#" + id, bar).addEventListener("click", () => { stop(); act(); });
+    }
+    for (const each of episodes) {
+      for (const lane of all(".lane svg", each.section)) {
+        lane.addEventListener("click", (event) => {
+          const box = lane.getBoundingClientRect();
+          stop();
+          go(Math.floor(((event.clientX - box.left) / box.width) * each.decisions));
+        });
+      }
+    }
+    keys.ArrowLeft = () => { stop(); go(now() - 1); };
+    keys.ArrowRight = () => { stop(); go(now() + 1); };
+    keys.n = () => { stop(); next(); };
+    keys.p = () => { stop(); previous(); };
+    const asked = given.get("step");
+    go(asked !== null && /^\d+$/.test(asked) ? Number(asked) : episodes[0].first);
+  }
+
+  // -- keys, and a live run -------------------------------------------------------------------------------------------------------
+
+  const keys = { Escape: () => { const up = one("[data-up]"); if (up) location.href = up.href; } };
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const place = event.target;
+    if (place instanceof HTMLElement && place.matches("input:not([type=range]), textarea, select") && event.key !== "Escape") return;
+    const act = keys[event.key];
+    if (act) { event.preventDefault(); act(); }
+  });
+
+  function following(place) {
+    async function again() {
+      try {
+        const answer = await fetch(place.dataset.follow);
+        if (answer.ok) {
+          const holder = document.createElement("template");
+          holder.innerHTML = await answer.text();
+          place.replaceChildren(holder.content);
+        }
+      } catch (error) { return; }
+      if (!one("[data-over]", place)) setTimeout(again, 1000);
+    }
+    if (!one("[data-over]", place)) setTimeout(again, 1000);
+  }
+
+  all("table.sortable, #cells").forEach(sortable);
+  const cells = one("#cells");
+  if (cells) { filtered(cells, one("#filters")); numbered(cells); }
+  const bar = one("#scrubber");
+  if (bar && one("section.episode")) scrubbed(bar);
+  all("[data-follow]").forEach(following);
+})();
