@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +23,13 @@ from wasp_cli.drive.script import Habits
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.clone import Issued
 from wasp_cli.models.clone import Clone
-from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.operators.cloned_person import CloneOfPerson, ContinuedPerson
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
 
+ROOT = Path(__file__).parents[2]
 SPEC = """\
 name: beside
 preset: quick
@@ -91,6 +95,14 @@ def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[
     again = wasp("clone", results, "--participant", 7, "--set", "clone.updates=300")
     assert again.exit_code == 2
     assert "was computed from the clone that is there" in again.output
+    report = wasp("report", results, "--no-films", "--no-trained")
+    assert "the participant's clone drives" in report.output
+    # Who withdraws leaves neither the clone behind, nor what it drove, nor the branches of either.
+    gone = wasp("drive", spec, "--participant", 7, "--withdraw", "--results", results)
+    assert "5 results deleted" in gone.output
+    left = {path.parent.parent.name for path in Layout(results).store.glob("*/*/_manifest.json")}
+    assert not left & {"evaluate", "counterfactual", "clone"}
+    assert {"world_model", "policies"} <= left
 
 
 def test_made_again_it_has_the_same_bytes(cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
@@ -109,13 +121,26 @@ def test_who_has_driven_nothing_cannot_be_cloned(cloned: tuple[Path, dict[str, A
     assert (found.exit_code, "participant 3 has driven nothing" in found.output) == (2, True)
 
 
+def test_of_too_few_episodes_nothing_is_learnt(cloned: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wasp_cli.drive.clone.FEWEST", 5)
+    found = wasp("clone", cloned[0], "--participant", 7, "--set", "clone.updates=299")
+    assert (found.exit_code, "drove 4 episodes of goal1 with these models, and 5 are needed" in found.output) == (2, True)
+
+
+def test_it_needs_nothing_that_only_driving_needs(cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    (tmp_path / "starlette.py").write_text("raise ImportError('no starlette here')")
+    command = [sys.executable, "-m", "wasp_cli", "clone", str(cloned[0]), "--participant", "3"]
+    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert (done.returncode, "participant 3 has driven nothing" in done.stderr) == (2, True)
+
+
 def test_a_missing_clone_is_said(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(cloned[0], results)
     shutil.rmtree(Layout(results).store / "clone")
     found = wasp("run", spec, "--results", results, "-j", "0", "--select", "operator=cloned")
     assert found.exit_code == 1
-    assert "wasp clone RESULTS --participant N" in found.output
+    assert "nobody has cloned participant 7" in found.output
 
 
 def test_elsewhere_no_clone_is_known() -> None:
@@ -141,6 +166,12 @@ def test_a_session_is_played_as_it_was_and_its_branches_by_the_clone(cloned: tup
     with placed(PlacedClone(folder)):
         alone = build_operator("cloned", 7.0, context, EpisodeNoise([5]), 1)
     assert isinstance(alone, CloneOfPerson)
+    # In imagination it is itself: a fork draws from the same clone, after the same command.
+    alone.restore(snapshots[3])
+    drawn = DrawnNoise(torch.rand(2, 4, alone.draws, generator=torch.Generator().manual_seed(3)))
+    imagined = alone.fork(torch.tensor([0]), 4, drawn)
+    assert torch.equal(imagined.memory["last"], torch.from_numpy(said[3]).expand(4, 2))
+    assert imagined.command(features[4].expand(4, -1)).shape == (4, 2)
     for start in (2, 4):
         person.restore(snapshots[start])
         alone.restore(snapshots[start])

@@ -115,4 +115,4 @@ def test_who_withdraws_leaves_no_row_and_no_unfinished_session(trial: Path, spec
     assert not film.exists()
     assert [each["number"] for each in sessions(trial)] == [1, 1]
     assert not unfinished.exists()
-    assert "participant 2 has withdrawn: 3 cells deleted" in capsys.readouterr().out
+    assert "participant 2 has withdrawn: 3 results deleted" in capsys.readouterr().out

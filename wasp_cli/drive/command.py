@@ -210,7 +210,10 @@ def timing_table(found: Sequence[Timing]) -> Table:
 
 
 def withdrawn(wanted: Wanted) -> int:
-    """Delete everything that a participant drove in the cells of a spec or a task, whatever the session; returns how many cells went."""
+    """Delete everything that a participant drove in the cells of a spec or a task, whatever the session; returns how many results went.
+
+    With the cells go the participant's clones, and everything that was computed from any of them.
+    """
     loaded = wanted.loaded()
     layout, spec = Layout(wanted.results.absolute()), loaded.spec
     numbers = [*participants(spec)]
@@ -219,16 +222,13 @@ def withdrawn(wanted: Wanted) -> int:
         raise UsageError("whose data are to be deleted?", "name the participant with --participant N")
     layout.require_own_folders()
     gone = 0
-    for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
-        manifest = read_manifest(layout, "evaluate", key)
-        axes = manifest.get("axes", {})
-        if axes.get("variant") == PERSON and axes.get("value") == number and manifest.get("task") in spec.tasks:
-            discard(layout.artifact("evaluate", key))
-            # Films that `wasp view` has drawn of it.
-            for film in (layout.root / ".wasp-view" / "films").glob(f"{key}-*"):
-                shutil.rmtree(film, ignore_errors=True)
-            gone += 1
-            say(f"{manifest.get('label')}: deleted ({key})")
+    for kind, key, label in _left_by(layout, number, spec.tasks):
+        discard(layout.artifact(kind, key))
+        # Films that `wasp view` has drawn of it.
+        for film in (layout.root / ".wasp-view" / "films").glob(f"{key}-*"):
+            shutil.rmtree(film, ignore_errors=True)
+        gone += 1
+        say(f"{label}: deleted ({key})")
     for folder in layout.works.glob("*/"):
         session = read_record(folder / SESSION_FILE) or {}
         if session.get("number") == number and session.get("task") in spec.tasks:
@@ -237,5 +237,28 @@ def withdrawn(wanted: Wanted) -> int:
             say(f"{folder.name}: an unfinished session, deleted")
     # Reports of large grids keep the rows of episodes.
     layout.rows(spec.name).unlink(missing_ok=True)
-    say(f"participant {number} has withdrawn: {gone} cell{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers")
+    say(
+        f"participant {number} has withdrawn: {gone} result{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers"
+    )
     return gone
+
+
+def _left_by(layout: Layout, number: int, tasks: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Kind, key and label of a participant's cells and clones, and of what was computed from them, step by step."""
+    stored = [
+        (kind.name, key, read_manifest(layout, kind.name, key))
+        for kind in sorted(layout.store.glob("*/"))
+        for key in sorted(filter(is_key, stored_keys(layout, kind.name)))
+    ]
+    found: dict[str, tuple[str, str, str]] = {}
+    for kind, key, manifest in stored:
+        axes = manifest.get("axes", {})
+        if axes.get("variant") == PERSON and axes.get("value") == number and manifest.get("task") in tasks:
+            found[key] = (kind, key, str(manifest.get("label")))
+    before = -1
+    while len(found) > before:
+        before = len(found)
+        for kind, key, manifest in stored:
+            if key not in found and found.keys() & set(manifest.get("upstream", {}).values()):
+                found[key] = (kind, key, str(manifest.get("label")))
+    return list(found.values())

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.stats.bootstrap import RESAMPLES, mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups, row_of
 from wasp_cli.report.stats.summary import UNDEFINED, Value
@@ -92,6 +93,8 @@ def _notes(frame: Frame) -> Iterator[str]:
             f"{_thresholds(frame)}. [low, high] are 95 % intervals of a bootstrap with {RESAMPLES} resamples of "
             + ("the seeds." if several else "the worlds of one seed: they cover other layouts, not retraining.")
         )
+        if any(identity.variant == PERSON for identity in frame.judged):
+            yield "Of people's sessions: from a branch on the participant's clone drives, since nobody can be asked again."
         few = [METHODS[name].title for name, count in _branched(frame).items() if count < FEW]
         if few:
             yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: too few to interpret."
