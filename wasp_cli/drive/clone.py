@@ -19,7 +19,7 @@ from rich.table import Table as RichTable
 from torch import Tensor
 
 from wasp_cli.console import count_table, plain, say
-from wasp_cli.drive.session import cells_of
+from wasp_cli.drive.session import cells_of, driven
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.clone import Issued, fit_clone
 from wasp_cli.learning.configs.latent import CloneConfig
@@ -137,11 +137,9 @@ def _sessions(layout: Layout, node: Node, participant: int) -> Sessions:
     """The cells of a participant with the models that the clone reads."""
     models = {name: needed.key for name, needed in node.needs.items()}
     found, others = [], 0
-    for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
-        manifest = read_manifest(layout, "evaluate", key)
-        axes, upstream = manifest.get("axes", {}), manifest.get("upstream", {})
-        if axes.get("variant") == PERSON and axes.get("value") == participant and manifest.get("task") == node.task:
-            same = all(upstream.get(name) == key for name, key in models.items())
+    for key, manifest in driven(layout, participant):
+        if manifest.get("task") == node.task:
+            same = all(manifest.get("upstream", {}).get(name) == needed for name, needed in models.items())
             same &= manifest.get("settings", {}).get("action_repeat") == node.settings.get("action_repeat")
             found += [key] if same else []
             others += not same

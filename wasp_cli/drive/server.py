@@ -148,7 +148,7 @@ class Server(LocalServer):
         try:
             await self._receive(ws)
         except (WebSocketDisconnect, RuntimeError, TimeoutError):
-            pass
+            pass  # gone, closed while something was sent, or silent for too long: the desk is told below, and the world waits
         finally:
             self.desk.leave()
             sender.cancel()

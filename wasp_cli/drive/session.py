@@ -8,7 +8,7 @@ Cells that are there are not driven again, so that a session that broke off goes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -311,19 +311,22 @@ def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell
     return [group[place] for group in groups.values() for place in balanced_order(len(group), participant - 1)]
 
 
+def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield key and manifest of every cell that a participant drove, in ascending order of keys."""
+    for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
+        manifest = read_manifest(layout, "evaluate", key)
+        axes = manifest.get("axes", {})
+        if axes.get("variant") == PERSON and axes.get("value") == participant:
+            yield key, manifest
+
+
 def driven_tasks(results: Path, participant: int) -> list[str]:
     """Return the tasks of which a participant has driven anything.
 
     Raises:
         UsageError: there is none.
     """
-    layout = Layout(results.absolute())
-    found = set()
-    for key in filter(is_key, stored_keys(layout, "evaluate")):
-        manifest = read_manifest(layout, "evaluate", key)
-        axes = manifest.get("axes", {})
-        if axes.get("variant") == PERSON and axes.get("value") == participant:
-            found.add(str(manifest.get("task")))
+    found = {str(manifest.get("task")) for _, manifest in driven(Layout(results.absolute()), participant)}
     if not found:
         raise UsageError(f"participant {participant} has driven nothing in '{results}'", f"wasp drive TASK --participant {participant}")
     return sorted(found)

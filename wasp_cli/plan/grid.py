@@ -210,7 +210,8 @@ class _Builder:
         chain = self.spec.chain_seed(cell.seed)
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain, self.spec.rounds) | {evaluation.kind: evaluation}
         # A person cannot be asked again: in the branches the clone goes on.
-        needs |= self._cloned_person(cell.task, chain, self.spec.rounds, cell.operator, cell.value, PERSON, CLONED)
+        driver = CLONED if cell.operator == PERSON else cell.operator
+        needs |= self._cloned_person(cell.task, chain, self.spec.rounds, driver, cell.value)
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
         # The assistant is not asked again: its code is in the key through the evaluation alone.
         return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, _roots(_operator_targets([cell.operator])), label)
@@ -271,9 +272,9 @@ class _Builder:
         needs = self._inputs(kind, task, seed, number) | self._cloned_person(task, seed, number, operator, value)
         return self._node(kind, task, seed, axes, needs, _roots(targets), _in_round(label, number))
 
-    def _cloned_person(self, task: str, seed: int, number: int, operator: str, value: float | None, *standing_in: str) -> dict[str, Node]:
+    def _cloned_person(self, task: str, seed: int, number: int, operator: str, value: float | None) -> dict[str, Node]:
         """The clone of a participant, where it drives; it is made by `wasp clone`, not by a run."""
-        if operator not in (standing_in or (CLONED,)):
+        if operator != CLONED:
             return {}
         return {OPERATOR_CLONE: self.operator_stage("clone", task, seed, number, PERSON, value)}
 

@@ -99,6 +99,6 @@ def view(site: Site, port: int, place: str, *, open_browser: bool) -> None:
         while True:
             time.sleep(0.5)
     except KeyboardInterrupt:
-        pass
+        pass  # how it ends
     finally:
         server.stop()
