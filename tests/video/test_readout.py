@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.video.imagined import displacements, fit, integrated
+from wasp_cli.video.imagined import PARTS, displacements, fit, fit_within, integrated
 
 FEATURES = 12
 
@@ -53,6 +53,19 @@ def test_what_is_linear_is_found() -> None:
     readout = fit(features[1:], moves[1:])
     assert (readout.explained(features[0], moves[0]) > 0.999).all()
     np.testing.assert_allclose(readout(features[0][3]), moves[0][3], atol=2e-3)
+
+
+def test_of_one_episode_alone_each_part_is_predicted_from_the_others() -> None:
+    features, moves = world(3, noise=0.0)
+    readout, explained = fit_within(features[0], moves[0])
+    assert readout is not None
+    assert (explained > 0.99).all()
+    assert (readout.explained(features[1], moves[1]) > 0.99).all()
+    shuffled = np.random.default_rng(4).permutation(moves[0])
+    assert (fit_within(features[0], shuffled)[1] < 0.2).all()  # in its own fit, it would look explained
+    readout, explained = fit_within(features[0][: 2 * PARTS - 1], moves[0][: 2 * PARTS - 1])
+    assert readout is None
+    assert np.isnan(explained).all()
 
 
 def test_what_is_noise_is_not_explained() -> None:

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +21,19 @@ from PIL import Image
 from tests.commands import run_here
 from tests.report.explained import Invented
 from tests.video.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
+from wasp_cli.errors import ArtifactError
 from wasp_cli.metrics.episode import GATE_SAFETY
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.report.explain.stored import read_episode
-from wasp_cli.store.artifact import commit, staging_folder
+from wasp_cli.store.artifact import commit, read_manifest, staging_folder
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, write_branches
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import Slimming, slim
 from wasp_cli.store.tables import CellIdentity, Thresholds
-from wasp_cli.video.replay import correction, default_name, episode_trace
+from wasp_cli.video.replay import correction, default_name, episode_trace, source_of
 from wasp_cli.video.replay_step import Criterion, criterion_of, judge
+from wasp_cli.video.trace import play_episode
 
 LABEL = "race1 s0 wasp noisy=0.4"
 
@@ -52,6 +56,19 @@ def intervened(results: Path) -> tuple[int, int]:
     """Decisions of episode 1 with and without an intervention."""
     apart = read_episode(find_cell(Layout(results), CELL), 1).intervened
     return int(np.flatnonzero(apart)[0]), int(np.flatnonzero(~apart)[0])
+
+
+@pytest.fixture
+def published(results: Path, tmp_path: Path) -> Path:
+    """The same in a folder of what `wasp publish --half --steps 1` leaves."""
+    whole, part = Layout(results), Layout(tmp_path / "published")
+    part.prepare()
+    for kind, key in (KEYS | {"evaluate": CELL}).items():
+        staging = staging_folder(part, key)
+        shutil.copytree(whole.artifact(kind, key), staging, dirs_exist_ok=True)
+        manifest = read_manifest(whole, kind, key)
+        commit(part, kind, key, staging, {**manifest, "slim": slim(staging, kind, Slimming(half=True, steps=1))})
+    return part.root
 
 
 # -- an episode -----------------------------------------------------------------------------------------------------------------
@@ -120,6 +137,44 @@ def test_the_words_of_the_rows_reach_the_frames(tmp_path: Path) -> None:
     assert "plan's cost 0.20, alone 0.60" in said
     assert "cost so far 4, goals 0" in said
     assert numbers(episode_trace(made.read(tmp_path)), 0)[0] == "gate: none, command stands"
+
+
+def test_the_first_episode_of_a_cell_published_in_part_plays_with_models_of_half_precision(published: Path, tmp_path: Path) -> None:
+    done = replayed(published, CELL, "--episode", "0", "--every", "20", "--out", tmp_path / "a.webp")
+    assert done.exit_code == 0, done.stderr
+    assert "models in half precision" in done.stderr + done.stdout
+    assert (tmp_path / "a.webp").stat().st_size > 1000
+
+
+def test_only_the_operators_commands_are_taken_as_recorded_where_models_are_rounded(published: Path) -> None:
+    """With the operator that the models in half precision have, the commands are others; with other actions the world is another."""
+    source = source_of(Layout(published), find_cell(Layout(published), CELL), 0)
+    assert source.rounded
+    with pytest.raises(ArtifactError, match="command of the operator"):
+        play_episode(replace(source, rounded=False), 0, [None] * 999, [], 3, lambda share, doing: None)
+    other = source.recorded._replace(a=[-source.recorded.a[0]])
+    with pytest.raises(ArtifactError):
+        play_episode(replace(source, recorded=other), 0, [None] * 999, [], 3, lambda share, doing: None)
+
+
+def test_other_episodes_and_branches_of_a_cell_published_in_part_are_refused(published: Path) -> None:
+    for arguments, words in ((("1",), "the steps of episode 1 are not here"), (("0", "--step", "3"), "published in part")):
+        done = replayed(published, CELL, "--episode", *arguments)
+        assert done.exit_code == 2
+        assert words in done.stderr
+
+
+def test_models_are_looked_for_where_they_are_published(published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run of published cells copies their rows, not their models."""
+    rows = Path(shutil.copytree(published, tmp_path / "rows"))
+    for kind in KEYS:
+        shutil.rmtree(rows / "store" / kind)
+    cell = find_cell(Layout(rows), CELL)
+    monkeypatch.setattr("wasp_cli.video.replay.published_folder", lambda: published)
+    assert source_of(Layout(rows), cell, 0).world_model.is_relative_to(published)
+    monkeypatch.setattr("wasp_cli.video.replay.published_folder", lambda: None)
+    with pytest.raises(ArtifactError, match="world model of this cell cannot be used"):
+        source_of(Layout(rows), cell, 0)
 
 
 # -- one decision ---------------------------------------------------------------------------------------------------------------

@@ -147,12 +147,13 @@ def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: 
     np.testing.assert_allclose(cursors[1] - cursors[0], cursors[2] - cursors[1], atol=2.5)
 
 
-def test_a_cell_of_one_episode_says_that_it_has_no_readout(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+def test_a_cell_of_one_episode_has_a_readout_of_its_own_parts(inputs: Mapping[str, Path], tmp_path: Path) -> None:
     cell = evaluated(inputs, tmp_path / "cell", episodes=1)
     trace = trace_of_row(cell, 0)
     nothing = Correction([None] * trace.length, "", False)
     made = film_episode(source_of(cell), trace, 0, nothing, HORIZON, 30, tmp_path / "a.apng", lambda share, text: None)
-    assert (made.r2, made.frames) == (None, 2)
+    assert made.r2 is not None
+    assert made.frames == 2
 
 
 def trace_of_row(cell: Evaluated, row: int) -> EpisodeTrace:

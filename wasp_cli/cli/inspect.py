@@ -247,6 +247,8 @@ def replay(
 
     The cell is replayed with its own models, bit for bit. A replay that differs from the recording is an error. With --step, the task
     goes on twice from one decision: once with the executed action, once with the command. Then both follow the operator.
+    The first episode of a published cell is played with the published models, in half precision: what happens is the same, what is
+    imagined nearly.
 
     This runs the task. For a gymnasium environment it imports the module that the cell names: only do so if you trust it.
     """
@@ -255,6 +257,7 @@ def replay(
     from wasp_cli.plan.recorded import keys_of
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.layout import Layout
+    from wasp_cli.store.slim import without_steps
     from wasp_cli.video.replay import replay as written
     from wasp_cli.video.replay_step import replay_step
 
@@ -271,6 +274,8 @@ def replay(
             path, verdict = replay_step(layout, stored, episode, step, out, progress)
     if step is None:
         say(f"{path}: {made.frames} frames")
+        if without_steps(stored.manifest):
+            say("what happens is as recorded; what is imagined comes from models in half precision, nearly those of the cell")
     elif json:
         print_json(verdict.as_json() | {"cell": stored.label, "key": stored.key, "file": str(path)})
     else:

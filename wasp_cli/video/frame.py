@@ -135,7 +135,7 @@ class Painter:
 
     def _readout_note(self) -> str:
         if self._played.readout is None:
-            return "no imagined paths: they are read out of latents by a fit to the cell's other episodes"
+            return "no imagined paths: the episode is too short to learn to read them out of latents"
         names = ("forward", "left", "turn")
         r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(names, self._played.explained, strict=True))
         poor = " (poor: a hint only)" if np.nanmin(self._played.explained) < POOR else ""

@@ -29,6 +29,8 @@ ROLLOUTS = 6
 STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)
 """Of the penalty; the best one on episodes that were left out is taken."""
 FOLDS = 3
+PARTS = 6
+"""Of an episode that is alone: consecutive decisions, so that what is left out is not beside what is fitted."""
 
 
 class RolloutStart(NamedTuple):
@@ -147,6 +149,23 @@ def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
         errors += [np.nansum(1.0 - candidate.explained(x, y)) for candidate in candidates]
     best = int(np.argmin(errors)) if folds else len(STRENGTHS) // 2
     return _ridges(np.concatenate(features), np.concatenate(moves))[best]
+
+
+def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, Floats]:
+    """Fit a readout to one episode alone.
+
+    Args:
+        features: [N, F].
+        moves: [N, 3].
+
+    Returns:
+        The readout, None where the episode is too short; its R2 [3], each part of the episode predicted from the others.
+    """
+    if len(moves) < 2 * PARTS:
+        return None, np.full(3, np.nan)
+    xs, ys = np.array_split(features, PARTS), np.array_split(moves, PARTS)
+    found = [fit(xs[:i] + xs[i + 1 :], ys[:i] + ys[i + 1 :])(xs[i]) for i in range(PARTS)]
+    return fit(xs, ys), _explained(np.concatenate(found), moves)
 
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:

@@ -16,7 +16,8 @@ from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.report.explain.stored import Episode, read_episode, signal_of
-from wasp_cli.store.artifact import corruption
+from wasp_cli.spec.shipped import published_folder
+from wasp_cli.store.artifact import corruption, exists
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.plain import printable
@@ -24,6 +25,7 @@ from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import without_steps
 
 if TYPE_CHECKING:
+    from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.frame import Correction, WrittenVideo
     from wasp_cli.video.timeline import EpisodeTrace
     from wasp_cli.video.trace import Source
@@ -118,11 +120,6 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 
-    if without_steps(cell.manifest):
-        raise UsageError(
-            f"{printable(cell.label or str(cell.path))} was published without all its steps, so that it cannot be played again",
-            "wasp run SPEC --reuse none computes it whole; wasp explain shows its first episode, report.html has a film of it",
-        )
     axes, upstream = cell.setting("axes"), upstream_of(cell)
     known: dict[str, Any] = {
         "task": cell.setting("task"),
@@ -136,26 +133,46 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
             f"{cell.path} does not say how it was evaluated, and with which models",
             "name the cell by its key or its label, and its results folder with --results",
         )
-    for kind in MODELS:
-        if (wrong := corruption(layout, kind, upstream[kind])) is not None:
-            raise ArtifactError(
-                f"the {kind.replace('_', ' ')} of this cell cannot be used: {wrong}",
-                "run the spec of the cell again on this results folder: what is missing or damaged is computed again",
-            )
-    recorded = Recorded(**read_recorded(cell.path))
+    # Of a cell that is published in part, the episode is played alone.
+    rounded = without_steps(cell.manifest)
+    world_model, policies = (_model(layout, kind, upstream[kind], rounded=rounded) for kind in MODELS)
+    recorded = _alone(cell, episode) if rounded else Recorded(**read_recorded(cell.path))
     # Cells of earlier versions were evaluated as one batch.
     size = cell.setting("settings", "side_by_side")
     size = size if isinstance(size, int) and size > 0 else len(recorded.a)
-    first = episode // size * size
+    first = episode if rounded else episode // size * size
     threads = cell.setting("provenance", "threads")
     clone = cell.setting("upstream", OPERATOR_CLONE)
     return Source(
-        **known, recorded=recorded.of(range(first, first + size)), first=first,
-        world_model=layout.artifact("world_model", upstream["world_model"]),
-        policies=layout.artifact("policies", upstream["policies"]),
+        **known, recorded=recorded if rounded else recorded.of(range(first, first + size)), first=first,
+        world_model=world_model,
+        policies=policies,
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
         clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
+        rounded=rounded,
     )  # fmt: skip
+
+
+def _model(layout: Layout, kind: str, key: str, *, rounded: bool) -> Path:
+    """Find a model in the results folder; of a published cell also where it is published, since runs copy rows alone."""
+    published = published_folder() if rounded and not exists(layout, kind, key) else None
+    place = layout if published is None else Layout(published)
+    if (wrong := corruption(place, kind, key)) is None:
+        return place.artifact(kind, key)
+    raise ArtifactError(
+        f"the {kind.replace('_', ' ')} of this cell cannot be used: {wrong}",
+        "models of one training are published; wasp run SPEC --reuse none computes them all" if rounded else
+        "run the spec of the cell again on this results folder: what is missing or damaged is computed again",
+    )  # fmt: skip
+
+
+def _alone(cell: FoundCell, episode: int) -> Recorded:
+    """What brings one episode back, of a cell that has the steps of few."""
+    from wasp_cli.learning.rerun import Recorded
+
+    stored = read_episode(cell, episode)
+    a_h, a, reward = (np.asarray(values, np.float32) for values in (stored.a_h, stored.a, stored.numbers["reward"]))
+    return Recorded([int(stored.row["episode_seed"])], [a_h], [a], [reward], episode)
 
 
 def upstream_of(cell: FoundCell) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wasp_cli.errors import WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL
@@ -21,6 +21,8 @@ from wasp_cli.store.artifact import read_manifest, read_record, stored_keys
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.plain import printable
+from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay import default_name, source_of, title_of, upstream_of
 
 Progress = Callable[[float, str], None]
@@ -106,6 +108,11 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
     from wasp_cli.video.branches import BranchPair
     from wasp_cli.video.encode import STILL, checked
 
+    if without_steps(cell.manifest):
+        raise UsageError(
+            f"{printable(cell.label or str(cell.path))} is published in part, so that its branches cannot be played again",
+            "without --step its first episodes can; wasp run SPEC --reuse none computes it whole",
+        )
     stored = read_episode(cell, episode)
     stored.require(step)
     default = default_name(stored, f"_s{step}.gif")

@@ -21,7 +21,7 @@ from wasp_cli.learning.playback import side_by_side
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
-from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, NoiseSource, Operator, OperatorContext, build_operator
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import PERSON
@@ -29,7 +29,7 @@ from wasp_cli.stages.evaluate import EvaluateStage
 from wasp_cli.tasks.base import Floats, Pixels, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.imagined import Readout, RolloutStart, displacements, fit, rollout_start
+from wasp_cli.video.imagined import Readout, RolloutStart, displacements, fit, fit_within, rollout_start
 
 Progress = Callable[[float, str], None]
 
@@ -54,6 +54,8 @@ class Source:
     """number of the first of the episodes within their cell"""
     clone: Path | None = None
     """of the person in whose place an operator drove"""
+    rounded: bool = False
+    """the models are published in half precision: the operator says what was recorded, and imagines from nearly the same memory"""
 
     def world(self) -> VectorTask:
         """Build the task as the cell was evaluated in."""
@@ -67,7 +69,29 @@ class Source:
         mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, self.first + row) for row in range(batch)]
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
         with placed(None if self.clone is None else PlacedClone(self.clone)):
-            return build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
+            operator = build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
+        return AsRecorded(operator, self.recorded) if self.rounded else operator
+
+
+class AsRecorded(Operator):
+    """An operator whose commands are the recorded ones; its memory and its forks go on from those that it would have issued."""
+
+    def __init__(self, operator: Operator, recorded: Recorded) -> None:
+        super().__init__(operator.policy, operator.action_size, operator.noise, operator.batch)
+        self._operator = operator
+        self._commands = iter(torch.from_numpy(side_by_side(recorded.a_h)))
+
+    @property
+    def draws(self) -> int:
+        return self._operator.draws
+
+    def command(self, features: Tensor) -> Tensor:
+        self._operator.command(features)
+        recorded: Tensor = next(self._commands)
+        return recorded
+
+    def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
+        return self._operator.fork(rows, copies, noise)
 
 
 class SaidAgain(PersonOperator):
@@ -121,7 +145,7 @@ class PlayedEpisode(NamedTuple):
     places: Floats
     """[T, 2] of the robot before every decision; [0, 2] of a task without a map"""
     readout: Readout | None
-    """fitted to the other episodes; None where there are none, or no map"""
+    """fitted to the other episodes, or to this one where it is alone; None where it is too short, or without a map"""
     explained: Floats
     """[3] its R2 of the displacements of this episode: forward, left, turn"""
 
@@ -192,7 +216,7 @@ def poses_of(appearance: Appearance, scene: Scene) -> Floats:
 def _read_out(
     features: list[NDArray[np.float32]], poses: list[Floats], lengths: NDArray[np.int64], episode: int
 ) -> tuple[Readout | None, Floats]:
-    """A readout from the other episodes, and its R2 on this one."""
+    """A readout from the other episodes and its R2 on this one; of an episode that is alone, from its parts."""
     if not poses:
         return None, np.full(3, np.nan)
     seen, places = np.stack(features), np.stack(poses)  # [T, B, .]
@@ -201,6 +225,6 @@ def _read_out(
     moved = [displacements(places[:length, e]) for e, length in enumerate(lengths)]
     others = [e for e in range(len(lengths)) if e != episode and len(moved[e])]
     if not others:
-        return None, np.full(3, np.nan)
+        return fit_within(arrived[episode], moved[episode])
     readout = fit([arrived[e] for e in others], [moved[e] for e in others])
     return readout, readout.explained(arrived[episode], moved[episode])
