@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 from pathlib import Path
 
 import pytest
+
+from tests.commands import run_here
 
 ROOT = Path(__file__).parents[1]
 REPORTS = ROOT / "results" / "published" / "reports"
@@ -77,3 +80,18 @@ def test_the_first_table_of_the_readme_is_the_published_one() -> None:
             text for row in numbers
             for text in (f"{float(row['return']):.1f}", f"{100 * float(row['success']):.0f}", f"{float(row['cost']):.1f}")
         ]  # fmt: skip
+
+
+def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path: Path) -> None:
+    film = tmp_path / "film.webp"
+    label = ("race1 s1 wasp laggy=0.7", "--episode", "0", "--every", "30")
+    done = run_here("replay", *label, "--results", ROOT / "results" / "published", "--out", film, columns=200)
+    assert done.exit_code == 0, done.stderr
+    assert film.stat().st_size > 10_000
+
+
+def test_assistants_are_varied_over_the_published_models_without_training(tmp_path: Path) -> None:
+    setting = ("--set", "wasp.tau_c=0.35", "--set", "seeds=[1]", "--json")
+    done = run_here("plan", ROOT / "specs" / "table1.yaml", "--results", tmp_path, *setting, columns=200)
+    nodes = json.loads(done.stdout)["nodes"]
+    assert {node["kind"] for node in nodes if node["state"] == "missing"} == {"heldout", "calibration", "evaluate"}

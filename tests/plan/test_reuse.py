@@ -144,3 +144,15 @@ def test_what_is_needed_for_reused_results_alone_meets_nothing() -> None:
     behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
     published = {label: key for label, key in version(1).items() if label != LATENTS}
     assert chosen(own, [offer(own, label, key, behind) for label, key in published.items()]) == published
+
+
+def test_heldout_rows_may_be_recorded_again() -> None:
+    """They are too large to be published. What was judged on the former ones goes on being used; an older world model does not."""
+    own = own_grid(methods=["wasp"], stages=[])
+    behind = {"goal1 s0 dataset": "1f" * 10, **version(1)}
+    published = {label: key for label, key in version(1).items() if label not in (LATENTS, HELDOUT)}
+    offered = [offer(own, label, key, behind) for label, key in published.items()]
+    assert chosen(own, offered) == published
+    # Critics of another world model do not, and those of today would be trained on latents of today.
+    foreign = offer(own, CRITICS, published[CRITICS], {**behind, MODEL: "2a" * 10})
+    assert chosen(own, [*(each for each in offered if each.kind != "critics"), foreign]) == {}

@@ -5,8 +5,9 @@ the published result, so that the keys of whatever is computed from it say what 
 
 The store comes first: what it has under the code of today stays. Results of other code replace nodes together or not at all where it
 matters: a critic goes with the world model whose latent states it was trained on. What has to be computed therefore never reads two
-versions of one recipe, neither directly nor through what it reads. A published result that nothing reads, such as the rows of a cell, is
-bound by nothing.
+versions of one recipe, neither directly nor through what it reads; but for held-out rows: parts are judged and thresholds set on them, and
+nothing is trained on them, so that they may be recorded again. A published result that nothing reads, such as the rows of a cell, is bound
+by nothing.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from wasp_cli.store.slim import without_steps
 
 NONE, PUBLISHED = "none", "published"
 """What may be reused; or the published folder of someone else."""
+HELDOUT = "heldout"
+"""The kind of which there may be two versions: too large to be published, it would keep everything trained beside it from being reused."""
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
@@ -138,6 +141,7 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
     versions: dict[str, Mapping[str, str]] = {}
     """By recipe of a node that others read, the versions that are behind it, itself included, by recipe."""
     judged: set[int] = set()
+    free = {own.recipes[node.key] for node in own.nodes if node.kind == HELDOUT}
     for node in own.nodes:
         recipe = own.recipes[node.key]
         if recipe in chosen:
@@ -148,6 +152,7 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
             yield from (each for each in needed_here if each in chosen and without_steps(chosen[each].manifest))
             merged, twofold = _merged(versions[own.recipes[needed.key]] for needed in node.needs.values())
             versions[recipe] = {**merged, recipe: keys[recipe]}
+            twofold -= free
             for reused in _nearest(own, node, chosen) if twofold else ():
                 behind = chosen[reused].behind
                 if any(name in behind and behind[name] != keys.get(name) for name in twofold):
