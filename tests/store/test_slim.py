@@ -65,3 +65,13 @@ def test_steps_of_the_first_episodes_stay_and_the_rows_of_episodes_are_not_touch
     assert not without_steps({"kind": "evaluate"})
     assert not without_steps({"kind": "critics", "slim": {"m.safetensors": {}}})
     assert slim(tmp_path / "cell", "evaluate", Slimming(steps=1)) == {}
+
+
+def test_images_of_diagnostics_are_left_out_where_that_is_asked_for_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "images.parquet").write_bytes(b"frames")
+    (tmp_path / "diagnostics.json").write_text("{}")
+    assert slim(tmp_path, "diagnostics", Slimming()) == {}
+    assert slim(tmp_path, "dataset", Slimming(images=False)) == {}
+    whole = file_digest(tmp_path / "images.parquet")
+    assert slim(tmp_path, "diagnostics", Slimming(images=False)) == {"images.parquet": {"left_out": "images", "sha256": whole}}
+    assert [path.name for path in tmp_path.iterdir()] == ["diagnostics.json"]

@@ -93,6 +93,7 @@ def publish(
         int | None,
         typer.Option("--steps", min=0, metavar="N", help="Of each cell only the steps of the first N episodes. (default: all)"),
     ] = None,
+    no_images: Annotated[bool, flag("--no-images", help="Leave out the images of diagnostics.")] = False,
     dry_run: Annotated[bool, flag("--dry-run", help="Only show what would be published.")] = False,
     set_: SetOption = None,
 ) -> None:
@@ -119,5 +120,5 @@ def publish(
         show_publication(planned, largest * 1e6, out())
         if dry_run:
             return
-        carry_publication(planned, loaded.spec, layout, target, Slimming(half, steps))
+        carry_publication(planned, loaded.spec, layout, target, Slimming(half, steps, images=not no_images))
     say(f"published in {target.root}")

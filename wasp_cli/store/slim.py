@@ -1,4 +1,4 @@
-"""Smaller copies of what is published: weights in half precision, and of a cell the steps of its first episodes alone.
+"""Smaller copies of what is published: weights in half precision, of a cell the steps of its first episodes alone, no pictures of models.
 
 The manifest says under `slim`, by file, what was left out and the SHA-256 of the whole file. Rows of episodes are never touched, so that
 tables are the same. Nothing is computed from the steps of a slim cell: it is computed again instead.
@@ -17,6 +17,8 @@ STEPS_FILE = "_steps.pq"
 """As in `store.tables`, which needs pyarrow."""
 SLIM = "slim"
 """In a published manifest: by file, what was left out of it, and the digest of the whole."""
+IMAGES_FILE = "images.parquet"
+"""Of `diagnostics`: frames for pictures in reports; nothing is computed from them."""
 DATA = frozenset({"dataset", "latents", "heldout", "rollouts"})
 """Kinds whose tensors are recorded data, not weights."""
 
@@ -28,6 +30,8 @@ class Slimming(NamedTuple):
     """Weights as 16 bits a number instead of 32."""
     steps: int | None = None
     """Episodes of a cell whose steps stay; None for all."""
+    images: bool = True
+    """Whether the images of diagnostics stay."""
 
 
 def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]:
@@ -51,6 +55,9 @@ def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]
             left_out = "weights in half precision"
         elif wanted.steps is not None and kind == "evaluate" and path.name == STEPS_FILE and _cut(path, wanted.steps):
             left_out = f"steps of all episodes but the first {wanted.steps}" if wanted.steps > 1 else "steps of all episodes but the first"
+        elif not wanted.images and kind == "diagnostics" and path.name == IMAGES_FILE:
+            path.unlink()
+            left_out = "images"
         else:
             continue
         changed[path.relative_to(folder).as_posix()] = {"left_out": left_out, "sha256": whole}

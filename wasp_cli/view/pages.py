@@ -158,7 +158,8 @@ def episode_view(site: Site, cell: ListedCell, found: FoundCell, stored: Episode
     except StoreError as error:
         branches, problem = None, error.message
     first = 0 if step is None else min(max(step, 0), stored.decisions - 1)
-    kinds = [FILM] if without_steps(found.manifest) else [FILM, REPLAY]
+    # A cell that is published in part plays too, where its models are; a static page would have to hold that film.
+    kinds = [FILM] if without_steps(found.manifest) and not site.links.live else [FILM, REPLAY]
     every: list[Markup] = []
     if not site.links.live:
         every = [step_part(site, cell, stored, t) for t in range(stored.decisions)]
