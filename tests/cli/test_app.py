@@ -152,7 +152,7 @@ def test_light_commands_import_nothing_heavy(arguments: list[str], tmp_path: Pat
 def test_plan_lays_table_1_out_in_full() -> None:
     done = wasp("plan", "specs/table1.yaml", "--results", "/nowhere")
     assert done.returncode == 0
-    assert "192 grid points, 174 cells to evaluate" in done.stdout
+    assert "288 grid points, 261 cells to evaluate" in done.stdout
 
 
 def test_plan_as_json_is_json_alone() -> None:
@@ -182,7 +182,7 @@ def test_check_tells_all_mistakes_of_all_specs(tmp_path: Path) -> None:
     bad = spec_with(tmp_path, "[goal1]", "[goal7]")
     done = wasp("check", "specs/table1.yaml", bad, tmp_path / "absent.yaml")
     assert done.returncode == 3
-    assert "specs/table1.yaml: ok, 174 cells" in done.stdout
+    assert "specs/table1.yaml: ok, 261 cells" in done.stdout
     assert f"{bad}:5:9: unknown task 'goal7'" in done.stderr
     assert "absent.yaml:1:1: no such file" in done.stderr
     assert wasp("check", SMOKE).returncode == 0
