@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
+import statistics
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
+import sensitivity
 
 from tests.commands import run_here
 
@@ -95,3 +99,27 @@ def test_assistants_are_varied_over_the_published_models_without_training(tmp_pa
     done = run_here("plan", ROOT / "specs" / "table1.yaml", "--results", tmp_path, *setting, columns=200)
     nodes = json.loads(done.stdout)["nodes"]
     assert {node["kind"] for node in nodes if node["state"] == "missing"} == {"heldout", "calibration", "evaluate"}
+
+
+def test_the_sensitivities_are_those_of_the_published_rows() -> None:
+    rows = pq.read_table(sensitivity.ROWS)
+    for heading, table in (("Sensitivity", sensitivity.sweeps(rows)), ("Causes on FormulaOne1", sensitivity.causes(rows))):
+        shown = rows_of(PAGE.split(f"\n### {heading}\n", 1)[1].split("\n#", 1)[0])
+        assert len(shown) > 5
+        assert shown == rows_of(table)
+
+
+def test_a_difference_is_paired_by_world_and_has_the_error_of_a_mean_over_operators() -> None:
+    rows = pq.read_table(sensitivity.ROWS)
+    found = sensitivity.compared(rows, "goal1", 1, "H = 8")["cost"]
+    frame = {
+        (row["setting"], row["operator"], row["episode"]): (row["cost"], row["episode_seed"])
+        for row in rows.to_pylist() if row["task"] == "goal1" and row["seed"] == 1 and row["setting"] in ("H = 8", sensitivity.DEFAULT)
+    }  # fmt: skip
+    apart = []
+    for operator in sensitivity.OPERATORS:
+        pairs = [(frame["H = 8", operator, e], frame[sensitivity.DEFAULT, operator, e]) for e in range(30)]
+        assert all(own[1] == other[1] for own, other in pairs)
+        apart.append([own[0] - other[0] for own, other in pairs])
+    assert found[1] == pytest.approx(sum(map(statistics.mean, apart)) / 2)
+    assert found[2] == pytest.approx(math.sqrt(sum(statistics.variance(each) / 30 for each in apart)) / 2)
