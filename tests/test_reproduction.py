@@ -101,6 +101,22 @@ def test_assistants_are_varied_over_the_published_models_without_training(tmp_pa
     assert {node["kind"] for node in nodes if node["state"] == "missing"} == {"heldout", "calibration", "evaluate"}
 
 
+def test_mild_and_severe_operators_are_the_published_ones() -> None:
+    with (REPORTS / "severity" / "severity.csv").open(encoding="utf-8") as file:
+        published = list(csv.DictReader(file))
+    columns = [
+        (f"{key}.{severity}", digits)
+        for key, digits in (("return", 1), ("cost", 1), ("int_rate", 2)) for severity in ("mild", "moderate", "severe")
+    ]  # fmt: skip
+    shown, task = rows_of(section("Mild and severe operators"))[1:], ""
+    assert len(shown) == len({(row["task"], row["method"]) for row in published})
+    for title, method, *numbers in shown:
+        task = title or task
+        own = [row for row in published if (row["task"], row["method"]) == (task, method)]
+        assert len(own) == 4
+        assert numbers == [f"{sum(float(row[key]) for row in own) / 4:.{digits}f}" for key, digits in columns]
+
+
 def test_the_sensitivities_are_those_of_the_published_rows() -> None:
     rows = pq.read_table(sensitivity.ROWS)
     for heading, table in (("Sensitivity", sensitivity.sweeps(rows)), ("Causes on FormulaOne1", sensitivity.causes(rows))):

@@ -63,6 +63,13 @@ def test_sections_merge_and_everything_else_replaces(base: Path) -> None:
     assert {"candidates": 10, "elites": 3, "iterations": 2}.items() <= spec.method("wasp").model_dump().items()
 
 
+def test_severities_go_from_mild_to_severe_whichever_file_wrote_them(base: Path) -> None:
+    text = FAST + "operators:\n  noisy: {moderate: 0.4}\n  laggy: {weak: 0.7, strong: 0.4}\n"
+    operators = load(written(base.parent, "fast", text)).spec.operators
+    assert list(operators["noisy"].items()) == [("mild", 0.2), ("moderate", 0.4), ("severe", 0.6)]
+    assert list(operators["laggy"]) == ["weak", "strong"], "other names stay as they are written"
+
+
 def test_the_preset_of_the_nearest_file_is_in_force(base: Path) -> None:
     assert load(written(base.parent, "a", FAST)).spec.preset == "smoke"
     spec = load(written(base.parent, "b", FAST + "preset: quick\n")).spec
