@@ -30,6 +30,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return results, folder / "pages"
 
 
+def test_a_cell_published_without_any_steps_says_so(tmp_path: Path) -> None:
+    results = brought(tmp_path / "results", "race1 s1 wasp laggy=0.85")
+    done = run_here("explain", "race1 s1 wasp laggy=0.85", "--episode", "0", "--results", results, columns=200)
+    assert done.exit_code == 2
+    assert "the steps of episode 0 are not here" in done.stderr
+    assert "no episode of this cell has its own" in done.stderr
+
+
 def test_a_browser_walks_through_files(browser: Browser, made: tuple[Path, Path]) -> None:
     _, pages = made
     tab = browser.tab()

@@ -19,6 +19,7 @@ from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_T
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.plain import printable
+from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import Thresholds, read_episodes, read_steps, read_times, read_version
 from wasp_cli.tasks.registry import TASKS
 
@@ -177,12 +178,13 @@ def _read(cell: FoundCell, episode: int) -> Episode:
     place = numbers.index(episode)
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
-    if flat.num_rows and not mine.num_rows:
+    if not mine.num_rows and (flat.num_rows or without_steps(cell.manifest)):
         kept = flat["episode"].unique().to_pylist()
+        here = f"of this cell {len(kept)} episodes have theirs, from {min(kept)} on" if kept else "no episode of this cell has its own"
         raise UsageError(
-            f"the steps of episode {episode} are not here", f"of this cell {len(kept)} episodes have theirs, from {min(kept)} on; "
-            "what is published may leave out the others: wasp run SPEC --reuse none computes the cell whole",
-        )  # fmt: skip
+            f"the steps of episode {episode} are not here",
+            f"{here}; what is published may leave out steps: wasp run SPEC --reuse none computes the cell whole",
+        )
     a_h, a = (np.asarray(mine[name].to_pylist(), np.float64).reshape(mine.num_rows, -1) for name in ("a_h", "a"))
     if not a.size or a.shape != a_h.shape:
         raise ValueError("its commands and actions do not have the same numbers, or none")
