@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 
@@ -28,6 +29,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     assert "2 cells, 1 episodes, 1 films" in done.stdout
     assert "the steps of episode 1 are not here" in done.stderr
     return results, folder / "pages"
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_reports_are_linked_beside_the_bundle_or_copied_into_it(tmp_path: Path, inside: bool) -> None:
+    results = brought(tmp_path / "results", HUMAN)
+    report = results / "reports" / "table 1" / "report.html"
+    report.parent.mkdir(parents=True)
+    report.write_text("a report")
+    folder = (results if inside else tmp_path) / "pages"
+    done = run_here("view", results, "--bundle", folder, "--cell", HUMAN, "--episodes", "0", columns=200)
+    assert done.exit_code == 0, done.output
+    href = re.search(r'<a href="([^"]+)">report.html</a>', (folder / "index.html").read_text())
+    assert href is not None
+    linked = folder / unquote(href[1])
+    assert linked.read_text() == "a report"
+    assert linked.samefile(report) == inside
 
 
 def test_a_cell_published_without_any_steps_says_so(tmp_path: Path) -> None:

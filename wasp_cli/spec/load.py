@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,9 @@ from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem, locate
 from wasp_cli.spec.presets import merged
 from wasp_cli.spec.read import Source, beside, dotted, kind_of, parse, plain, read
 from wasp_cli.spec.shipped import spec_path
+
+USUAL = ("mild", "moderate", "severe")
+"""Names of severities, in their order."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,12 @@ LONGEST_CHAIN = 8
 SUFFIX = ".yaml"
 
 
+def _from_mild_to_severe(severities: Any) -> Any:
+    """Order the usual names: merged, those of the farther file would come first. Others stay as they are."""
+    usual = isinstance(severities, Mapping) and set(severities) <= {*USUAL}
+    return {name: severities[name] for name in USUAL if name in severities} if usual else severities
+
+
 @dataclass(frozen=True)
 class Chain:
     """A spec file and, behind it, the one that it extends, the one that this extends, and so on."""
@@ -118,6 +127,8 @@ class Chain:
             problems += found + also
             values = merged(values, document)
         nearest = self.sources[0]
+        if len(self.sources) > 1 and isinstance(operators := values.get("operators"), Mapping):
+            values["operators"] = {variant: _from_mild_to_severe(severities) for variant, severities in operators.items()}
         if len(self.sources) > 1 and not named and "name" not in nearest.document:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))

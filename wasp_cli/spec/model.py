@@ -38,15 +38,7 @@ from wasp_cli.spec.study import StudyConfig
 from wasp_cli.stages.registry import STAGES
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
-USUAL = ("mild", "moderate", "severe")
-
-
-def _from_mild_to_severe(severities: dict[str, float]) -> dict[str, float]:
-    """Order the usual names, since a spec that extends another would list the severities of that one first; others stay as they are."""
-    return {name: severities[name] for name in USUAL if name in severities} if set(severities) <= {*USUAL} else severities
-
-
-Severities = Annotated[dict[SeverityName, float], Field(min_length=1), AfterValidator(_from_mild_to_severe)]
+Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 """Where, what, and the value that is wrong."""
 DEFAULT_STAGES: tuple[str, ...] = tuple(kind for kind, info in STAGES.own.items() if info.by_default)

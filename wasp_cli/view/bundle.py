@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import tempfile
@@ -75,9 +76,9 @@ def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: Sequence[in
                 problems.append(f"{listed[key].label}, episode {number}: {problem_of(error)}")
             else:
                 wanted.setdefault(key, set()).add(number)
-    still = Site(site.layout, site.cells, BundleLinks(listed, wanted))
     _prepare(folder)
     try:
+        still = Site(site.layout, site.cells, BundleLinks(listed, wanted, _reports(site, folder)))
         films = _write(still, folder, listed, wanted, problems, tell)
     except OSError as error:
         raise StoreError(f"the bundle cannot be written to '{folder}': {(error.strerror or str(error)).lower()}") from error
@@ -89,6 +90,24 @@ def _there(site: Site, cell: ListedCell) -> bool:
         return site.layout.within(cell_file(site.layout.artifact(KIND, cell.key))).is_file()
     except StoreError:
         return False
+
+
+def _reports(site: Site, folder: Path) -> dict[str, str]:
+    """Where the pages of reports are for a bundle: beside it where it lies in the results folder, else copied into it."""
+    found = {}
+    inside = folder.resolve().is_relative_to(site.layout.root.resolve())
+    for path in (each / "report.html" for each in runs.reports(site)):
+        if not path.is_file() or path.is_symlink():
+            continue
+        place = (
+            Path(os.path.relpath(path.resolve(), folder.resolve()))
+            if inside
+            else Path("-".join(path.parent.relative_to(site.layout.root).parts) + ".html")
+        )
+        if not inside:
+            shutil.copyfile(path, folder / place)
+        found[str(path)] = place.as_posix()
+    return found
 
 
 def _prepare(folder: Path) -> None:

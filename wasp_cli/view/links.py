@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from urllib.parse import quote, urlencode
 
 from wasp_cli.notebook.cells import ListedCell
@@ -29,6 +30,10 @@ class Links:
     def cells(self) -> str:
         """Return the table of cells."""
         return f"{self.prefix}/cells"
+
+    def report(self, file: str) -> str:
+        """Return a page of a report; nothing here: it may come from elsewhere, and is not served."""
+        return ""
 
     def run(self, run_id: str, more: str = "") -> str:
         """Return a run, or something of it."""
@@ -60,10 +65,10 @@ class BundleLinks(Links):
 
     live = False
 
-    def __init__(self, cells: dict[str, ListedCell], episodes: dict[str, set[int]]) -> None:
-        """Take what the bundle has: cells by key, and of each the episodes."""
+    def __init__(self, cells: dict[str, ListedCell], episodes: dict[str, set[int]], reports: Mapping[str, str]) -> None:
+        """Take what the bundle has: cells by key, of each the episodes, and where the pages of reports are."""
         super().__init__()
-        self._cells, self._episodes = cells, episodes
+        self._cells, self._episodes, self._reports = cells, episodes, reports
 
     def static(self, name: str) -> str:
         return name
@@ -73,6 +78,9 @@ class BundleLinks(Links):
 
     def cells(self) -> str:
         return "cells.html"
+
+    def report(self, file: str) -> str:
+        return quote(self._reports.get(file, ""))
 
     def run(self, run_id: str, more: str = "") -> str:
         return "index.html"

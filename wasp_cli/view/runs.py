@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from wasp_cli.console import duration
@@ -84,20 +85,20 @@ def home_page(site: Site) -> str:
     )  # fmt: skip
 
 
-def _published(site: Site) -> list[tuple[str, list[str]]]:
-    """The reports that the folder holds, and their tables and figures, by name."""
-    found = []
+def reports(site: Site) -> Iterator[Path]:
+    """List the folders of the reports that the results folder holds."""
     for folder in (site.layout.root / "reports", site.layout.published / "reports"):
         with suppress(OSError, StoreError):
-            for each in sorted(site.layout.within(folder).iterdir()):
-                if each.is_dir() and not each.is_symlink():
-                    names = sorted(path.name for path in each.iterdir() if path.suffix in (".html", ".md"))
-                    found.append(
-                        (
-                            str(each if site.links.live else each.relative_to(site.layout.root)),
-                            [name for name in names if name.startswith("report.")],
-                        )
-                    )
+            yield from (each for each in sorted(site.layout.within(folder).iterdir()) if each.is_dir() and not each.is_symlink())
+
+
+def _published(site: Site) -> list[tuple[str, list[tuple[str, str]]]]:
+    """The reports, and their pages by name, with addresses where there are any."""
+    found = []
+    for each in reports(site):
+        pages = sorted(path for path in each.iterdir() if path.suffix in (".html", ".md") and path.stem == "report")
+        name = str(each if site.links.live else each.relative_to(site.layout.root))
+        found.append((name, [(path.name, site.links.report(str(path))) for path in pages]))
     return found
 
 
