@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import sensitivity
 
+import wasp_cli
 from tests.commands import run_here
 
 ROOT = Path(__file__).parents[1]
@@ -139,3 +140,18 @@ def test_a_difference_is_paired_by_world_and_has_the_error_of_a_mean_over_operat
         apart.append([own[0] - other[0] for own, other in pairs])
     assert found[1] == pytest.approx(sum(map(statistics.mean, apart)) / 2)
     assert found[2] == pytest.approx(math.sqrt(sum(statistics.variance(each) / 30 for each in apart)) / 2)
+
+
+def test_in_each_training_wasp_costs_less_than_the_baselines(tmp_path: Path) -> None:
+    """The sentence below the first table of the README."""
+    done = run_here("run", ROOT / "specs" / "table1.yaml", "--results", tmp_path, columns=200)
+    assert done.exit_code == 0, done.stderr
+    found = wasp_cli.results(tmp_path).episodes(method=["wasp", "ida", "diffusion", "saferl"], variant="full").to_pylist()
+    costs: dict[tuple[str, int], dict[str, list[int]]] = {}
+    for row in found:
+        costs.setdefault((row["task"], row["seed"]), {}).setdefault(row["method"], []).append(row["cost"])
+    assert len(costs) == 9
+    for by_method in costs.values():
+        means = {method: statistics.mean(each) for method, each in by_method.items()}
+        assert len(means) == 4
+        assert min(means, key=means.__getitem__) == "wasp"

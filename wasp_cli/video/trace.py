@@ -74,7 +74,10 @@ class Source:
 
 
 class AsRecorded(Operator):
-    """An operator whose commands are the recorded ones; its memory and its forks go on from those that it would have issued."""
+    """An operator whose commands are the recorded ones; its memory and its forks go on from those that it would have issued.
+
+    It goes forward only: a snapshot would not bring the recorded commands back, and no branches are played from it.
+    """
 
     def __init__(self, operator: Operator, recorded: Recorded) -> None:
         super().__init__(operator.policy, operator.action_size, operator.noise, operator.batch)
