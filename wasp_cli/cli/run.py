@@ -203,6 +203,7 @@ def sweep(
     from wasp_cli.errors import UsageError
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
+    from wasp_cli.run.record import reported
     from wasp_cli.run.session import on_tasks, run_sweep
     from wasp_cli.spec.derived import read_sweep, sized
 
@@ -214,6 +215,7 @@ def sweep(
     # Also after failures: the other values are worth seeing, and the report names what is not there.
     report = report_sweep(layout.root, wanted, [cells_with_keys(grid) for grid in done.grids])
     page, *_ = report.write(layout.reports(wanted.name))
+    reported(layout, done.session.run_id)
     if json:
         print_json({**report.as_json(), "report": str(page)})
     else:
@@ -255,6 +257,7 @@ def operators(
     from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
     from wasp_cli.report.summarize import wanted_cells
     from wasp_cli.report.tables.severity_check import as_json, check_table, judged
+    from wasp_cli.run.record import reported
     from wasp_cli.run.session import restricted, run_spec
     from wasp_cli.spec.derived import operators_alone, sized
 
@@ -267,6 +270,7 @@ def operators(
     folder = session.layout.reports(loaded.spec.name)
     make_own(folder)
     files = write_pages(folder, {}, [judged(table, checks)])
+    reported(session.layout, session.run_id)
     if json:
         print_json(as_json(loaded.spec.name, checks, frame))
     else:
@@ -289,7 +293,7 @@ def run_options(jobs: int | None, timeout: float | None, retries: int, backend: 
 
     if backend not in BACKENDS:  # also told where nothing is going to run
         raise UnknownName("backend", backend, BACKENDS)
-    return RunOptions(cores() if jobs is None else jobs, timeout, retries, backend, scheduler)
+    return RunOptions(cores() if jobs is None else jobs, timeout, retries, backend, scheduler, reports=True)
 
 
 def show_plan(
@@ -343,6 +347,7 @@ def run_and_report(
         CellsFailed: a selected cell failed, or has no readable rows.
     """
     from wasp_cli.plan.plan import branched_with_keys, cells_with_keys, parts_with_keys
+    from wasp_cli.run.record import reported
     from wasp_cli.run.session import WHOLE, run_spec
     from wasp_cli.spec.paper import load_paper
 
@@ -351,6 +356,7 @@ def run_and_report(
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, wanted = session.plan.grid, session.plan.wanted
     report = show_report(session.layout, loaded.spec, cells_with_keys(grid), parts_with_keys(grid), branched_with_keys(grid), paper)
+    reported(session.layout, session.run_id)
     session.require_complete()
     require_cells([cell for cell in report.missing if wanted is None or cell.key in wanted], session.layout)
 

@@ -45,18 +45,21 @@ def gc(
 ) -> None:
     """Remove results that no spec needs.
 
-    Kept is what the newest run of each spec needs, what active runs need, and everything that these were computed from.
+    Kept is what the newest run of each spec needs, what active runs need, what a person drove, what a note is about, and everything that
+    these were computed from.
     """
     import sys
     import time
 
     from wasp_cli.console import out
+    from wasp_cli.report.notes import notes_of
     from wasp_cli.run.reach import kept_keys, remove_unreached, unreached
     from wasp_cli.run.record import results_of
     from wasp_cli.run.show import removed_line, show_rubbish
 
     layout = results_of(results_folder(folder, results))
     kept, before = kept_keys(layout, keep or ()), None if older_than is None else time.time() - older_than * 86400
+    kept |= {note.key for note in notes_of(layout)}
     rubbish = unreached(layout, kept, runs=runs, before=before)
     show_rubbish(rubbish, out())
     if not rubbish or dry_run:
@@ -64,6 +67,7 @@ def gc(
     if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
         out().print("nothing was removed: there is no terminal to ask on, and --yes was not given", markup=False)
     elif yes or typer.confirm("Remove all of it?"):
+        kept |= {note.key for note in notes_of(layout)}  # somebody may have written one since
         done = remove_unreached(layout, kept, rubbish, runs=runs, before=before)
         out().print(removed_line(*done), markup=False)
 

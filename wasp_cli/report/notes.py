@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 from wasp_cli.errors import StoreError, UsageError, refusal
 from wasp_cli.store.layout import Layout, is_key
-from wasp_cli.store.plain import open_plain, printable, read_json_lines
+from wasp_cli.store.plain import append_line, open_plain, printable, read_json_lines
 
 FILE = "notes.jsonl"
 LONGEST = 2000
@@ -92,10 +92,10 @@ def add_note(layout: Layout, note: Note) -> Note:
     path = layout.within(layout.root / FILE)
     try:
         # One write, so that lines of two who note something at once do not mix; never through a link.
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         file = os.open(path, flags, 0o666)
         try:
-            os.write(file, (json.dumps(asdict(note), ensure_ascii=False) + "\n").encode())
+            append_line(file, json.dumps(asdict(note), ensure_ascii=False))
         finally:
             os.close(file)
     except OSError as error:

@@ -19,6 +19,7 @@ from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import ASSISTANT, ROLLOUTS, stage_class
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
+from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.address import cell_address
 from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.stats.frame import CellNumbers
@@ -42,7 +43,10 @@ def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
     """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
     found: dict[str, str] = {}
     damaged: list[str] = []
-    for path in sorted(layout.runs.glob("*/plan.json")):
+    for run_id in reversed(run_ids(layout)):
+        path = layout.run(run_id) / "plan.json"
+        if not path.exists():
+            continue
         try:
             name = (read_record(path) or {}).get("spec")
         except ArtifactError as error:
@@ -52,7 +56,7 @@ def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
             damaged.append(f"'{path}' is damaged: it names no spec")
             continue
         found.pop(name, None)
-        found[name] = path.parent.name
+        found[name] = run_id
     return found, damaged
 
 

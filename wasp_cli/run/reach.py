@@ -1,21 +1,37 @@
-"""What of a results folder somebody still wants: everything that the newest run of each spec reaches, and every run that is not over."""
+"""What of a results folder somebody still wants.
+
+That is what the newest run of each spec reaches, what the runs reach that are not over, and whatever a person did: that nobody can compute.
+"""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.console import waiting_aloud
-from wasp_cli.errors import StoreError
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.plan.reuse import NONE, lay_out_over
-from wasp_cli.run.watch import state_of
+from wasp_cli.run.watch import is_gone, state_of
 from wasp_cli.spec.load import load
-from wasp_cli.store.gc import Rubbish, locked, remove, rubbish, run_rubbish, stored, with_inputs
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.artifact import read_manifest, read_record
+from wasp_cli.store.find import KIND
+from wasp_cli.store.gc import (
+    Rubbish,
+    computed_from,
+    locked,
+    remove,
+    rubbish,
+    run_rubbish,
+    stored,
+    unfinished_sessions,
+    with_inputs,
+)
+from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held
 
 BEGINS_SECONDS = 3600.0
@@ -40,13 +56,19 @@ def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
     return {node.key for spec in loaded for reuse in {NONE, spec.reuse} for node in lay_out_over(spec, layout, reuse).nodes}
 
 
-def reach_of_runs(layout: Layout) -> Reach:
-    """Return what the newest run of each spec name reaches, and what the runs reach that are not over.
+def reach_of_runs(layout: Layout, own: Set[str]) -> Reach:
+    """Return what the newest run of each spec name reaches, what the runs reach that are not over, and what people did.
+
+    Args:
+        layout: the results folder.
+        own: keys of what people did.
 
     Raises:
         StoreError: a run does not say what it reaches, so that nothing can be called unreached.
     """
     wanted: dict[str, PlannedRun] = {}
+    of_people: set[str] = set()
+    keys: set[str] = set()
     newest: set[str] = set()
     ids = run_ids(layout)
     for run_id in ids:
@@ -59,9 +81,12 @@ def reach_of_runs(layout: Layout) -> Reach:
         if run.spec not in newest or _goes_on(layout, run):
             wanted[run_id] = run
         newest.add(run.spec)
+        if own & run.nodes.keys():  # a report finds a session by the run that asked for it
+            of_people.add(run_id)
+            keys |= _read_by(run, own)
     # A sweep that counts keeps the runs of its values: its reports are made from them.
-    kept = {*wanted, *(part for run in wanted.values() for part in run.parts)}
-    keys = {key for run in wanted.values() for key in run.nodes}
+    kept = {*wanted, *of_people, *(part for run in wanted.values() for part in run.parts)}
+    keys |= {key for run in wanted.values() for key in run.nodes}
     return Reach(frozenset(keys), tuple(run_id for run_id in ids if run_id not in kept))
 
 
@@ -77,9 +102,10 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
     Raises:
         StoreError: a run does not say what it reaches.
     """
-    reach = reach_of_runs(layout)
     there = stored(layout)
-    needed = with_inputs(layout, {*reach.keys, *keep, *locked(layout)}, there)
+    own = _of_people(layout, there)
+    reach = reach_of_runs(layout, own | unfinished_sessions(layout))
+    needed = with_inputs(layout, {*reach.keys, *keep, *locked(layout), *own, *computed_from(layout, own, there)}, there)
     return rubbish(layout, needed, there, before) + (run_rubbish(layout, reach.other_runs, before) if runs else [])
 
 
@@ -103,9 +129,47 @@ def remove_unreached(layout: Layout, keep: set[str], shown: Iterable[Rubbish], *
         return remove(layout, still)
 
 
+def _of_people(layout: Layout, there: Mapping[str, list[str]]) -> set[str]:
+    """The keys of the cells that a person drove, damaged ones too, and of the clones of people."""
+
+    def driven(key: str) -> bool:
+        if os.path.lexists(layout.artifact(KIND, key) / SESSION_FILE):
+            return True
+        try:
+            axes = read_manifest(layout, KIND, key).get("axes")
+        except ArtifactError:
+            return False
+        return isinstance(axes, dict) and axes.get("variant") == PERSON
+
+    return {key for key, kinds in there.items() if "clone" in kinds or (KIND in kinds and driven(key))}
+
+
+def _read_by(run: PlannedRun, keys: Set[str]) -> set[str]:
+    """The keys of a plan's nodes, and of everything that they need."""
+    found: set[str] = set()
+    pending = [key for key in keys if key in run.nodes]
+    while pending:
+        key = pending.pop()
+        if key not in found:
+            found.add(key)
+            pending += run.nodes[key].needs if key in run.nodes else ()
+    return found
+
+
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:
+    if _reports(layout, run.run_id):
+        return True
     state = state_of(layout, run).state
     return state == "running" or (state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS)
+
+
+def _reports(layout: Layout, run_id: str) -> bool:
+    """Whether a living process is to write the report of a run."""
+    try:
+        record = read_record(layout.reporting(run_id))
+    except ArtifactError:  # a full disk
+        return False
+    return record is not None and not is_gone(record)
 
 
 def _require_old(layout: Layout, run_id: str) -> None:
@@ -123,8 +187,8 @@ def _unclear(layout: Layout, run_id: str) -> StoreError:
 
 
 def _age(layout: Layout, run_id: str) -> float:
-    """Seconds since the folder of a run was changed."""
+    """Seconds since the folder of a run was changed, or until then where a clock was ahead."""
     try:
-        return time.time() - layout.run(run_id).lstat().st_mtime
+        return abs(time.time() - layout.run(run_id).lstat().st_mtime)
     except OSError:
         return 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -14,12 +15,13 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.errors import ArtifactError, StoreError, refusal
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan
+from wasp_cli.plan.recorded import order_of, run_ids
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
@@ -27,7 +29,8 @@ from wasp_cli.spec.names import RECORDED
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.plain import read_plain
+from wasp_cli.store.plain import append_line, read_plain
+from wasp_cli.store.provenance import boot_id
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
 """A cell and a part of a plan; its values have the types of its fields, whoever wrote it."""
@@ -49,17 +52,29 @@ class Recorded:
     """What its record has that this version does not know, each as a sentence; it stays in the record, and is in no table."""
 
 
-def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
-    """Make the folder of a new run and write down what it is asked for."""
+def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False) -> str:
+    """Make the folder of a new run and write down what it is asked for.
+
+    Args:
+        layout: the results folder.
+        loaded: the spec.
+        plan: what it asks for.
+        reports: whether this process writes a report afterwards, and says with `reported` that it has.
+    """
     spec = loaded.spec
-    with _new_folder(layout, spec.name) as folder:
+    with _new_folder(layout, spec.name, reports) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
         write_record(folder / "plan.json", {"spec": spec.name, **plan.as_json()})
     return folder.name
 
 
-def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid]) -> str:
+def reported(layout: Layout, run_id: str) -> None:
+    """Note that nothing more of a run is read for its report."""
+    layout.reporting(run_id).unlink(missing_ok=True)
+
+
+def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *, reports: bool = False) -> str:
     """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells.
 
     Args:
@@ -67,21 +82,26 @@ def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid]) -
         sweep: the setting and its values.
         plan: of all values together.
         grids: what each value asks for.
+        reports: as for `new_run`.
     """
     runs = [new_run(layout, point.loaded, plan.of(grid)) for point, grid in zip(sweep.points, grids, strict=True)]
-    with _new_folder(layout, sweep.name) as folder:
+    with _new_folder(layout, sweep.name, reports) as folder:
         values = [{"value": point.value, "run": run} for point, run in zip(sweep.points, runs, strict=True)]
         write_record(folder / "sweep.json", {"spec": sweep.spec, "setting": sweep.key, "values": values})
     return folder.name
 
 
 @contextmanager
-def _new_folder(layout: Layout, name: str) -> Iterator[Path]:
+def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
     """A folder of a run; refusals of the system become StoreError."""
     folder = layout.run(f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{name[:60]}-{secrets.token_hex(2)}")
     try:
         for part in ("logs", "running"):
             (folder / part).mkdir(parents=True)
+        last = max((order_of(layout, name) for name in run_ids(layout)), default=0)
+        layout.order(folder.name).write_text(f"{last + 1}\n", encoding="utf-8")
+        if reports:
+            write_record(layout.reporting(folder.name), {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()})
         yield folder
     except OSError as error:
         raise StoreError(f"cannot write to '{folder}': {(error.strerror or str(error)).lower()}") from error
@@ -193,13 +213,21 @@ class Journal:
     """Appends events to `journal.jsonl`. Each is one write, so that a signal handler may write one too, and lines never mix."""
 
     def __init__(self, path: Path) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        self._path = path
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        self.failure: StoreError | None = None
+        """What kept an event from being written whole; the first one."""
 
     def write(self, event: str, **facts: Any) -> None:
-        """Append one event with its time. A full disk must not end the run that it keeps from telling."""
+        """Append one event with its time. A full disk does not end the run, which says at its end what could not be written."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        with suppress(OSError):
-            os.write(self._file, (json.dumps({"at": now, "event": event, **facts}) + "\n").encode())
+        if self._file < 0:
+            return
+        try:
+            append_line(self._file, json.dumps({"at": now, "event": event, **facts}))
+        except OSError as error:
+            what = f"the journal '{self._path}' is not whole: {refusal(error).message}"
+            self.failure = self.failure or StoreError(what, "results are kept; make room, and run the same command again")
 
     def close(self) -> None:
         """Close the file; what is written afterwards goes nowhere."""

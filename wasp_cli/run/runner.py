@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
@@ -72,6 +72,8 @@ class Summary:
     busy: float = 0.0
     """Seconds that workers spent on nodes, all together."""
     workers: int = 1
+    untold: StoreError | None = None
+    """What kept the journal from being written."""
 
     @property
     def busy_share(self) -> float:
@@ -147,6 +149,7 @@ class Runner:
         finally:
             self.summary.seconds = time.monotonic() - started
             self._journal.close()
+            self.summary.untold = self._journal.failure
         return self.summary
 
     def _carry_out(self, schedule: Schedule) -> None:

@@ -79,13 +79,16 @@ class Session:
     """A run that is over."""
 
     layout: Layout
+    run_id: str
     plan: Plan
     summary: Summary
     names: Mapping[str, str] = field(default_factory=dict)
     """What people call a node, by its key, where that is not its label."""
 
     def require_complete(self) -> None:
-        """Raise CellsFailed when a node failed."""
+        """Raise CellsFailed when a node failed, and StoreError when the journal could not be written."""
+        if self.summary.untold is not None:
+            raise self.summary.untold
         if not self.summary.complete:
             raise CellsFailed(
                 _failure_message(self.summary, self.names),
@@ -107,6 +110,8 @@ class RunOptions:
     """Who provides the workers: one of `pool.BACKENDS`."""
     scheduler: str | None = None
     """Address of a dask scheduler or a ray cluster."""
+    reports: bool = False
+    """Whether this process writes a report afterwards, and then calls `record.reported`."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,7 @@ def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Sele
         plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
         if _without_slim_inputs(plan, layout):
             plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
-        run_id = new_run(layout, loaded, plan)
+        run_id = new_run(layout, loaded, plan, reports=options.reports)
     announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options)
 
@@ -185,7 +190,7 @@ def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, name
     _import_published(plan, layout)
     summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
     plain(_summary_line(plan, summary))
-    return Session(layout, plan, summary, names)
+    return Session(layout, run_id, plan, summary, names)
 
 
 def _import_published(plan: Plan, layout: Layout) -> None:
@@ -296,7 +301,7 @@ def run_sweep(sweep: Sweep, results: Path, options: RunOptions) -> SweepSession:
     layout = prepared(results, options)
     with planning(layout):
         plan = plan_against(together(grids), layout)
-        run_id = new_sweep(layout, sweep, plan, grids)
+        run_id = new_sweep(layout, sweep, plan, grids, reports=options.reports)
     users = _users(grids)
     plain(_shares(sweep, grids, users))
     names = {node.key: _name(sweep, node.label, users[node.key]) for node in plan.grid.nodes}

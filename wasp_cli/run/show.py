@@ -87,7 +87,7 @@ def life(state: RunState, now: datetime) -> str:
     """Say whether a run goes on, since when, and how it ended."""
     if state.state == "not started":
         return "planned; nothing computed yet"
-    if not state.total:
+    if state.idle:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":

@@ -65,7 +65,7 @@ class RunState:
     ended: datetime | None
     """When it ended or was interrupted; of one that died, its last event."""
     total: int
-    """Nodes that it was to compute."""
+    """Nodes that it was to compute; where there are none, those that it needed."""
     done: int
     shared: int
     """Nodes that another run computed meanwhile."""
@@ -84,6 +84,8 @@ class RunState:
     """What remains, by the estimates of the plan; by the rate where it has none. None of a run that does not go on, or when unknown."""
     unknown: int
     """Nodes to come without an estimate: what remains takes longer by them."""
+    idle: bool
+    """Nothing had to be computed; what counts as done was there before."""
     busy_share: float | None
     """Share of the workers' time that went to nodes; None before there is any."""
 
@@ -128,6 +130,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     counted = number(start, "nodes")
     left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
     total = sum(node.runs for node in run.nodes.values()) or int(counted or 0)
+    before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
     workers = max(int(number(start, "jobs") or 1), 1)
     seconds, unknown = _left(left, active, workers, now) if state == "running" else (None, 0)
     if state == "running" and seconds is None and rate and len(finished) > 1:
@@ -138,8 +141,8 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         state=state,
         started=started,
         ended=ended,
-        total=total,
-        done=sum(how == "done" for how in ends.values()),
+        total=total or before,
+        done=before + sum(how == "done" for how in ends.values()),
         shared=sum(how == "shared" for how in ends.values()),
         failed=tuple(_failed(event) for key, event in failed.items() if ends[key] == "failed"),
         blocked=sum(how == "blocked" for how in ends.values()),
@@ -151,6 +154,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         per_minute=rate,
         left_seconds=seconds,
         unknown=unknown,
+        idle=not total,
         busy_share=_busy_share(events, active if state == "running" else (), workers, started, ended or now),
     )
 

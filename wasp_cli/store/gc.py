@@ -13,7 +13,7 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.store.artifact import discard, left_behind, read_manifest, stored_kinds
-from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.layout import SESSION_FILE, Layout, is_key
 from wasp_cli.store.lock import held_if_free, is_held, remove_lock
 
 WORK, FAILURES, RUNS, TMP, LOCKS = "work of nodes", "records of failures", "runs", "left in tmp", "locks"
@@ -63,12 +63,42 @@ def with_inputs(layout: Layout, keys: Iterable[str], there: Mapping[str, list[st
             continue
         found.add(key)
         for kind in there.get(key, ()):
-            try:
-                upstream = read_manifest(layout, kind, key).get("upstream")
-            except ArtifactError:  # it is damaged, and will be computed again from what the plan says
-                continue
-            pending += [needed for needed in upstream.values() if isinstance(needed, str)] if isinstance(upstream, dict) else []
+            pending += _upstream(layout, kind, key)
     return found
+
+
+def computed_from(layout: Layout, keys: Iterable[str], there: Mapping[str, list[str]]) -> set[str]:
+    """Return the keys of everything that, as far as manifests say, was computed from something: step by step.
+
+    Args:
+        layout: the results folder.
+        keys: where to begin; they are not returned.
+        there: the kinds under which a key is in the store, from `stored`.
+    """
+    readers: dict[str, list[str]] = {}
+    for key, kinds in there.items():
+        for needed in (needed for kind in kinds for needed in _upstream(layout, kind, key)):
+            readers.setdefault(needed, []).append(key)
+    found: set[str] = set()
+    pending = list(keys)
+    while pending:
+        new = set(readers.get(pending.pop(), ())) - found
+        found |= new
+        pending += new
+    return found
+
+
+def _upstream(layout: Layout, kind: str, key: str) -> list[str]:
+    try:
+        upstream = read_manifest(layout, kind, key).get("upstream")
+    except ArtifactError:  # it is damaged, and will be computed again from what the plan says
+        return []
+    return [needed for needed in upstream.values() if isinstance(needed, str)] if isinstance(upstream, dict) else []
+
+
+def unfinished_sessions(layout: Layout) -> set[str]:
+    """Return the keys of the cells that a person has begun to drive."""
+    return {key for key in _keys(layout.works) if os.path.lexists(layout.work(key) / SESSION_FILE)}
 
 
 def rubbish(layout: Layout, needed: set[str], there: Mapping[str, list[str]], before: float | None = None) -> list[Rubbish]:
@@ -76,12 +106,14 @@ def rubbish(layout: Layout, needed: set[str], there: Mapping[str, list[str]], be
 
     Args:
         layout: the results folder.
-        needed: keys of which nothing goes but the work of finished ones.
+        needed: keys of which nothing goes but the work of finished ones. Sessions of people stay, whatever it says.
         there: the kinds under which a key is in the store, from `stored`.
         before: a time in seconds since the epoch; None for now.
     """
     found = [_rubbish(kind, layout.artifact(kind, key), key) for key, kinds in there.items() if key not in needed for kind in kinds]
-    found += [_rubbish(WORK, layout.work(key), key) for key in _keys(layout.works) if key in there or key not in needed]
+    sessions = unfinished_sessions(layout)
+    works = [key for key in _keys(layout.works) if (key in there or key not in needed) and key not in sessions]
+    found += [_rubbish(WORK, layout.work(key), key) for key in works]
     records = _keys(layout.failures, lambda entry: entry.is_file(follow_symlinks=False), ".json")
     found += [_rubbish(FAILURES, layout.failure(key), key) for key in records if key not in needed]
     found += [_rubbish(TMP, folder, folder.name.partition("-")[0]) for folder in left_behind(layout)]

@@ -6,7 +6,7 @@ results/
   work/<key>/              checkpoints of nodes that can resume; removed when the node is done
   locks/<key>              held by the process that computes a node; locks/planning while runs are planned or removed
   tmp/                     artifacts being written; on the same file system, so that publishing is one rename
-  runs/<run>/              spec.yaml spec.json plan.json journal.jsonl running/ logs/
+  runs/<run>/              spec.yaml spec.json plan.json order journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
   index.json               what plans know of the artifacts; can be removed
   rows/<spec>.parquet      what reports know of the cells of large grids; can be removed
@@ -27,6 +27,8 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.=+-]{0,127}")
 _KEY = re.compile(r"[0-9a-f]{8,64}")
 MANIFEST = "_manifest.json"
 """Begins as what readers of Parquet folders leave alone."""
+SESSION_FILE = "_session.json"
+"""What only the cell of a person has, finished or not; see `store.people`."""
 FORMER_MANIFEST = "manifest.json"
 """Its name in results of earlier versions."""
 MANIFESTS = (MANIFEST, FORMER_MANIFEST)
@@ -117,6 +119,14 @@ class Layout:
     def journal(self, run_id: str) -> Path:
         """Return the events of a run."""
         return self.run(run_id) / "journal.jsonl"
+
+    def order(self, run_id: str) -> Path:
+        """Return the file that says which of all runs this is."""
+        return self.run(run_id) / "order"
+
+    def reporting(self, run_id: str) -> Path:
+        """Return the file that is there, with a process, until the report of a run is written."""
+        return self.run(run_id) / "reporting.json"
 
     def stop(self, run_id: str) -> Path:
         """Return the file that is there when a run was asked to end."""

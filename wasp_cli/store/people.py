@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from wasp_cli.store.layout import SESSION_FILE as SESSION_FILE
 from wasp_cli.store.parquet import opened_table
 
-TIMING_FILE, SESSION_FILE = "_timing.pq", "_session.json"
+TIMING_FILE = "_timing.pq"
 VERSION_KEY, VERSION = b"wasp.timing", 1
 BEAT = pa.schema(
     [

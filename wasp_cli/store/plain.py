@@ -90,6 +90,21 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
     return found
 
 
+def append_line(descriptor: int, text: str) -> None:
+    """Append a line to a file that is open for reading and appending, in one write as long as the disk has room.
+
+    What an earlier write could not finish stays a line of its own.
+
+    Raises:
+        OSError: not all of it could be written.
+    """
+    size = os.fstat(descriptor).st_size
+    whole = not size or os.pread(descriptor, 1, size - 1) == b"\n"
+    left = ("" if whole else "\n").encode() + text.encode() + b"\n"
+    while left:  # a full disk takes a part, and refuses the rest
+        left = left[os.write(descriptor, left) :]
+
+
 def printable(text: str) -> str:
     """Return a text without what a terminal would obey instead of showing it."""
     return _UNPRINTABLE.sub("\ufffd", text)
