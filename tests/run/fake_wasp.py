@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +20,9 @@ if __name__ == "__main__":
     fake_stages.install()
 
     def show_cells(layout: object, spec: object, cells: list[object], *more: object) -> SimpleNamespace:
+        gate = json.loads(os.environ.get(fake_stages.OPTIONS, "{}")).get("report")
+        while gate is not None and not Path(gate).exists():  # until someone lets it be written
+            time.sleep(0.02)
         out().print(f"{len(cells)} cells")
         return SimpleNamespace(missing=())
 

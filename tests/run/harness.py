@@ -90,6 +90,12 @@ def run(spec: Path, results: Path, pool: Pool | None = None) -> Summary:
     return Runner(layout, new_run(layout, loaded, plan), pool or InlinePool()).run(plan)
 
 
+def keys_of(spec: Path, results: Path) -> set[str]:
+    """The keys of everything that a spec asks for."""
+    _, _, plan = prepared(spec, results)
+    return {step.node.key for step in plan.steps}
+
+
 def data_of(results: Path) -> dict[str, bytes]:
     """The payload of every artifact in a store."""
     return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, prepared, run, start, wait_until
+from tests.run.harness import Fakes, keys_of, run, start, wait_until
 from tests.run.recorded import process
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import run_ids
@@ -36,11 +36,6 @@ def other_spec(small_spec: Path) -> Path:
 
 def artifacts(results: Path) -> set[str]:
     return {path.parent.name for path in results.glob("store/*/*/_manifest.json")}
-
-
-def keys_of(spec: Path, results: Path) -> set[str]:
-    _, _, plan = prepared(spec, results)
-    return {step.node.key for step in plan.steps}
 
 
 def collect(results: Path, *options: str | Path) -> str:

@@ -96,7 +96,7 @@ def drive(
 
         out().print(wanted.orders())
     elif check:
-        _check(wanted.prepared(), json)
+        _check(wanted.prepared(recorded=False), json)
     else:
         summaries = []
         for each in wanted.everyone() if simulate else [wanted]:

@@ -62,8 +62,8 @@ class Wanted:
     def _is_task(self) -> bool:
         return self.what in TASKS and not Path(self.what).exists()
 
-    def prepared(self) -> Session:
-        """Find the cells and what they need.
+    def prepared(self, *, recorded: bool = True) -> Session:
+        """Find the cells and what they need; `recorded` is said by `session.prepared`.
 
         Raises:
             UsageError: an option does not fit to the spec.
@@ -77,7 +77,7 @@ class Wanted:
         shown = frozenset(SHOWN if study is None else study.shown) - set(self.hide)
         speed = self.speed or (1.0 if study is None else study.speed)
         options = RunOptions(cores() if self.jobs is None else self.jobs)
-        return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated))
+        return prepared(loaded, self.results, options, self.participant, How(speed, shown, simulated=self.simulated), recorded=recorded)
 
     def everyone(self) -> list[Wanted]:
         """Return one for each participant of a spec; where a task or a participant is meant, this one."""
@@ -120,7 +120,7 @@ class Wanted:
 
     def record(self, session: Session) -> None:
         """Write down what this participant has driven of a task so far, so that a report shows all of it."""
-        if not self._is_task or not session.done:
+        if not self._is_task:
             return
         layout, numbers = session.layout, range(max(session.loaded.spec.seeds) + 1)
         everything = self._of(0, [name for name in METHODS if METHODS[name].impaired], numbers)
@@ -198,14 +198,15 @@ def _linger(desk: Desk, seconds: float = 1.0) -> None:
 
 
 def timing_table(found: Sequence[Timing]) -> Table:
-    """Return the figures of a check."""
-    headings = ("period", "decisions", "late", "decision", "p99", "key to action", "p99", "round trip", "p99", "speed")
-    table = count_table("", *headings)
+    """Return the figures of a check: a block of rows for each cell, so that 80 columns are enough."""
+    table = count_table("", "median", "99th percentile")
     for timing in found:
-        pairs = [f"{value:.1f} ms" for pair in (timing.decision_ms, timing.input_ms, timing.round_trip_ms) for value in pair]
-        table.add_row(
-            timing.label, f"{timing.period_ms:.0f} ms", str(timing.decisions), f"{timing.late_share:.1%}", *pairs, f"{timing.recommended:g}"
-        )
+        table.add_row(timing.label, style="bold")
+        pairs = {"decision": timing.decision_ms, "key to action": timing.input_ms, "round trip": timing.round_trip_ms}
+        for name, pair in pairs.items():
+            table.add_row(f"  {name}", *(f"{value:.1f} ms" for value in pair))
+        table.add_row(f"  {timing.late_share:.1%} of {timing.decisions} decisions late")
+        table.add_row(f"  period {timing.period_ms:.0f} ms; in time at --speed {timing.recommended:g}")
     return table
 
 

@@ -36,7 +36,7 @@ from wasp_cli.spec.load import Loaded, load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
-from wasp_cli.store.artifact import exists, read_manifest, read_record, stored_keys
+from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.tables import CellIdentity
@@ -225,7 +225,7 @@ class Session:
         return block
 
 
-def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How) -> Session:
+def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: int | None, how: How, *, recorded: bool = True) -> Session:
     """Find the cells that a participant is to drive, and compute or bring in everything that they need.
 
     Args:
@@ -234,6 +234,7 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
         options: for what has to be trained before.
         participant: number; None: the only one of the spec.
         how: how it is shown and paced.
+        recorded: whether anything is going to be driven; otherwise no run stays behind, only what had to be computed.
 
     Raises:
         UsageError: nobody drives in this spec, not this participant, or several episodes are to be driven side by side.
@@ -252,8 +253,14 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, None)
     read = dict.fromkeys(needed.kind for cell, node in grid.cells for needed in node.needs.values() if cell.operator == PERSON)
-    run_spec(loaded, results, options, Selection((f"stage={'|'.join(read)}",))).require_complete()
+    # A check that is killed must not pass for the last run of its spec either.
+    asked = loaded if recorded else replace(loaded, spec=spec.model_copy(update={"name": f"{spec.name}-check"}))
+    made = run_spec(asked, results, options, Selection((f"stage={'|'.join(read)}",)))
+    made.require_complete()
     mine = cells_of(grid, participant)
+    if not recorded:
+        discard(layout.run(made.run_id))
+        return Session(loaded, layout, made.run_id, ordered(mine, participant), how, spec.study)
     _require_one_kind(layout, mine, how)
     run_id = new_run(layout, loaded, plan_against(grid, layout))
     return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study)

@@ -1,0 +1,87 @@
+"""A disk that takes only a part of a line: whoever wrote it is told, and the next line stays whole."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.faults.conftest import fakes
+from tests.report.golden_store import STORE
+from tests.run.harness import ROOT, Fakes, prepared, run
+from wasp_cli.errors import StoreError
+from wasp_cli.report.notes import FILE, invalid, notes_of
+from wasp_cli.run.record import Journal
+from wasp_cli.run.session import Session
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import read_json_lines
+
+__all__ = ["fakes"]
+
+KEY = sorted(path.name for path in (STORE / "store" / "evaluate").iterdir())[0]
+
+
+def note(results: Path, *arguments: str, room: int | None = None) -> subprocess.CompletedProcess[str]:
+    """`wasp note`, on a disk that lets a file have no more than `room` bytes."""
+
+    def limited() -> None:
+        if room is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    command = [sys.executable, "-B", "-m", "wasp_cli", "note", KEY, *arguments, "--results", str(results)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, preexec_fn=limited)
+
+
+@pytest.mark.parametrize("cut", [1, 30, 0])
+def test_a_note_that_was_cut_is_an_error_and_takes_no_other_along(tmp_path: Path, cut: int) -> None:
+    layout = Layout(shutil.copytree(STORE, tmp_path / "results"))
+    assert note(layout.root, "it is as it should be").returncode == 0
+    path = layout.root / FILE
+    room = path.stat().st_size + cut
+    refused = note(layout.root, "-e", "0", "--invalid", "x", room=room)
+    assert refused.returncode == 1, refused.stdout + refused.stderr
+    assert f"the note cannot be written to '{path}'" in refused.stderr
+    assert "file too large" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert path.stat().st_size == room
+    assert note(layout.root, "-e", "1", "--invalid", "y").returncode == 0
+    assert [each.text for each in notes_of(layout)] == ["it is as it should be", "y"]
+    assert list(invalid(notes_of(layout))) == [(KEY, 1)]
+
+
+def test_a_journal_goes_on_after_an_event_that_was_cut_and_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    child = os.fork()
+    if not child:
+        try:
+            journal = Journal(path)
+            journal.write("first")
+            room = path.stat().st_size + 20
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+            journal.write("second")
+            cut = journal.failure is not None and "is not whole: file too large" in journal.failure.message
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            journal.write("third")
+            os._exit(0 if cut and path.stat().st_size > room else 1)
+        finally:
+            os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert [event["event"] for event in read_json_lines(path)] == ["first", "third"]
+
+
+def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_error(
+    fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Layout, "journal", lambda self, run_id: Path("/dev/full"))
+    results = tmp_path / "results"
+    summary = run(small_spec, results)
+    assert summary.complete
+    _, layout, plan = prepared(small_spec, results)
+    assert not plan.to_run()
+    with pytest.raises(StoreError, match="'/dev/full' is not whole: no space left on device"):
+        Session(layout, "", plan, summary).require_complete()
