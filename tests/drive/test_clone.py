@@ -26,6 +26,7 @@ from wasp_cli.models.clone import Clone
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.operators.cloned_person import CloneOfPerson, ContinuedPerson
 from wasp_cli.operators.clones import PlacedClone, placed
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
 
@@ -78,6 +79,7 @@ def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dic
     assert models["clone"]["log_density"] > models["expert"]["log_density"] > -math.inf
     assert models["uniform"]["log_density"] == pytest.approx(-2 * math.log(2))
     assert json.loads((Layout(results).artifact("clone", said["key"]) / "quality.json").read_text())["models"] == models
+    assert list(last_runs(Layout(results))[0]) == ["beside"], "a report shows what was driven, not what a clone needs"
 
 
 def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -31,9 +31,7 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import Policy
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, Selection, run_spec
 from wasp_cli.run.worker import manifest_of
@@ -84,7 +82,10 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     sessions = _sessions(layout, evaluation.needs["clone"], participant)
     node = sessions.node
     _require_unused(layout, node)
-    run_spec(loaded, results, options, Selection(("stage=world_model|policies",))).require_complete()
+    # It is not asked for by a report: under the name of its spec it would hide what was driven.
+    asked = replace(loaded, spec=loaded.spec.model_copy(update={"name": f"{loaded.spec.name}-clone"}))
+    made = run_spec(asked, results, options, Selection(("stage=world_model|policies",)))
+    made.require_complete()
     model = load_world_model(layout.artifact("world_model", node.needs["world_model"].key))
     skills = load_skills(layout.artifact("policies", node.needs["policies"].key))
     with threads_of_evaluations():
@@ -112,7 +113,6 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     save_weights(clone, staging / "clone.safetensors", **arguments)
     (staging / "curve.json").write_text(json.dumps(curve, indent=1))
     (staging / "quality.json").write_text(json.dumps(document, indent=1))
-    run_id = new_run(layout, loaded, plan_against(grid, layout))
     again = exists(layout, "clone", node.key)
     if again:
         say(f"{node.label}: made again, in the place of the earlier one")
@@ -120,7 +120,8 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     models = cast(dict[str, dict[str, float]], document["models"])
     summary = {f"{name}_{figure}": round(number, 3) for name, row in models.items() for figure, number in row.items()}
     begun = read_manifest(layout, "evaluate", sessions.keys[0])["provenance"]["started_at"]
-    commit(layout, "clone", node.key, staging, manifest_of(job_of(layout, run_id, node), summary, 0.0, begun))
+    commit(layout, "clone", node.key, staging, manifest_of(job_of(layout, made.run_id, node), summary, 0.0, begun))
+    discard(layout.run(made.run_id))
     return {"label": node.label, "key": node.key, **document}
 
 

@@ -1,0 +1,288 @@
+"""The commands of the storm: what each begins with, what must hold after every kill, and what it leaves in the end."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import torch  # noqa: F401  (imported before the forks)
+
+import wasp_cli.cli.app
+import wasp_cli.cli.run
+import wasp_cli.drive.clone
+import wasp_cli.drive.command
+import wasp_cli.report.document
+import wasp_cli.run.publish
+from tests.faults.test_random_kills import artifacts, payload, require_whole
+from tests.run import fake_stages
+from tests.run.harness import SMALL, data_of
+from wasp_cli.report.notes import FILE, Note, add_note, notes_of
+from wasp_cli.report.provenance import last_runs
+from wasp_cli.store.artifact import file_digest
+from wasp_cli.store.layout import SESSION_FILE, Layout
+from wasp_cli.store.tables import EPISODES_FILE, read_episodes
+
+PEOPLE = """\
+name: people
+preset: quick
+tasks: [goal1]
+methods: [human]
+operators: {person: {p7: 7, p8: 8}}
+seeds: [0]
+training_seed: 1
+episodes: 4
+side_by_side: 1
+stages: []
+reuse: published
+"""
+CLONE = ("--participant", "7", "--set", "clone.updates=20")
+EPISODES = 4
+BEFORE = "before.json"
+"""Digests of what must stay, beside the results."""
+
+
+def wasp(*arguments: object) -> None:
+    """Be `wasp ARGUMENTS`, to the end of this process."""
+    sys.argv = ["wasp", *map(str, arguments)]
+    wasp_cli.cli.app.main()
+
+
+def ends_well(*arguments: object) -> None:
+    """`wasp ARGUMENTS`, after which this process goes on."""
+    try:
+        wasp(*arguments)
+    except SystemExit as end:
+        if end.code:
+            raise
+
+
+def prepare(base: Path) -> None:
+    """Fill a results folder: a session of one person, and its clone."""
+    base.mkdir()
+    (base / "people.yaml").write_text(PEOPLE)
+    (base / "small.yaml").write_text(SMALL.replace("[0, 1]", "[0]"))
+    ends_well("drive", base / "people.yaml", "--participant", 7, "--simulate", "--speed", 4, "--results", base / "results")
+    layout = Layout(base / "results")
+    (cell,) = (layout.store / "evaluate").iterdir()
+    for number in range(3):
+        add_note(layout, Note(cell.name, "p7", number, f"note {number}"))
+
+
+def digests(results: Path) -> dict[str, str]:
+    """Of every file of the store and of notes."""
+    files = [path for path in results.glob("store/*/*/**/*") if path.is_file()]
+    return {str(path.relative_to(results)): file_digest(path) for path in files}
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that is killed. Each method is called in a process of its own."""
+
+    name: str
+    weight: int
+    start: Callable[[Path, int], None]
+    """With the folder, and how many were killed there before."""
+    begin: Callable[[Path], None] = lambda folder: None
+    check: Callable[[Path], None] = lambda folder: None
+    """After a kill, beside what holds for all."""
+    compare: Callable[[Path, Path], None] = lambda folder, calm: None
+
+    def arrange(self, folder: Path) -> None:
+        """Make what the command needs, and write down what must stay."""
+        self.begin(folder)
+        layout = Layout(folder / "results")
+        notes = (layout.root / FILE).read_text().splitlines()
+        (folder / BEFORE).write_text(json.dumps({"files": self.kept(layout.root), "notes": notes}))
+
+    def kept(self, results: Path) -> dict[str, str]:
+        return {name: digest for name, digest in digests(results).items() if not is_rubbish(name)}
+
+    def run(self, folder: Path, number: int) -> None:
+        """Be the command."""
+        self.start(folder, number)
+
+    def look(self, folder: Path) -> None:
+        """See that nothing that was there is lost, and nothing half is seen."""
+        results = folder / "results"
+        before = json.loads((folder / BEFORE).read_text())
+        now = digests(results)
+        lost = {name for name, digest in before["files"].items() if now.get(name) != digest}
+        assert not lost, f"lost or changed: {sorted(lost)}"
+        require_whole(results)
+        assert not last_runs(Layout(results))[1]
+        lines = (results / FILE).read_text().splitlines()
+        assert lines[: len(before["notes"])] == before["notes"]
+        assert [note.text for note in notes_of(Layout(results))][:3] == ["note 0", "note 1", "note 2"]
+        self.check(folder)
+
+    def judge(self, folder: Path, calm: Path) -> None:
+        """Compare what the command has left with what it leaves undisturbed."""
+        self.compare(folder, calm)
+        assert not [path for path in (folder / "results" / "tmp").glob("*") if self.name in ("run", "gc")]
+
+
+def is_rubbish(name: str) -> bool:
+    """Whether a file of a store is of those that gc is to remove."""
+    return name.split("/")[2].startswith(RUBBISH)
+
+
+RUBBISH = "0ddba11"
+
+
+# run: fake stages, real workers
+
+
+def start_run(folder: Path, number: int) -> None:
+    """`wasp run` over stages that compute nothing, and without a report."""
+    fake_stages.install()
+    os.environ[fake_stages.OPTIONS] = json.dumps({"log": str(folder / "log"), "seconds": 0.1})
+
+    def no_report(*arguments: object) -> object:
+        return type("Shown", (), {"missing": ()})
+
+    wasp_cli.cli.run.show_report = no_report  # type: ignore[assignment]
+    wasp("run", folder / "small.yaml", "--results", folder / "results", "-j", 2)
+
+
+def compare_run(folder: Path, calm: Path) -> None:
+    found = data_of(folder / "results")
+    assert found
+    assert found == data_of(calm / "results")
+
+
+# report and publish: of the session
+
+
+def start_report(folder: Path, number: int) -> None:
+    wasp("report", folder / "results", "--no-films", "--no-trained")
+
+
+def compare_report(folder: Path, calm: Path) -> None:
+    """The same files, none empty, and the same tables."""
+    found, wanted = (
+        {path.relative_to(each): path for path in each.glob("results/reports/**/*") if not path.name.startswith(".")}
+        for each in (folder, calm)
+    )
+    assert found
+    assert found.keys() == wanted.keys()
+    for name in found:
+        if found[name].is_file():
+            assert found[name].stat().st_size, name
+        if name.suffix in (".csv", ".tex"):
+            assert found[name].read_bytes() == wanted[name].read_bytes(), name
+
+
+def start_publish(folder: Path, number: int) -> None:
+    wasp("publish", folder / "people.yaml", "--results", folder / "results", "--to", folder / "published", "--reuse", "published",
+         "--select", "stage=world_model|policies")  # fmt: skip
+
+
+def check_publish(folder: Path) -> None:
+    require_whole(folder / "published")
+
+
+def compare_publish(folder: Path, calm: Path) -> None:
+    assert payload(folder / "published")
+    assert payload(folder / "published") == payload(calm / "published")
+
+
+# gc: beside what people did there is what nobody wants
+
+
+def begin_gc(folder: Path) -> None:
+    layout = Layout(folder / "results")
+    (model,) = (layout.store / "world_model").iterdir()
+    for number in range(12):
+        shutil.copytree(model, model.with_name(f"{RUBBISH}{number:013x}"))
+        (layout.work(f"{RUBBISH}{number:013x}")).mkdir(parents=True)
+    session = layout.work("5e55101" + "0" * 13)
+    session.mkdir()
+    (session / SESSION_FILE).write_text('{"number": 9}')
+    shutil.copy(next((layout.store / "evaluate").glob(f"*/{EPISODES_FILE}")), session)
+
+
+def start_gc(folder: Path, number: int) -> None:
+    wasp("gc", folder / "results", "--yes", "--runs")
+
+
+def check_gc(folder: Path) -> None:
+    (session,) = (folder / "results" / "work").glob("5e55101*")
+    assert {path.name for path in session.iterdir()} == {SESSION_FILE, EPISODES_FILE}
+
+
+def compare_gc(folder: Path, calm: Path) -> None:
+    assert artifacts(folder / "results").keys() == artifacts(calm / "results").keys()
+    assert not [name for name in artifacts(folder / "results") if name.startswith(RUBBISH)]
+
+
+# clone, note, drive
+
+
+def start_clone(folder: Path, number: int) -> None:
+    wasp("clone", folder / "results", "-j", 0, *CLONE)
+
+
+def compare_clone(folder: Path, calm: Path) -> None:
+    found, wanted = ({path.name: file_digest(path) for path in each.glob("results/store/clone/*/[a-z]*")} for each in (folder, calm))
+    assert found
+    assert found == wanted
+
+
+def start_note(folder: Path, number: int) -> None:
+    (cell,) = (folder / "results" / "store" / "evaluate").iterdir()
+    wasp("note", cell.name, f"killed {number} " + "x" * 1500, "--episode", number % EPISODES, "--invalid", "--results", folder / "results")
+
+
+def compare_note(folder: Path, calm: Path) -> None:
+    texts = [note.text.partition(" x")[0] for note in notes_of(Layout(folder / "results"))]
+    assert texts[:3] == ["note 0", "note 1", "note 2"]
+    assert folder == calm or texts[-1] == "killed 4"
+    assert len(set(texts)) == len(texts)
+
+
+def start_drive(folder: Path, number: int) -> None:
+    wasp("drive", folder / "people.yaml", "--participant", 8, "--simulate", "--speed", 4, "--results", folder / "results")
+
+
+def driven(folder: Path) -> pa.Table | None:
+    """The finished episodes of the second person, wherever they are now."""
+    found = [*(folder / "results").glob(f"work/*/{EPISODES_FILE}"), *(folder / "results").glob(f"store/evaluate/*/{EPISODES_FILE}")]
+    tables = [read_episodes([path]) for path in found if json.loads((path.parent / SESSION_FILE).read_text()).get("number") == 8]
+    return max(tables, key=len) if tables else None
+
+
+def check_drive(folder: Path) -> None:
+    """No finished episode goes, and none changes."""
+    table, kept = driven(folder), folder / "driven.arrow"
+    if kept.exists():
+        with pa.ipc.open_file(kept) as file:
+            before = file.read_all()
+        assert table is not None
+        assert table.slice(0, len(before)).equals(before)
+    if table is not None:
+        with pa.OSFile(str(kept), "wb") as sink, pa.ipc.new_file(sink, table.schema) as file:
+            file.write_table(table)
+
+
+def compare_drive(folder: Path, calm: Path) -> None:
+    table = driven(folder)
+    assert table is not None
+    assert table["episode"].to_pylist() == list(range(EPISODES))
+    assert not list((folder / "results" / "work").glob(f"*/{EPISODES_FILE}"))
+
+
+COMMANDS = (
+    Command("run", 90, start_run, compare=compare_run),
+    Command("report", 60, start_report, compare=compare_report),
+    Command("publish", 50, start_publish, check=check_publish, compare=compare_publish),
+    Command("gc", 45, start_gc, begin_gc, check_gc, compare_gc),
+    Command("note", 25, start_note, compare=compare_note),
+    Command("clone", 10, start_clone, compare=compare_clone),
+    Command("drive", 20, start_drive, check=check_drive, compare=compare_drive),
+)
