@@ -77,6 +77,10 @@ class Lines:
             labels = [self._names.get(str(one), str(label)) for one, label in zip(event["suspects"], event["labels"], strict=True)]
             after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
             self._note(f"a worker process was killed{after}")
+        elif kind == "workers gone":
+            self._note(f"{deserted(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
+        elif kind == "workers back":
+            self._note("workers are back; the run goes on")
         elif kind == "draining":
             self._note("finishing running nodes; Ctrl-C again stops now")
 
@@ -138,6 +142,11 @@ class Live(Lines):
             end = time.monotonic()
             self._next = end + max(0.4, (end - now) / SHARE)
         return self._drawn
+
+
+def deserted(event: Mapping[str, Any]) -> str:
+    """Say that no worker is left, and how a run goes on, by its event `workers gone`."""
+    return f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}"
 
 
 def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> Lines:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import platform
 import sys
 import time
 import traceback
@@ -59,19 +60,38 @@ def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
     """
     started = time.monotonic()
     layout = Layout(Path(job.root))
-    log = layout.log(job.run_id, job.label, job.key)
     if layout.stop(job.run_id).exists():
         return NodeResult(job.key, "skipped", 0.0)
+    result = _tried(job, layout, started, own_process) if is_seen(layout, job.run_id) else None
+    if result is None or (result.state == "failed" and not is_seen(layout, job.run_id)):
+        error = unseen(job.root, job.run_id)
+        return NodeResult(job.key, "unseen", time.monotonic() - started, message=error.message, hint=error.hint)
+    return result
+
+
+def _tried(job: NodeJob, layout: Layout, started: float, own_process: bool) -> NodeResult:
+    log = layout.log(job.run_id, job.label, job.key)
     try:
-        log.parent.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             stream = stack.enter_context(log.open("a", encoding="utf-8", errors="replace", buffering=1))
             stack.enter_context(_logged(stream, own_process))
             return _locked(job, layout, log, started, own_process)
-    except OSError as error:  # the results folder itself is in the way: full, gone, read-only
+    except OSError as error:  # the results folder itself is in the way: full, read-only
         return _failed(job, started, log, f"{type(error).__name__}: {error}", None, by_chance=True)
     except Exception as error:
         return _failed(job, started, log, f"{type(error).__name__}: {error}", None)
+
+
+def is_seen(layout: Layout, run_id: str) -> bool:
+    """Return whether this machine sees the results folder of a run, where its plan is. A folder that is not seen is never made."""
+    return (layout.run(run_id) / "plan.json").exists()
+
+
+def unseen(root: Path | str, run_id: str) -> StoreError:
+    """Return the error of a machine that does not see the results folder of a run."""
+    message = f"{platform.node()} does not see the results folder '{root}': runs/{run_id}/plan.json is not there"
+    why = "it was moved, or this machine does not share it; every worker needs it under the same path"
+    return StoreError(message, f"{why}. Then run again: finished nodes are kept")
 
 
 def _locked(job: NodeJob, layout: Layout, log: Path, started: float, own_process: bool) -> NodeResult:
@@ -176,7 +196,7 @@ def _cause_in_source(job: NodeJob, error: BaseException) -> SourceChanged | None
 
 def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
     work = layout.work(job.key)
-    work.mkdir(parents=True, exist_ok=True)
+    work.mkdir(exist_ok=True)
     return Job(
         kind=job.kind,
         task=job.task,

@@ -25,7 +25,8 @@ LONGEST_NAME = 1024
 def staging_folder(layout: Layout, key: str) -> Path:
     """Return a new empty folder in `tmp/`, for one attempt at one artifact."""
     folder = layout.tmp / f"{key}-{uuid.uuid4().hex[:12]}"
-    folder.mkdir(parents=True)
+    layout.tmp.mkdir(exist_ok=True)  # and never the results folder: one that was moved is not made again
+    folder.mkdir()
     return folder
 
 
@@ -40,7 +41,8 @@ def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping
         _sync(path)
     _sync(staging)
     place = layout.artifact(kind, key)
-    place.parent.mkdir(parents=True, exist_ok=True)
+    for folder in (layout.store, place.parent):
+        folder.mkdir(exist_ok=True)
     try:
         os.replace(staging, place)
     except OSError:
@@ -201,7 +203,7 @@ def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
     """Write a small JSON file; readers see the old one or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)
     replace_file(path, dumps(record))
 
 
