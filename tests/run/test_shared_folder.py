@@ -63,12 +63,13 @@ def test_a_worker_that_does_not_see_the_folder_refuses_and_makes_none(fakes: Fak
 def test_a_node_is_done_only_when_its_artifact_is_here(
     fakes: Fakes, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The worker has a copy of the folder, the plan too."""
+    """The worker has a copy of the folder, the journal too."""
     monkeypatch.setattr(runner, "ARRIVAL_SECONDS", 0.0)
     loaded, layout, plan = prepared(small_spec, tmp_path / "results")
     run_id = new_run(layout, loaded, plan)
+    runner_here = Runner(layout, run_id, Elsewhere(tmp_path / "local"))
     shutil.copytree(layout.root, tmp_path / "local")
-    summary = Runner(layout, run_id, Elsewhere(tmp_path / "local")).run(plan)
+    summary = runner_here.run(plan)
     assert fakes.executions(), "the worker computed, and told that it was done"
     assert summary.done == summary.shared == 0
     assert "it is not in" in failures_text(summary.failed)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import ArtifactError
 from wasp_cli.run.record import Tail
+from wasp_cli.run.watch import deserted
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 
@@ -142,11 +143,6 @@ class Live(Lines):
             end = time.monotonic()
             self._next = end + max(0.4, (end - now) / SHARE)
         return self._drawn
-
-
-def deserted(event: Mapping[str, Any]) -> str:
-    """Say that no worker is left, and how a run goes on, by its event `workers gone`."""
-    return f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}"
 
 
 def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str] = NAMES) -> Lines:

@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.recorded import PlannedNode, PlannedRun, number, upstream_first
-from wasp_cli.run.progress import deserted
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines
@@ -259,6 +258,11 @@ def _failed(event: Mapping[str, Any]) -> Failed:
 
 def _line(value: object, otherwise: str) -> str:
     return " ".join(value.split()) if isinstance(value, str) else otherwise
+
+
+def deserted(event: Mapping[str, Any]) -> str:
+    """Say that no worker is left, and how a run goes on, by its event `workers gone`."""
+    return f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}"
 
 
 def _deserted(events: Sequence[Mapping[str, Any]]) -> str:

@@ -25,8 +25,7 @@ LONGEST_NAME = 1024
 def staging_folder(layout: Layout, key: str) -> Path:
     """Return a new empty folder in `tmp/`, for one attempt at one artifact."""
     folder = layout.tmp / f"{key}-{uuid.uuid4().hex[:12]}"
-    layout.tmp.mkdir(exist_ok=True)  # and never the results folder: one that was moved is not made again
-    folder.mkdir()
+    folder.mkdir(parents=True)
     return folder
 
 
@@ -41,8 +40,7 @@ def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping
         _sync(path)
     _sync(staging)
     place = layout.artifact(kind, key)
-    for folder in (layout.store, place.parent):
-        folder.mkdir(exist_ok=True)
+    place.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.replace(staging, place)
     except OSError:
@@ -203,15 +201,15 @@ def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
     """Write a small JSON file; readers see the old one or the new one."""
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, dumps(record))
 
 
-def replace_file(path: Path, text: str) -> None:
-    """Write a text; readers see the old file or the new one."""
+def replace_file(path: Path, data: str | bytes) -> None:
+    """Write a text or bytes; readers see the old file or the new one."""
     partial = path.with_name(f".{path.name}-{uuid.uuid4().hex[:8]}")
     try:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_bytes(data.encode() if isinstance(data, str) else data)
         os.replace(partial, path)
     except OSError:
         partial.unlink(missing_ok=True)

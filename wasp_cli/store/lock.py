@@ -43,7 +43,7 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
     Raises:
         Busy: someone else has it, and `waiting` said no.
     """
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
     how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     while True:
         descriptor = _made(path)
