@@ -3,7 +3,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,6 +13,8 @@ from wasp_cli.drive.command import Wanted
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.server import Server
 from wasp_cli.drive.session import Session
+from wasp_cli.store.artifact import sweep
+from wasp_cli.store.layout import Layout
 
 
 def wanted(results: Path, method: str = "human", speed: float = 4.0, **more: object) -> Wanted:
@@ -33,6 +37,32 @@ def served(session: Session) -> Iterator[tuple[Desk, Server, threading.Thread]]:
         desk.ask(END)
         clock.join(30)
         server.stop()
+
+
+@contextmanager
+def swept_before_commit(module: str) -> Iterator[None]:
+    """Another process cleans the results folder while `drive.<module>` writes an artifact: in its last moment."""
+    place = import_module(f"wasp_cli.drive.{module}")
+    real = place.commit
+
+    def commit(layout: Layout, *arguments: Any) -> Path:
+        sweep(layout)
+        made: Path = real(layout, *arguments)
+        return made
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(place, "commit", commit)
+        yield
+
+
+def harmed(layout: Layout, kind: str, key: str) -> Path:
+    """Change bytes of the largest file of an artifact, and return it; its size stays."""
+    files = layout.artifact(kind, key).glob("[!_]*")
+    victim = max(files, key=lambda path: (path.suffix in (".safetensors", ".parquet"), path.stat().st_size))
+    data = bytearray(victim.read_bytes())
+    data[-40:-20] = bytes(byte ^ 0xFF for byte in data[-40:-20])
+    victim.write_bytes(data)
+    return victim
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from tests.commands import run_here
-from tests.drive.conftest import wanted
+from tests.drive.conftest import harmed, swept_before_commit, wanted
 from wasp_cli.drive.clone import fitted_mixture, judged, mixture_density, together
 from wasp_cli.drive.command import drive_session
 from wasp_cli.drive.script import Habits
@@ -27,6 +27,7 @@ from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, OperatorContext, b
 from wasp_cli.operators.cloned_person import CloneOfPerson, ContinuedPerson
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.report.provenance import last_runs
+from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
 
@@ -64,10 +65,28 @@ def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     results = tmp_path_factory.mktemp("clone") / "results"
     asked = wanted(results, what=str(spec), method=None, speed=5.0, episodes=None, participant=7, simulated=True)
     drive_session(asked.prepared(), 0, open_browser=False, scripted=Habits(7))
-    found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=300")
+    with swept_before_commit("clone"):
+        found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=300")
     assert found.exit_code == 0, found.output
     (said,) = json.loads(found.stdout)
     return results, said
+
+
+@pytest.mark.parametrize("kind", ["world_model", "policies", "evaluate"])
+def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(cloned[0], results)
+    layout = Layout(results)
+    shutil.rmtree(layout.artifact("clone", cloned[1]["key"]))
+    key = cloned[1]["cells"][0]
+    if kind != "evaluate":
+        key = read_manifest(layout, "evaluate", key)["upstream"][kind]
+    victim = harmed(layout, kind, key)
+    found = wasp("clone", results, "--participant", 7, "--set", "clone.updates=3")
+    assert found.exit_code == 1, found.output
+    assert f"'{victim}' has other bytes than were stored" in " ".join(found.output.split())
+    assert not layout.artifact("clone", cloned[1]["key"]).exists()
+    assert exists(layout, kind, key) == (kind == "evaluate"), "a model is computed again; what a person drove stays"
 
 
 def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dict[str, Any]]) -> None:

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.drive.conftest import served, wanted
+from tests.commands import run_here
+from tests.drive.conftest import harmed, served, swept_before_commit, wanted
 from wasp_cli.cli.app import app
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.script import Habits, drive, to_the_goal
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.learning.playback import play
 from wasp_cli.store.artifact import corruption, read_manifest
 from wasp_cli.store.layout import Layout
@@ -35,7 +36,8 @@ def driven(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     results = tmp_path_factory.mktemp("driven") / "results"
     shutil.copytree(imported, results)
     session = wanted(results, "wasp", 2.0, episodes=2, simulated=True).prepared()
-    summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))
+    with swept_before_commit("record"):
+        summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))
     (block,) = summary["blocks"]
     assert block["episodes"] == block["of"] == 2
     return results, block["key"]
@@ -189,6 +191,35 @@ def test_mistakes_are_told(tmp_path: Path, more: dict[str, Any], message: str) -
     with pytest.raises((UsageError, UnknownName)) as refused:
         wanted(tmp_path / "results", **{"method": None, **more}).prepared()
     assert message in f"{refused.value.message} {refused.value.hint}"
+
+
+@pytest.mark.parametrize("kind", ["world_model", "policies", "calibration"])
+def test_damaged_models_drive_nobody(kind: str, imported: Path, tmp_path: Path) -> None:
+    """Before the page is served; and the next session has the model back."""
+    results = tmp_path / "results"
+    shutil.copytree(imported, results)
+    layout = Layout(results)
+    (folder,) = layout.kind(kind).iterdir()
+    victim = harmed(layout, kind, folder.name)
+    found = run_here("drive", "goal1", "--episodes", "1", "--simulate", "--no-browser", "--results", results, "-j", "0", columns=200)
+    assert found.exit_code == 1, found.output
+    assert f"'{victim}' has other bytes than were stored" in " ".join(found.output.split())
+    assert not list(layout.kind("evaluate").glob("*"))
+    assert not list(layout.works.glob("*"))
+    wanted(results, "wasp").prepared()
+    assert corruption(layout, kind, folder.name) is None
+
+
+def test_what_a_person_drove_is_never_replaced(driven: tuple[Path, str], tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(driven[0], results)
+    layout = Layout(results)
+    steps = cell_file(layout.artifact("evaluate", driven[1]))
+    steps.write_bytes(steps.read_bytes()[:-1])
+    with pytest.raises(ArtifactError, match="what a person drove is damaged") as refused:
+        wanted(results, "wasp", 2.0, episodes=2, session=0, simulated=True).prepared()
+    assert str(steps) in refused.value.message
+    assert layout.manifest("evaluate", driven[1]).exists()
 
 
 def test_a_grid_cannot_compute_a_person(imported: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +20,13 @@ class Cluster:
 
     address: str
     processes: list[subprocess.Popen[str]]
+    add: Callable[[str], None]
+    """Start one more worker, of this name."""
 
 
 @contextmanager
-def dask_cluster(folder: Path, workers: int = 2, threads: int = 1) -> Iterator[Cluster]:
-    """Start it, and end it with all its processes."""
+def dask_cluster(folder: Path, workers: int = 2, threads: int = 1, cwd: Path = ROOT) -> Iterator[Cluster]:
+    """Start it, and end it with all its processes. The workers' working directory is `cwd`."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     started: list[subprocess.Popen[str]] = []
 
@@ -32,9 +34,7 @@ def dask_cluster(folder: Path, workers: int = 2, threads: int = 1) -> Iterator[C
         log = folder / f"{name}.log"
         with log.open("w", encoding="utf-8") as file:
             command = [sys.executable, "-m", "dask", *arguments]
-            started.append(
-                subprocess.Popen(command, cwd=ROOT, env=environment, stdout=file, stderr=file, text=True, start_new_session=True)
-            )
+            started.append(subprocess.Popen(command, cwd=cwd, env=environment, stdout=file, stderr=file, text=True, start_new_session=True))
         return log
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -44,11 +44,13 @@ def dask_cluster(folder: Path, workers: int = 2, threads: int = 1) -> Iterator[C
         line = next(line for line in log.read_text(encoding="utf-8").splitlines() if "Scheduler at:" in line)
         address = line.partition("Scheduler at:")[2].strip()
         local = ("--local-directory", str(folder / "scratch"), "--no-dashboard", "--host", "127.0.0.1")
-        for number in range(workers):
-            start(f"worker{number}", "worker", address, "--nthreads", str(threads), *local)
-        logs = [folder / f"worker{number}.log" for number in range(workers)]
-        wait_until(lambda: all("Registered to:" in log.read_text(encoding="utf-8") for log in logs), 60)
-        yield Cluster(address, started)
+
+        def add(*names: str) -> None:
+            logs = [start(name, "worker", address, "--nthreads", str(threads), *local) for name in names]
+            wait_until(lambda: all("Registered to:" in log.read_text(encoding="utf-8") for log in logs), 60)
+
+        add(*(f"worker{number}" for number in range(workers)))
+        yield Cluster(address, started, add)
     finally:
         for process in started:
             with suppress(ProcessLookupError):

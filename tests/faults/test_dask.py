@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -10,15 +12,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands import run_here
 from tests.faults.dask_cluster import Cluster, dask_cluster
 from tests.faults.test_random_kills import payload
 from tests.run.harness import ROOT, Fakes, data_of, run, start, wait_until
 from wasp_cli.store.tables import same_rows
 
 
-def through(cluster: Cluster, spec: Path, results: Path) -> subprocess.Popen[str]:
+def through(cluster: Cluster, spec: Path, results: Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
     """A run whose nodes the cluster computes."""
-    return start("run", spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address)
+    return start("run", spec, "--results", results, "--backend", "dask", "--scheduler", cluster.address, cwd=cwd)
 
 
 def test_a_grid_through_dask_has_the_same_bytes(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -65,6 +68,48 @@ def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fa
     assert process.returncode == 1
     assert "1 failed:\n  goal1 s0 human noisy=0.2: its process was killed" in errors
     assert len(list(results.glob("store/*/*/_manifest.json"))) == 17
+
+
+def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    """By a path that leads every process to another folder: that of its own working directory."""
+    here, there, results = tmp_path / "here", tmp_path / "there", Path("/proc/self/cwd/results")
+    here.mkdir()
+    there.mkdir()
+    with dask_cluster(tmp_path / "dask", workers=1, cwd=there) as cluster:
+        process = through(cluster, small_spec, results, here)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert f"error: {platform.node()} does not see the results folder '{results}'" in errors
+    assert "every worker needs it under the same path" in errors
+    assert "Traceback" not in errors
+    assert not list(there.iterdir())
+    assert not list(here.glob("results/store/*/*"))
+
+
+def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    fakes.set(seconds=0.3)
+    with dask_cluster(tmp_path / "dask") as cluster:
+        process = through(cluster, small_spec, results)
+        wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 3)
+        for worker in cluster.processes[1:]:
+            os.killpg(worker.pid, signal.SIGKILL)
+        wait_until(lambda: "no worker is left" in run_here("status", results, columns=200).stdout)
+        told = run_here("status", results, columns=200).stdout
+        (state,) = json.loads(run_here("status", results, "--json", columns=200).stdout)
+        fakes.set()
+        cluster.add("late")
+        _, errors = process.communicate(timeout=120)
+    way = f"all dask workers are gone; the run waits, and goes on when one is there: dask worker {cluster.address} --nthreads 1"
+    assert way in told
+    assert " left" not in told.replace("no worker is left", "")
+    assert (state["state"], state["left_seconds"]) == ("running", None)
+    assert state["deserted"].startswith(way)
+    assert way in errors
+    assert errors.index(way) < errors.index("workers are back")
+    assert process.returncode == 0, errors
+    run(small_spec, tmp_path / "here")
+    assert data_of(results) == data_of(tmp_path / "here")
 
 
 @pytest.mark.slow

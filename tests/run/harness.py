@@ -101,10 +101,10 @@ def data_of(results: Path) -> dict[str, bytes]:
     return {str(path.relative_to(results / "store")): path.read_bytes() for path in sorted((results / "store").glob("*/*/data.bin"))}
 
 
-def start(*arguments: str | Path) -> subprocess.Popen[str]:
+def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
     """`wasp` with fake stages in a session of its own, so that a signal to its group cannot reach the tests."""
     command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
-    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> None:

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.commands import run_here
-from tests.run.harness import Fakes, run
-from wasp_cli.run.publish import PUBLIC
+from tests.run.harness import Fakes, run, wait_until
+from wasp_cli.run import publish as publish_module
+from wasp_cli.run.publish import PUBLIC, carry_publication
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
-from wasp_cli.store.artifact import corruption, file_digest, read_manifest
+from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
+from wasp_cli.store.slim import Slimming
 
 HOST = "a-machine-of-mine"
 
@@ -155,6 +160,43 @@ def test_what_names_this_machine_is_refused(private: str, place: str, results: P
     told = publish(small_spec, results, code=1)
     assert "it names " + {"host": "this machine", "results": "the results folder"}[private] in told
     assert not (results / "published").exists()
+
+
+def test_two_that_publish_to_one_folder_take_turns(
+    results: Path, small_spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second one comes while the first one copies; a sweep of the folder comes too."""
+    spec, layout, target = load(small_spec).spec, Layout(results), Layout(tmp_path / "layer")
+    found = publish_module.publication(spec, layout, target, [], math.inf, "none")
+    waits = threading.Event()
+    real, second = publish_module.copy_files, threading.Thread(target=carry_publication, args=(found, spec, layout, target, Slimming()))
+
+    def copied(*arguments: Any) -> Any:
+        if second.ident is None:
+            second.start()
+            wait_until(lambda: waits.is_set() or not second.is_alive())
+            sweep(target)
+        return real(*arguments)
+
+    monkeypatch.setattr(publish_module, "copy_files", copied)
+    monkeypatch.setattr(publish_module, "waiting_aloud", lambda text: lambda: waits.set() or True, raising=False)
+    carry_publication(found, spec, layout, target, Slimming())
+    second.join(30)
+    assert keys(target.root) == keys(results)
+    for path in target.store.glob("*/*"):
+        assert corruption(target, path.parent.name, path.name) is None
+        assert {each.name for each in path.iterdir()} == {each.name for each in (layout.store / path.relative_to(target.store)).iterdir()}
+    assert {path.name for path in target.root.iterdir()} == {"store", "reports"}
+
+
+def test_what_a_killed_publication_left_goes_with_the_next_one(results: Path, small_spec: Path) -> None:
+    layer = Layout(results / "published")
+    left = layer.tmp / "publish" / ("f" * 20)
+    left.mkdir(parents=True)
+    (left / "data.bin").write_bytes(b"half")
+    layer.publishing.write_text("")
+    publish(small_spec, results)
+    assert {path.name for path in layer.root.iterdir()} == {"store", "reports"}
 
 
 def test_links_of_the_layer_are_not_followed(results: Path, small_spec: Path, tmp_path: Path) -> None:

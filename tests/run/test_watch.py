@@ -238,3 +238,15 @@ def test_processes(layout: Layout) -> None:
     assert is_gone(process(dead_pid()))
     for odd in ({}, {"pid": -1}, {"pid": "7"}, {"pid": 2**40}, {"pid": None}):
         assert not is_gone({"host": platform.node(), **odd})
+
+
+def test_a_run_without_workers_has_no_time_left_until_they_are_back(layout: Layout) -> None:
+    events = [started(backend="dask"), (10.0, "workers gone", {"backend": "dask", "start": "dask worker tcp://a:1"})]
+    write_run(layout, "20260501-120000-small-0001", [planned(1, "b", seconds=10.0)], events)
+    state = only(layout)
+    assert state.deserted == "all dask workers are gone; the run waits, and goes on when one is there: dask worker tcp://a:1"
+    assert (state.state, state.left_seconds) == ("running", None)
+    events.append((20.0, "workers back", {"backend": "dask", "start": None}))
+    write_run(layout, "20260501-130000-small-0002", [planned(1, "b", seconds=10.0)], events)
+    newest = next(iter(planned_runs(layout)))
+    assert (state_of(layout, newest, START).deserted, state_of(layout, newest, START).left_seconds) == ("", 10.0)

@@ -62,9 +62,12 @@ def test_numbers_of_numpy_and_nested_ones_become_plain() -> None:
 
 def test_an_order_that_cannot_even_start_fails_without_raising(job: NodeJob, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    result = execute(replace(job, root=str(tmp_path / "file")))
+    assert execute(replace(job, root=str(tmp_path / "file"))).state == "unseen"
+    log = Layout(Path(job.root)).log(job.run_id, job.label, job.key)
+    log.mkdir()
+    result = execute(job)
     assert result.state == "failed"
-    assert "NotADirectoryError" in result.message
+    assert "IsADirectoryError" in result.message
 
 
 def test_a_half_written_heartbeat_goes_with_the_whole_one(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import torch
 from rich.table import Table as RichTable
 from torch import Tensor
 
-from wasp_cli.console import count_table, plain, say
+from wasp_cli.console import count_table, plain, say, waiting_aloud
 from wasp_cli.drive.session import cells_of, driven
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.clone import Issued, fit_clone
@@ -34,9 +34,10 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, Selection, run_spec
-from wasp_cli.run.worker import manifest_of
+from wasp_cli.run.worker import manifest_of, require_whole
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import Loaded
+from wasp_cli.store import lock
 from wasp_cli.store.artifact import commit, discard, exists, read_manifest, staging_folder, stored_keys
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.people import SESSION_FILE
@@ -74,6 +75,7 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
         what was found, as JSON values.
 
     Raises:
+        ArtifactError: a model or a session is damaged.
         UsageError: there are too few episodes, or results were computed from an earlier clone of the same person.
     """
     layout = Layout(results.absolute())
@@ -86,6 +88,8 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     asked = replace(loaded, spec=loaded.spec.model_copy(update={"name": f"{loaded.spec.name}-clone"}))
     made = run_spec(asked, results, options, Selection(("stage=world_model|policies",)))
     made.require_complete()
+    read = [(kind, node.needs[kind].key) for kind in ("world_model", "policies")]
+    require_whole(layout, [*read, *(("evaluate", key) for key in sessions.keys)])
     model = load_world_model(layout.artifact("world_model", node.needs["world_model"].key))
     skills = load_skills(layout.artifact("policies", node.needs["policies"].key))
     with threads_of_evaluations():
@@ -108,19 +112,19 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
         "ways": dict(zip(("repeat", "own", "uniform"), clone.weight_logits.softmax(-1).tolist(), strict=True)),
         "models": judged(clone, skills.expert, together(learnt), together(held)),
     }  # fmt: skip
-    staging = staging_folder(layout, node.key)
-    arguments = {"features": learnt[0].features.shape[1], "hidden": list(config.hidden), "action": learnt[0].command.shape[1]}
-    save_weights(clone, staging / "clone.safetensors", **arguments)
-    (staging / "curve.json").write_text(json.dumps(curve, indent=1))
-    (staging / "quality.json").write_text(json.dumps(document, indent=1))
-    again = exists(layout, "clone", node.key)
-    if again:
-        say(f"{node.label}: made again, in the place of the earlier one")
-        discard(layout.artifact("clone", node.key))
     models = cast(dict[str, dict[str, float]], document["models"])
     summary = {f"{name}_{figure}": round(number, 3) for name, row in models.items() for figure, number in row.items()}
     begun = read_manifest(layout, "evaluate", sessions.keys[0])["provenance"]["started_at"]
-    commit(layout, "clone", node.key, staging, manifest_of(job_of(layout, made.run_id, node), summary, 0.0, begun))
+    arguments = {"features": learnt[0].features.shape[1], "hidden": list(config.hidden), "action": learnt[0].command.shape[1]}
+    with lock.held(layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")):
+        staging = staging_folder(layout, node.key)
+        save_weights(clone, staging / "clone.safetensors", **arguments)
+        (staging / "curve.json").write_text(json.dumps(curve, indent=1))
+        (staging / "quality.json").write_text(json.dumps(document, indent=1))
+        if exists(layout, "clone", node.key):
+            say(f"{node.label}: made again, in the place of the earlier one")
+            discard(layout.artifact("clone", node.key))
+        commit(layout, "clone", node.key, staging, manifest_of(job_of(layout, made.run_id, node), summary, 0.0, begun))
     discard(layout.run(made.run_id))
     return {"label": node.label, "key": node.key, **document}
 

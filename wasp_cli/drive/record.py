@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from wasp_cli.console import waiting_aloud
 from wasp_cli.drive.block import Beat, Cut, Driven
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.plan.node import Node
@@ -24,6 +25,7 @@ from wasp_cli.run.runner import job_of
 from wasp_cli.run.worker import manifest_of
 from wasp_cli.store.artifact import commit, read_record, staging_folder, write_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.lock import held
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, first_rows, read_episodes, write_cell
@@ -106,15 +108,15 @@ class CellRecord:
         numbers = read_episodes([self._folder / EPISODES_FILE])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
         found = {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
-        staging = staging_folder(self._layout, node.key)
-        for path in self._folder.iterdir():
-            shutil.copyfile(path, staging / path.name)
         job = job_of(self._layout, run_id, node)
         begun = str(self._session["sittings"][0]["begun"])
         seconds = float(self._timing()["at"].to_numpy().max(initial=0.0))
-        made = commit(
-            self._layout, node.kind, node.key, staging, manifest_of(job, {**found, "late": summary["late_share"]}, seconds, begun)
-        )
+        manifest = manifest_of(job, {**found, "late": summary["late_share"]}, seconds, begun)
+        with held(self._layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")):
+            staging = staging_folder(self._layout, node.key)
+            for path in self._folder.iterdir():
+                shutil.copyfile(path, staging / path.name)
+            made = commit(self._layout, node.kind, node.key, staging, manifest)
         shutil.rmtree(self._folder, ignore_errors=True)
         return made
 

@@ -32,6 +32,7 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, Selection, limited, run_spec
+from wasp_cli.run.worker import require_whole
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
@@ -168,6 +169,7 @@ class Session:
         for count in range(episodes - 1, 0, -1):
             node = self._limited(cell, count)[1]
             if exists(self.layout, node.kind, node.key):
+                require_whole(self.layout, [(node.kind, node.key)])
                 return self.layout.artifact(node.kind, node.key)
         return None
 
@@ -216,6 +218,7 @@ class Session:
         # As in evaluations: one thread, and memory that is kept. More threads would wait for each other while the page is drawn.
         torch.set_num_threads(1)
         keep_memory()
+        require_whole(self.layout, node_inputs(node))
         inputs = {name: self.layout.artifact(needed.kind, needed.key) for name, needed in node.needs.items()}
         parts = load_parts(inputs, self.loaded.spec.returns, training_device())
         repeat, how = self.loaded.spec.action_repeat, self.how
@@ -237,6 +240,7 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
         recorded: whether anything is going to be driven; otherwise no run stays behind, only what had to be computed.
 
     Raises:
+        ArtifactError: a model is damaged; the next session has it computed again.
         UsageError: nobody drives in this spec, not this participant, or several episodes are to be driven side by side.
     """
     spec = loaded.spec
@@ -262,6 +266,10 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
         discard(layout.run(made.run_id))
         return Session(loaded, layout, made.run_id, ordered(mine, participant), how, spec.study)
     _require_one_kind(layout, mine, how)
+    for _, node in mine:
+        if not exists(layout, node.kind, node.key):  # before anybody drives: what is damaged ends no session, and no session replaces it
+            driven_before = (layout.artifact(node.kind, node.key) / SESSION_FILE).exists()
+            require_whole(layout, [(node.kind, node.key)] if driven_before else node_inputs(node))
     run_id = new_run(layout, loaded, plan_against(grid, layout))
     return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study)
 
@@ -308,6 +316,11 @@ def _require_one_kind(layout: Layout, cells: list[tuple[Cell, Node]], how: How) 
                     f"{node.label} was driven by {whose} in '{layout.root}'",
                     "use another folder with --results, or delete it: --participant N --withdraw",
                 )
+
+
+def node_inputs(node: Node) -> list[tuple[str, str]]:
+    """Return kind and key of what a cell is driven with."""
+    return [(needed.kind, needed.key) for needed in node.needs.values()]
 
 
 def ordered(cells: list[tuple[Cell, Node]], participant: int) -> list[tuple[Cell, Node]]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 import socket
 import threading
+import time
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from importlib.util import find_spec
@@ -28,6 +29,8 @@ PACKAGES = {"dask": "distributed", "ray": "ray"}
 EXAMPLES = {"dask": "--scheduler tcp://HOST:8786", "ray": "--scheduler HOST:6379"}
 STARTS = {"dask": "start one: dask scheduler", "ray": "start one: ray start --head"}
 POLL_SECONDS = 0.1
+COUNT_SECONDS = 2.0
+"""Between two looks at the workers of a dask scheduler."""
 
 
 def require_cluster(backend: str, scheduler: str | None) -> None:
@@ -68,6 +71,9 @@ class DaskPool:
     def __init__(self, scheduler: str | None) -> None:
         from distributed import Client
 
+        self.gone: str | None = None
+        self._starts = f"dask worker {scheduler} --nthreads 1 --nworkers N"
+
         try:
             self._client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -75,7 +81,7 @@ class DaskPool:
         threads = self._client.nthreads()
         if not threads:
             self._client.close()
-            raise UsageError(f"the dask scheduler at '{scheduler}' has no workers", "dask worker ADDRESS --nthreads 1 --nworkers N")
+            raise UsageError(f"the dask scheduler at '{scheduler}' has no workers", self._starts)
         if max(threads.values()) > 1:
             self._client.close()
             raise UsageError(
@@ -112,9 +118,14 @@ class DaskPool:
         return self.submit(job)
 
     def _watch(self) -> None:
-        """Give up what is pending where the scheduler is gone: its futures would wait for ever."""
+        """Give up what is pending where the scheduler is gone: its futures would wait for ever. Look whether there are workers."""
+        looked = time.monotonic()
         while not self._closed.wait(POLL_SECONDS):
             if self._client.status in ("running", "connecting"):
+                if self._client.status == "running" and time.monotonic() - looked > COUNT_SECONDS:
+                    with suppress(Exception):  # whatever it says of a scheduler that goes away just now: the next look tells
+                        self.gone = None if self._client.nthreads() else self._starts
+                    looked = time.monotonic()
                 continue
             for found in list(self._pending):
                 self._pending.discard(found)
@@ -151,6 +162,7 @@ class RayPool:
     """The workers of a ray cluster, one task for each node."""
 
     name = "ray"
+    gone = None
 
     def __init__(self, scheduler: str | None) -> None:
         import ray

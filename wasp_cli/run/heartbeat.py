@@ -14,7 +14,7 @@ from types import TracebackType
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.run.job import NodeJob
-from wasp_cli.store.artifact import read_record, write_record
+from wasp_cli.store.artifact import dumps, read_record, replace_file
 from wasp_cli.store.provenance import boot_id
 
 SECONDS = 1.0
@@ -46,10 +46,10 @@ class Heartbeat:
         self._share, self._text = min(max(float(share), 0.0), 1.0), text
 
     def write(self) -> None:
-        """Write it now. A disk that is full must not end the node here: its own writing will."""
+        """Write it now. A full disk, or a folder that was moved, must not end the node here: its own writing will."""
         record = {**self.fixed, "share": self._share, "text": self._text, "at": _now(), "memory_mb": memory_mb()}
         with suppress(OSError):
-            write_record(self._path, record)
+            replace_file(self._path, dumps(record))
 
     def __enter__(self) -> Heartbeat:
         self.write()

@@ -40,7 +40,7 @@ class NodeJob:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-State = Literal["done", "shared", "failed", "cancelled", "busy", "skipped"]
+State = Literal["done", "shared", "failed", "cancelled", "busy", "skipped", "unseen"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class NodeResult:
     """How a node ended.
 
     `shared`: another run computed it meanwhile; `busy`: another run computes it now; `cancelled`: it was taken back; `skipped`: the run is
-    to end.
+    to end; `unseen`: its worker does not see the results folder.
     """
 
     key: str
@@ -74,6 +74,9 @@ class Pool(Protocol):
     """Nodes at once; 0 is counted as 1, in this process."""
     name: str
     """As the journal has it."""
+
+    gone: str | None
+    """How to start workers, where all have gone and what was given to them waits; None as long as there are some."""
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         """Begin to compute a node; nobody submits more than `jobs` at a time.

@@ -23,6 +23,7 @@ class InlinePool:
 
     jobs = 1
     name = "inline"
+    gone = None
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         done: Future[NodeResult] = Future()
@@ -43,6 +44,7 @@ class LokyPool:
     """
 
     name = "loky"
+    gone = None
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs

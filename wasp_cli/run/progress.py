@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import ArtifactError
 from wasp_cli.run.record import Tail
+from wasp_cli.run.watch import deserted
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 
@@ -77,6 +78,10 @@ class Lines:
             labels = [self._names.get(str(one), str(label)) for one, label in zip(event["suspects"], event["labels"], strict=True)]
             after = f"; these nodes run again, one at a time: {', '.join(labels)}" if labels else " while it was idle"
             self._note(f"a worker process was killed{after}")
+        elif kind == "workers gone":
+            self._note(f"{deserted(event)}; Ctrl-C twice ends the run, and finished nodes are kept")
+        elif kind == "workers back":
+            self._note("workers are back; the run goes on")
         elif kind == "draining":
             self._note("finishing running nodes; Ctrl-C again stops now")
 

@@ -9,7 +9,6 @@ import os
 import platform
 import re
 import shutil
-import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import wasp_cli
+from wasp_cli.console import waiting_aloud
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
@@ -33,10 +33,9 @@ from wasp_cli.store.artifact import (
     invalidate,
     listed_files,
     read_manifest,
-    staging_folder,
-    sweep,
 )
 from wasp_cli.store.layout import Layout, is_name
+from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
 from wasp_cli.store.slim import SLIM, Slimming, slim
 
@@ -46,6 +45,8 @@ PUBLIC = (
 """What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
 SHORTEST = 4
 """Characters of a private name at least: a shorter one is found everywhere by chance."""
+STAGED = "publish"
+"""Where in `tmp/` copies are made."""
 NAMED = 12
 """Nodes that a refusal names."""
 
@@ -205,34 +206,40 @@ def carry_publication(found: Publication, spec: Spec, layout: Layout, target: La
     """
     for folder in (target.store, target.tmp, target.reports(spec.name)):
         target.within(folder)
-    sweep(target)
-    try:
-        for item in found.new:
-            _copy(item, layout, target, slimming)
-        _copy_reports(found.reports, target.reports(spec.name), target)
-    finally:
-        with suppress(OSError):  # another one writes there now, or nothing was to copy
-            target.tmp.rmdir()
+    if not found.new and not found.reports:
+        return
+    target.root.mkdir(parents=True, exist_ok=True)
+    with held(target.publishing, waiting_aloud(f"another wasp publish writes to '{target.root}'; waiting")):
+        # What lies there was left by one that was killed: nobody else has the lock. No sweep of a run or of gc touches this folder.
+        staged = target.tmp / STAGED
+        discard(staged)
+        try:
+            staged.mkdir(parents=True)
+            for item in found.new:
+                _copy(item, layout, target, staged, slimming)
+            _copy_reports(found.reports, target.reports(spec.name), staged)
+        finally:
+            discard(staged)
+            with suppress(OSError):  # a run uses the folder too
+                target.tmp.rmdir()
+            target.publishing.unlink(missing_ok=True)
 
 
-def _copy(item: Item, layout: Layout, target: Layout, slimming: Slimming) -> None:
+def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Slimming) -> None:
     kind, key = item.node.kind, item.node.key
+    if corruption(target, kind, key) is None:  # another one has published it since
+        return
     if damage(target, kind, key) is None:  # of the right sizes, and with other bytes
         invalidate(target, kind, key, "it had other bytes than were published")
-    staging = staging_folder(target, key)
-    try:
-        copy_files(layout, kind, key, item.manifest, staging)
-        left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
-        commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
-    except BaseException:
-        discard(staging)
-        raise
+    staging = staged / key
+    staging.mkdir()
+    copy_files(layout, kind, key, item.manifest, staging)
+    left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
+    commit(target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})})
 
 
-def _copy_reports(files: Iterable[Path], folder: Path, target: Layout) -> None:
+def _copy_reports(files: Iterable[Path], folder: Path, staged: Path) -> None:
     for path in files:
         folder.mkdir(parents=True, exist_ok=True)
-        target.tmp.mkdir(parents=True, exist_ok=True)
-        partial = target.tmp / uuid.uuid4().hex
-        shutil.copyfile(path, partial, follow_symlinks=False)
-        os.replace(partial, folder / path.name)
+        shutil.copyfile(path, staged / path.name, follow_symlinks=False)
+        os.replace(staged / path.name, folder / path.name)

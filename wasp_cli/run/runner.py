@@ -20,7 +20,7 @@ from wasp_cli.run.interrupt import HINT, Stop, was_ended
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
 from wasp_cli.run.record import Journal
-from wasp_cli.run.worker import KILLED, attempts, record_failure
+from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record
 from wasp_cli.store.layout import Layout
@@ -35,6 +35,9 @@ LOOK_SECONDS = 0.5
 ASK_SECONDS = 2.0
 """Between two looks at a node that another run computes."""
 POLL_SECONDS = 0.1
+ARRIVAL_SECONDS = 60.0
+"""Within which an artifact of another machine is seen here: file systems keep for so long that a name was not there."""
+ELSEWHERE = "the worker writes to another folder of this name: every machine needs the same one; then run again"
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,7 @@ class Runner:
         self._begun: Mapping[str, str] = {}
         """By key of a cell the key of another one that has its first episodes."""
         self._paused = False
+        self._deserted = False
         self._cancelling = layout.cancelled(run_id)
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
@@ -162,6 +166,7 @@ class Runner:
             for flight, result in self._landed():
                 self._handle(schedule, flight, result)
             self._tell_deaths()
+            self._tell_workers()
 
     def _obey(self, schedule: Schedule) -> None:
         """Do what was asked from another terminal: pause, go on, take nodes back. A running node hears of it from its worker."""
@@ -228,6 +233,10 @@ class Runner:
             result = self._after_death(schedule, flight)
         if result is None or result.state == "skipped":
             return
+        if result.state == "unseen":
+            raise StoreError(result.message, result.hint)
+        if result.state in ("done", "shared") and not self._arrived(job):
+            result = self._killed(job, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE)
         if result.state == "cancelled":
             self.summary.busy += result.seconds
             self._give_up(schedule, node)
@@ -243,6 +252,17 @@ class Runner:
                 self._block(schedule.failed(node), node)
             else:
                 schedule.ended(node)
+
+    def _arrived(self, job: NodeJob) -> bool:
+        """Whether an artifact is here. A shared file system may show it later than on the machine of its worker."""
+        end = time.monotonic() + ARRIVAL_SECONDS
+        while not exists(self._layout, job.kind, job.key):
+            if not is_seen(self._layout, self._run_id):
+                raise unseen(job.root, self._run_id)
+            if time.monotonic() > end:
+                return False
+            time.sleep(POLL_SECONDS)
+        return True
 
     def _after_death(self, schedule: Schedule, flight: Flight) -> NodeResult | None:
         """What became of a node whose worker was killed; None where it runs again.
@@ -281,6 +301,13 @@ class Runner:
             keys, labels = [job.key for job, _ in suspects], [job.label for job, _ in suspects]
             self._journal.write("worker killed", suspects=keys, labels=labels, memory_mb=held)
             self._deaths = []
+
+    def _tell_workers(self) -> None:
+        """Say when the last worker of a cluster has gone: nothing goes on until one comes back."""
+        gone = self._pool.gone
+        if (gone is None) == self._deserted:
+            self._deserted = gone is not None
+            self._journal.write("workers gone" if self._deserted else "workers back", backend=self._pool.name, start=gone)
 
     def _killed(self, job: NodeJob, message: str, hint: str | None) -> NodeResult:
         log = str(self._layout.log(job.run_id, job.label, job.key))

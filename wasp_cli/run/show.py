@@ -50,7 +50,7 @@ def progress_of(state: RunState, names: Mapping[str, str], now: datetime | None 
     named = [replace(node, label=names.get(node.key, node.label)) for node in state.active]
     going = pace(state)
     table = _running_table(replace(state, active=tuple(named)), now or datetime.now(UTC))
-    return Group(_progress(state), *([Text(going)] if going else []), table)
+    return Group(_progress(state), *(Text(line) for line in (going, state.deserted) if line), table)
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
@@ -71,6 +71,8 @@ def _block(state: RunState, now: datetime) -> Group:
     lines = [Text.assemble((state.spec, "bold"), f"  {life(state, now)}"), Text(f"run {state.run_id}", style="dim"), _progress(state)]
     if going := pace(state):
         lines.append(Text(going))
+    if state.deserted:
+        lines.append(Text(state.deserted, style="yellow"))
     parts: list[Text | Table] = [*lines]
     if state.active and state.state in ("running", "died"):
         parts.append(_running_table(state, now))
@@ -91,7 +93,9 @@ def life(state: RunState, now: datetime) -> str:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        ending = "finishing running nodes" if state.draining else "paused" if state.paused else ""
+        ending = (
+            "finishing running nodes" if state.draining else "paused" if state.paused else "no worker is left" if state.deserted else ""
+        )
         return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)

@@ -77,6 +77,8 @@ class RunState:
     """It was asked to end, and finishes what runs."""
     paused: bool
     """It begins nothing new until it is told to."""
+    deserted: str
+    """That no worker is left, and how the run goes on; empty where that is not so."""
     active: tuple[Active, ...]
     per_minute: float | None
     """Nodes that finished lately; None before the first."""
@@ -132,8 +134,9 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     total = sum(node.runs for node in run.nodes.values()) or int(counted or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
     workers = max(int(number(start, "jobs") or 1), 1)
-    seconds, unknown = _left(left, active, workers, now) if state == "running" else (None, 0)
-    if state == "running" and seconds is None and rate and len(finished) > 1:
+    empty = _deserted(events) if state == "running" else ""
+    seconds, unknown = _left(left, active, workers, now) if state == "running" and not empty else (None, 0)
+    if state == "running" and not empty and seconds is None and rate and len(finished) > 1:
         seconds, unknown = (total - len(ends)) / rate * 60, 0
     return RunState(
         run_id=run.run_id,
@@ -150,6 +153,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
         retried=len(by_event.get("retry", ())),
         draining=bool(by_event.get("draining")) and state == "running",
         paused=layout.pause(run.run_id).exists() and state == "running",
+        deserted=empty,
         active=active,
         per_minute=rate,
         left_seconds=seconds,
@@ -258,6 +262,16 @@ def _failed(event: Mapping[str, Any]) -> Failed:
 
 def _line(value: object, otherwise: str) -> str:
     return " ".join(value.split()) if isinstance(value, str) else otherwise
+
+
+def deserted(event: Mapping[str, Any]) -> str:
+    """Say that no worker is left, and how a run goes on, by its event `workers gone`."""
+    return f"all {event.get('backend')} workers are gone; the run waits, and goes on when one is there: {event.get('start')}"
+
+
+def _deserted(events: Sequence[Mapping[str, Any]]) -> str:
+    last = next((event for event in reversed(events) if event.get("event") in ("workers gone", "workers back")), {})
+    return " ".join(deserted(last).split()) if last.get("event") == "workers gone" else ""
 
 
 def _busy_share(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import platform
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,15 +32,17 @@ from wasp_cli.store.artifact import (
     commit,
     corruption,
     discard,
+    dumps,
     exists,
     invalidate,
     read_manifest,
     read_record,
+    replace_file,
     staging_folder,
-    write_record,
 )
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
+from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import without_steps
@@ -59,19 +62,38 @@ def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
     """
     started = time.monotonic()
     layout = Layout(Path(job.root))
-    log = layout.log(job.run_id, job.label, job.key)
     if layout.stop(job.run_id).exists():
         return NodeResult(job.key, "skipped", 0.0)
+    result = _tried(job, layout, started, own_process) if is_seen(layout, job.run_id) else None
+    if result is None or (result.state == "failed" and not is_seen(layout, job.run_id)):
+        error = unseen(job.root, job.run_id)
+        return NodeResult(job.key, "unseen", time.monotonic() - started, message=error.message, hint=error.hint)
+    return result
+
+
+def _tried(job: NodeJob, layout: Layout, started: float, own_process: bool) -> NodeResult:
+    log = layout.log(job.run_id, job.label, job.key)
     try:
-        log.parent.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             stream = stack.enter_context(log.open("a", encoding="utf-8", errors="replace", buffering=1))
             stack.enter_context(_logged(stream, own_process))
             return _locked(job, layout, log, started, own_process)
-    except OSError as error:  # the results folder itself is in the way: full, gone, read-only
+    except OSError as error:  # the results folder itself is in the way: full, read-only
         return _failed(job, started, log, f"{type(error).__name__}: {error}", None, by_chance=True)
     except Exception as error:
         return _failed(job, started, log, f"{type(error).__name__}: {error}", None)
+
+
+def is_seen(layout: Layout, run_id: str) -> bool:
+    """Return whether this machine sees the results folder of a run, where its journal is. A folder that is not seen is never made."""
+    return layout.journal(run_id).exists()
+
+
+def unseen(root: Path | str, run_id: str) -> StoreError:
+    """Return the error of a machine that does not see the results folder of a run."""
+    message = f"{platform.node()} does not see the results folder '{root}': runs/{run_id}/journal.jsonl is not there"
+    why = "it was moved, or this machine does not share it; every worker needs it under the same path"
+    return StoreError(message, f"{why}. Then run again: finished nodes are kept")
 
 
 def _locked(job: NodeJob, layout: Layout, log: Path, started: float, own_process: bool) -> NodeResult:
@@ -104,7 +126,7 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
             limited(job.limit, layout.overdue(job.run_id, job.key), own_process),
             cancellable(layout.cancel(job.run_id, job.key), own_process),
         ):
-            _require_inputs(job, layout)
+            require_whole(layout, job.inputs.values())
             stage: Stage = load_target(job.stage)()
             keep_memory()
             _set_threads(getattr(stage, "torch_threads", 1))
@@ -141,17 +163,24 @@ def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
     return PlacedClone(folder, {seeds.operator_seed(job.task, PERSON, job.seed, e): said for e, said in enumerate(commands)})
 
 
-def _require_inputs(job: NodeJob, layout: Layout) -> None:
-    """See that what the node reads has the bytes of its manifest; what has not is computed again by the next run."""
-    for kind, key in job.inputs.values():
-        wrong = corruption(layout, kind, key)
-        if wrong is not None:
-            invalidate(layout, kind, key, wrong)
-            raise ArtifactError(f"an input is damaged: {wrong}", "run again: what is damaged is computed again")
-        if without_steps(read_manifest(layout, kind, key)):
-            why = "it was published without the steps of all its episodes, and they are needed"
-            invalidate(layout, kind, key, why)
-            raise ArtifactError(f"an input is not whole: {why}", "run again: the cell is computed again, whole")
+def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
+    """See that what is read, by kind and key, has the bytes of its manifest; what has not is computed again by the next run.
+
+    Nobody computes again what a person drove: it stays as it is.
+
+    Raises:
+        ArtifactError: something is damaged, or was published without steps that are needed.
+    """
+    for kind, key in inputs:
+        what, why = "damaged", corruption(layout, kind, key)
+        if why is None and without_steps(read_manifest(layout, kind, key)):
+            what, why = "not whole", "it was published without the steps of all its episodes, and they are needed"
+        if why is None:
+            continue
+        if (layout.artifact(kind, key) / SESSION_FILE).exists():
+            raise ArtifactError(f"what a person drove is {what}: {why}", "bring it back from a copy of the results folder")
+        invalidate(layout, kind, key, why)
+        raise ArtifactError(f"an input is {what}: {why}", f"run again: what is {what} is computed again")
 
 
 def _require_planned_source(job: NodeJob) -> None:
@@ -176,7 +205,7 @@ def _cause_in_source(job: NodeJob, error: BaseException) -> SourceChanged | None
 
 def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progress: Progress) -> Job:
     work = layout.work(job.key)
-    work.mkdir(parents=True, exist_ok=True)
+    work.mkdir(exist_ok=True)
     return Job(
         kind=job.kind,
         task=job.task,
@@ -256,8 +285,8 @@ def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, e
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
     """Keep why a node failed, so that the next plan can say so."""
     record = {"kind": job.kind, "label": job.label, "message": result.message, "hint": result.hint, "log": result.log}
-    with suppress(OSError):  # a full disk: the result and the journal of a living run tell it
-        write_record(layout.failure(job.key), {**record, "attempt": job.attempt, "run": job.run_id})
+    with suppress(OSError):  # a full disk, a folder that was moved: the result and the journal of a living run tell it
+        replace_file(layout.failure(job.key), dumps({**record, "attempt": job.attempt, "run": job.run_id}))
 
 
 def attempts(layout: Layout, key: str) -> int:

@@ -205,11 +205,11 @@ def write_record(path: Path, record: Mapping[str, Any]) -> None:
     replace_file(path, dumps(record))
 
 
-def replace_file(path: Path, text: str) -> None:
-    """Write a text; readers see the old file or the new one."""
+def replace_file(path: Path, data: str | bytes) -> None:
+    """Write a text or bytes; readers see the old file or the new one."""
     partial = path.with_name(f".{path.name}-{uuid.uuid4().hex[:8]}")
     try:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_bytes(data.encode() if isinstance(data, str) else data)
         os.replace(partial, path)
     except OSError:
         partial.unlink(missing_ok=True)

@@ -104,6 +104,11 @@ class Layout:
         """Held, shared, by a run from looking into the store until its plan is written; and alone by who removes what no plan reaches."""
         return self.locks / "planning"
 
+    @property
+    def publishing(self) -> Path:
+        """Held by `wasp publish` while it writes to a published layer, and removed afterwards."""
+        return self.root / ".publishing"
+
     def run(self, run_id: str) -> Path:
         """Return the folder of one run."""
         return self.runs / _name(run_id)

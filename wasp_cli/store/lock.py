@@ -43,7 +43,7 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
     Raises:
         Busy: someone else has it, and `waiting` said no.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
     how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     while True:
         descriptor = _made(path)
@@ -75,7 +75,7 @@ def holder_of(path: Path) -> dict[str, Any]:
 @contextmanager
 def held_if_free(path: Path) -> Iterator[bool]:
     """Hold a lock unless someone else has it; whether it is held."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)
     descriptor = _made(path)
     try:
         yield _taken(descriptor) and _is_at(descriptor, path)

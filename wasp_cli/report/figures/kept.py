@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from wasp_cli.report.stats.frame import Frame
-from wasp_cli.store.artifact import file_digest
+from wasp_cli.store.artifact import file_digest, replace_file
 from wasp_cli.store.plain import parse, read_plain
 
 KEPT = ".figures.json"
@@ -71,4 +71,4 @@ def keep(folder: Path, mark: str, files: Sequence[Path]) -> None:
     with suppress(OSError):
         listed = {path.name: file_digest(path) for path in files}
         # Their order is that of the page: JSON that people read sorts its names.
-        (folder / KEPT).write_text(json.dumps({"mark": mark, "files": listed}, indent=1) + "\n", encoding="utf-8")
+        replace_file(folder / KEPT, json.dumps({"mark": mark, "files": listed}, indent=1) + "\n")

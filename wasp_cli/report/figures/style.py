@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.trained.artifacts import Floats
+from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,10 +69,21 @@ def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
 
     png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
     with rc_context(LOOK):
-        figure.savefig(png, metadata={"Software": None})
+        save_png(figure, png)
         figure.set_layout_engine("none")  # what has been laid out stays where it is: doing it again takes as long as drawing
-        figure.savefig(svg, metadata={"Date": None, "Creator": None})
+        _save(figure, svg, {"Date": None, "Creator": None})
     return [png, svg]
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG: whole, or not at all where the process is killed meanwhile."""
+    _save(figure, path, {"Software": None})
+
+
+def _save(figure: Figure, path: Path, metadata: dict[str, None]) -> None:
+    drawing = BytesIO()
+    figure.savefig(drawing, format=path.suffix[1:], metadata=metadata)
+    replace_file(path, drawing.getvalue())
 
 
 def style_of(method: str, variant: str = "full") -> tuple[str, str]:

@@ -25,6 +25,7 @@ from wasp_cli.errors import StoreError
 from wasp_cli.report.render.latex import latex
 from wasp_cli.report.render.text import csv_text, markdown, plain
 from wasp_cli.report.tables.table import Table
+from wasp_cli.store.artifact import replace_file
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -88,5 +89,5 @@ def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table])
     texts = dict(pages)
     texts |= {f"{table.name}.{ending}": render(table) for table in tables for ending, render in RENDERERS.items()}
     for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        replace_file(folder / name, text)
     return [folder / name for name in texts]

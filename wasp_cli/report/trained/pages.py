@@ -11,6 +11,7 @@ from typing import Any
 from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
 from wasp_cli.report.trained.part_figures import POOLED
+from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout
 
 ALL = "all"
@@ -297,27 +298,27 @@ def quality_markdown(quality: Document) -> str:
 
 def write_contents(layout: Layout, artifact: Trained, path: Path) -> None:
     """Write what a dataset holds."""
-    path.write_text(contents_markdown(read_json(layout, artifact, "contents.json")), encoding="utf-8")
+    replace_file(path, contents_markdown(read_json(layout, artifact, "contents.json")))
 
 
 def write_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
     """Write what a world model foresees."""
-    path.write_text(open_loop_markdown(read_json(layout, artifact, "diagnostics.json")), encoding="utf-8")
+    replace_file(path, open_loop_markdown(read_json(layout, artifact, "diagnostics.json")))
 
 
 def write_signals(layout: Layout, artifact: Trained, path: Path) -> None:
     """Write which signal should gate."""
-    path.write_text(signals_markdown(read_json(layout, artifact, "signals.json")), encoding="utf-8")
+    replace_file(path, signals_markdown(read_json(layout, artifact, "signals.json")))
 
 
 def write_lookahead(layout: Layout, artifact: Trained, path: Path) -> None:
     """Write what a direct look ahead foresees."""
-    path.write_text(lookahead_markdown(read_json(layout, artifact, "quality.json")), encoding="utf-8")
+    replace_file(path, lookahead_markdown(read_json(layout, artifact, "quality.json")))
 
 
 def write_quality(layout: Layout, artifact: Trained, path: Path) -> None:
     """Write what a denoiser does."""
-    path.write_text(quality_markdown(read_json(layout, artifact, "quality.json")), encoding="utf-8")
+    replace_file(path, quality_markdown(read_json(layout, artifact, "quality.json")))
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]], *, numbers: bool = False) -> list[str]:

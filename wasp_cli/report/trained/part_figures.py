@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wasp_cli.report.figures.style import GREY, PALETTE, Line, draw_lines, drawn
+from wasp_cli.report.figures.style import GREY, PALETTE, Line, draw_lines, drawn, save_png
 from wasp_cli.report.trained.artifacts import Trained, column_of, config_of, read_json, read_table, rows_of
 from wasp_cli.report.trained.figures import STEPS
 from wasp_cli.store.layout import Layout
@@ -47,7 +47,7 @@ def _png(size: tuple[float, float], path: Path) -> Iterator[Figure]:
     """A figure that is written when it is filled."""
     with drawn(size) as figure:
         yield figure
-        figure.savefig(path, metadata={"Software": None})
+        save_png(figure, path)
 
 
 def draw_learning_curve(layout: Layout, artifact: Trained, path: Path) -> None:
