@@ -80,6 +80,7 @@ def report_run(
     if absent:
         published.append(absent_fact(absent))
         parts = [(part, key) for part, key in parts if part not in absent]
+    remarks = (*origins.remarks(), *unknown)
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
@@ -109,7 +110,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *left_out, *published, *unknown, *damaged),
+        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
@@ -117,6 +118,7 @@ def report_run(
         assumptions=tuple(assumptions_in_force(spec)),
         damaged=tuple(damaged),
         published=tuple(published),
+        remarks=remarks,
         verdict=verdict,
         keys=keys,
         notes=tuple(notes),
