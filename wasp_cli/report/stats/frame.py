@@ -133,6 +133,8 @@ class Frame:
     """The cells whose interventions were branched."""
     unbranched: tuple[Missing, ...] = ()
     """The cells with rows whose interventions should have been branched, and were not."""
+    absent: tuple[str, ...] = ()
+    """Whose cells are left out, since it is not installed here, each as a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
