@@ -14,9 +14,9 @@ from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 
 
-def text_of(plan: Plan, workers: int = 2) -> str:
+def text_of(plan: Plan, workers: int = 2, *, every: bool = False) -> str:
     console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
-    show(plan, console, workers)
+    show(plan, console, workers, every=every)
     return console.export_text()
 
 

@@ -60,7 +60,7 @@ class Fake:
         if "bytes" in options:
             (job.out_dir / "more.bin").write_bytes(digest.digest() * (options["bytes"] // 32))
         if options.get("weights"):
-            save_file({"w": np.frombuffer(digest.digest(), np.uint8)}, job.out_dir / "weights.safetensors")
+            save_file({"w": np.frombuffer(digest.digest(), np.uint8).astype(np.float32)}, job.out_dir / "weights.safetensors")
         return {"number": int.from_bytes(digest.digest()[:2], "big"), "nothing": float("nan")}
 
 

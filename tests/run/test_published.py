@@ -84,11 +84,15 @@ def test_when_the_code_has_moved_on_the_plan_names_it(
     rewrite(published_manifest(here, "goal1 s0 ida noisy=0.2"), lambda manifest: manifest["provenance"].update(git={"sha": "abcdef0123"}))
     moved(SPECIFIC)
     found = {step.node.label: step for step in plan(small_spec, here).steps}
-    assert found["goal1 s0 ida noisy=0.2"].reason == f"published by other code: {SPECIFIC} (git abcdef0)"
+    assert found["goal1 s0 ida noisy=0.2"].reason == "published by another version of this code (git abcdef0)"
     assert found["goal1 s0 human noisy=0.2"].reason == "published with this code"
     run(small_spec, here)
     assert not fakes.executions()
-    assert f"published by other code: {SPECIFIC} (git abcdef0)" in capsys.readouterr().err
+    assert "published by another version of this code (git abcdef0)" in capsys.readouterr().err
+    again = plan(small_spec, here.parent / "again", choice=str(here / "published"))
+    assert "--all names what has changed since" in text_of(again)
+    assert SPECIFIC not in text_of(again)
+    assert f"(git abcdef0); changed since: {SPECIFIC}" in text_of(again, every=True)
     assert found["goal1 s0 ida noisy=0.2"].node.key not in {node.key for node in lay_out(load(small_spec).spec).nodes}
 
 
@@ -102,7 +106,8 @@ def test_what_was_computed_from_other_code_is_other_code(here: Path, small_spec:
         lambda manifest: manifest.update(sources=reasons.source_hashes(node_of(plan(small_spec, here), "goal1 s0 wasp noisy=0.2").modules)),
     )
     found = {step.node.label: step.reason for step in plan(small_spec, here).steps}
-    assert found["goal1 s0 wasp noisy=0.2"].startswith("published by other code: that of what it was computed from")
+    assert found["goal1 s0 wasp noisy=0.2"].startswith("published by another version of this code")
+    assert "; its inputs were computed by another version" in text_of(plan(small_spec, here), every=True)
 
 
 def test_what_is_computed_from_published_results_has_keys_that_say_so(

@@ -121,7 +121,16 @@ def _report(results: Path, spec: str) -> None:
     layout = results_of(results)
     recorded = read_run(layout, last_runs(layout)[0][spec])
     show_report(
-        layout, recorded.spec, recorded.cells, recorded.parts, recorded.branched, None, recorded.unknown, films=False, trained=False
+        layout,
+        recorded.spec,
+        recorded.cells,
+        recorded.parts,
+        recorded.branched,
+        None,
+        recorded.unknown,
+        recorded.absent,
+        films=False,
+        trained=False,
     )
 
 

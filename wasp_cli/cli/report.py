@@ -92,6 +92,7 @@ def report(
                     recorded.branched,
                     claimed,
                     recorded.unknown,
+                    recorded.absent,
                     films=films,
                     trained=trained,
                     to=None if out is None else out / slug(name),
@@ -99,6 +100,7 @@ def report(
                 damaged += shown.damaged
                 gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
                 missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
+                gaps += [f"{name}: {sentence}" for sentence in recorded.absent]
             except NotWritten as error:
                 unwritten.append(error)
             except WaspError as error:  # the other specs are still worth seeing
@@ -108,7 +110,7 @@ def report(
         raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
     if unwritten:
         raise NotWritten("\n".join(error.message for error in unwritten), unwritten[0].hint)
-    if strict and missing:
+    if strict and gaps:
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
 
@@ -121,6 +123,7 @@ def show_report(
     branched: list[tuple[Cell, str]],
     paper: Paper | None,
     unknown: Sequence[str] = (),
+    absent: Sequence[str] = (),
     *,
     films: bool = False,
     trained: bool = False,
@@ -136,6 +139,7 @@ def show_report(
         branched: the cells whose interventions were tested, each with the key of its branches.
         paper: numbers and claims to compare with; None: with none.
         unknown: what the record of the run has that this version does not know.
+        absent: whose cells are left out, since it is not installed here, each as a sentence.
         films: whether the HTML report has films of episodes.
         trained: whether each trained part is drawn.
         to: the folder of the files; None: that of the spec in the results folder.
@@ -147,7 +151,7 @@ def show_report(
     from wasp_cli.errors import StoreError, refusal
     from wasp_cli.report.summarize import report_run
 
-    report = report_run(layout.root, spec, cells, parts, paper, branched, unknown)
+    report = report_run(layout.root, spec, cells, parts, paper, branched, unknown, absent)
     # Written first: a terminal that goes away costs no file.
     try:
         with err().status("report") as status:

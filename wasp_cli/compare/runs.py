@@ -24,6 +24,7 @@ from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout, is_key, is_name
+from wasp_cli.store.slim import half_inputs
 from wasp_cli.store.tables import CellIdentity, same_rows
 
 State = Literal["same", "same rows", "differs", "only first", "only second", "not compared"]
@@ -205,20 +206,24 @@ class Causes:
             yield f"another {kind}, whose record is damaged"
             return
         yield from own
+        precision = list(_precision(old, new))
+        yield from precision
         upstream = list(_differing(old, new))
         for _, other, needed, needed_too in upstream if left else ():
             yield from self._follow(other, needed, needed_too, left - 1)
         reads = sorted({*mapping(old.get("upstream"))} ^ {*mapping(new.get("upstream"))})
         if reads:
             yield f"{kind}: reads other artifacts: {few(reads)}"
-        if not own and not upstream and not reads:
+        if not own and not precision and not upstream and not reads:
             yield f"{kind}: another cell of the grid, or a key of another version"
 
     def _machine(self, kind: str, key: str) -> Iterator[str]:
         try:
-            old, new = (mapping(self._manifest(side, kind, key).get("provenance")) for side in (0, 1))
+            manifests = [self._manifest(side, kind, key) for side in (0, 1)]
         except (ArtifactError, StoreError):
             return
+        yield from _precision(*manifests)
+        old, new = (mapping(each.get("provenance")) for each in manifests)
         versions = [mapping(each.get("versions")) for each in (old, new)]
         pairs = [(name, old.get(name), new.get(name)) for name in MACHINE]
         pairs += [(name, versions[0].get(name), versions[1].get(name)) for name in (*versions[0], *versions[1])]
@@ -226,6 +231,13 @@ class Causes:
 
     def _manifest(self, side: int, kind: str, key: str) -> Mapping[str, Any]:
         return read_manifest(self._layouts[side], kind, key)
+
+
+def _precision(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
+    """Which inputs were in half precision, where that is not the same."""
+    before, after = (", ".join(half_inputs(each)) or "none" for each in (old, new))
+    if before != after:
+        yield f"inputs in half precision {before} -> {after}"
 
 
 def _shown(pair: tuple[str, Any, Any]) -> tuple[str, str, str]:

@@ -81,7 +81,7 @@ def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
         from wasp_cli.spec.paper import load_paper
 
         paper = load_paper(None)
-    report = report_run(layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown)
+    report = report_run(layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown, run.absent)
     tables = {table.name: table for table in report.tables}
     known = {MAIN: report.tables[0], **tables} if tables else {}
     if name not in known:

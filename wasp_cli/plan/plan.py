@@ -16,8 +16,9 @@ from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
 from wasp_cli.plan.schedule import simulated
 from wasp_cli.plan.times import estimated
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.index import scan
+from wasp_cli.store.index import ArtifactIndex, scan
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import precision_of
 
 State = Literal["cached", "published", "missing", "changed", "failed", "damaged", "unneeded"]
 IDLE = ("cached", "published", "unneeded")
@@ -218,8 +219,27 @@ def plan_against(
         reasons = Reasons(layout, index, kinds)
         plan = make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
         begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
+        plan = _with_precision(plan, index)
         guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset)
         return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
+
+
+def _with_precision(plan: Plan, index: ArtifactIndex) -> Plan:
+    """Say what is in half precision, or would be computed from such: keys do not tell it apart."""
+    words = {key: str(entry.facts.get("precision", "")) for entries in index.whole.values() for key, entry in entries.items()}
+    words |= {key: precision_of(reused.offer.manifest) for key, reused in plan.grid.reused.items() if not words.get(key)}
+    steps, halved = [], 0
+    for step in plan.steps:  # needed ones first
+        if step.runs and any(words.get(needed.key) for needed in step.node.needs.values()):
+            words[step.node.key] = "computed from parts in half precision"
+            halved += 1
+        elif step.state == "cached" and words.get(step.node.key) and step.node.key not in plan.grid.reused:
+            step = replace(step, reason=f"{step.reason}, {words[step.node.key]}")
+        steps.append(step)
+    plural = "s are" if halved > 1 else " is"
+    note = f"{halved} node{plural} computed from parts in half precision: other numbers than those of the whole parts, under the same keys"
+    notes = (*plan.grid.notes, note) if halved else plan.grid.notes
+    return replace(plan, steps=tuple(steps), grid=replace(plan.grid, notes=notes) if halved else plan.grid)
 
 
 def _may_begin(step: Step) -> bool:

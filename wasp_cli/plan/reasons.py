@@ -18,8 +18,9 @@ from wasp_cli.plan.node import Node, sort_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.index import ArtifactIndex, Entry
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import precision_of
 
-VERSION = 2
+VERSION = 3
 """Raised when `facts_of` changes."""
 
 
@@ -27,7 +28,7 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the index of a store keeps of a manifest.
 
     `who` is the same for all versions of one node; `sort` is `Node.sort`; `signature` is the same for versions which differ from a node in
-    the same way; `seconds` is what it took, `at` when that was.
+    the same way; `seconds` is what it took, `at` when that was; `precision` is what of it is not in full precision.
     """
     provenance = manifest["provenance"]
     axes = manifest["axes"]
@@ -39,6 +40,7 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
         # What took rows over says nothing of how long its like takes.
         **({} if "earlier" in provenance else {"seconds": float(provenance["seconds"])}),
         "at": str(provenance.get("started_at", "")),
+        **({"precision": precision} if (precision := precision_of(manifest)) else {}),
         **({"episodes": int(manifest["config"]["episodes"])} if "episodes" in manifest["config"] else {}),
     }
 

@@ -12,7 +12,7 @@ by nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import Offer, Reused, commit_of, not_used, offers, why_unusable
-from wasp_cli.store.slim import without_steps
+from wasp_cli.store.slim import precision_of, without_steps
 
 NONE, PUBLISHED = "none", "published"
 """What may be reused; or the published folder of someone else."""
@@ -76,7 +76,7 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
     moved = any(own.recipes.get(key) != recipe for recipe, key in keys.items())
     grid = lay_out(spec, keys) if moved else own
     reused = {
-        node.key: Reused(chosen[recipe], _code_of(node, chosen[recipe], current=own.recipes.get(node.key) == recipe))
+        node.key: Reused(chosen[recipe], *_code_of(node, chosen[recipe], current=own.recipes.get(node.key) == recipe))
         for node in grid.nodes
         if (recipe := grid.recipes[node.key]) in chosen
     }
@@ -210,10 +210,11 @@ def _nearest(own: Grid, node: Node, chosen: Mapping[str, Offer]) -> set[str]:
     return found
 
 
-def _code_of(node: Node, offer: Offer, *, current: bool) -> str:
-    """Which code computed a published result."""
-    changes: Sequence[str] = moved_on(node, offer.manifest)
+def _code_of(node: Node, offer: Offer, *, current: bool) -> tuple[str, str]:
+    """Which code computed a published result and in which precision it is, and what has changed since."""
+    changes = moved_on(node, offer.manifest)
+    precision = f", {words}" if (words := precision_of(offer.manifest)) else ""
     if not changes and current:
-        return "published with this code"
-    what = few(changes) if changes else "that of what it was computed from"
-    return f"published by other code: {what}{commit_of(offer.manifest)}"
+        return f"published with this code{precision}", ""
+    details = f"changed since: {few(changes)}" if changes else "its inputs were computed by another version"
+    return f"published by another version of this code{commit_of(offer.manifest)}{precision}", details

@@ -62,6 +62,8 @@ def _reasons(plan: Plan) -> list[str]:
     lines = reason_lines(plan, "published", "changed", "failed", "damaged")
     if len(lines) > SHOWN:
         lines[SHOWN:] = [f"and {len(lines) - SHOWN} more reasons; --all lists every node"]
+    if any(step.state == "published" and plan.grid.reused[step.node.key].details for step in plan.steps):
+        lines.append("wasp plan --all names what has changed since then")
     return lines
 
 
@@ -80,7 +82,9 @@ def reason_lines(plan: Plan, *states: State) -> list[str]:
 
 def _every(plan: Plan) -> list[str]:
     labels = max((len(step.node.label) for step in plan.steps), default=0)
-    return [f"{step.node.key[:8]}  {COLUMNS[step.state]:<13}  {step.node.label:<{labels}}  {step.reason}" for step in plan.steps]
+    lines = [f"{step.node.key[:8]}  {COLUMNS[step.state]:<13}  {step.node.label:<{labels}}  {step.reason}" for step in plan.steps]
+    details = [reused.details if (reused := plan.grid.reused.get(step.node.key)) else "" for step in plan.steps]
+    return [f"{line}; {more}" if more else line for line, more in zip(lines, details, strict=True)]
 
 
 def _time(plan: Plan, workers: int) -> list[str]:

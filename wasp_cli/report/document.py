@@ -70,6 +70,8 @@ class Report:
     """Records that do not read; `facts` has them too."""
     published: tuple[str, ...] = ()
     """What was published and not computed here; `facts` has it too."""
+    remarks: tuple[str, ...] = ()
+    """What else a reader of the tables has to know; `facts` has it too."""
     keys: Mapping[CellIdentity, str] = field(default_factory=dict)
     """Of the evaluations."""
     notes: tuple[Note, ...] = ()
@@ -86,7 +88,7 @@ class Report:
         """Print the front tables, and name what is missing. The main results come last: they are what stays on a small screen."""
         for table in self.tables[self.shown - 1 : 0 : -1]:
             console.print(terminal(table, console.width))
-        for fact in self.published:
+        for fact in (*self.published, *self.remarks):
             console.print(Text(fact), soft_wrap=True)
         for table in self.tables[: min(self.shown, 1)]:
             console.print(terminal(table, console.width))

@@ -30,6 +30,7 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
+from wasp_cli.store.slim import half_inputs
 from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12
@@ -66,10 +67,14 @@ class Origins:
 
     total: int = 0
     published: list[Mapping[str, Any]] = field(default_factory=list)
+    halved: list[str] = field(default_factory=list)
+    """Labels of the cells that were computed from parts in half precision."""
 
     def add(self, manifest: Mapping[str, Any]) -> None:
         """Take one more artifact into account."""
         self.total += 1
+        if manifest.get("kind") == KIND and half_inputs(manifest):
+            self.halved.append(str(manifest.get("label")))
         if is_from_published(manifest):
             self.published.append(manifest)
 
@@ -87,6 +92,12 @@ class Origins:
         cells = [str(manifest.get("label")) for manifest in self.published if manifest.get("kind") == "evaluate"]
         if 0 < len(self.published) < self.total and cells:
             yield f"Published cells: {few(cells, NAMED)}."
+
+    def remarks(self) -> Iterator[str]:
+        """Yield what the keys of cells do not tell apart."""
+        if self.halved:
+            cells = "1 cell was" if len(self.halved) == 1 else f"{len(self.halved)} cells were"
+            yield f"{cells} computed from parts in half precision; whole parts give other numbers: {few(self.halved, NAMED)}."
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError
@@ -47,6 +48,7 @@ def report_run(
     paper: Paper | None = None,
     branched: Sequence[tuple[Cell, str]] = (),
     unknown: Sequence[str] = (),
+    absent: Sequence[str] = (),
 ) -> Report:
     """Summarise the cells and the trained parts of a run.
 
@@ -58,11 +60,12 @@ def report_run(
         paper: whose numbers and claims the cells are held against; None: against none.
         branched: the cells whose interventions are judged, each with the key of its counterfactual branches.
         unknown: what the record of the run has that this version does not know.
+        absent: whose cells are left out, since it is not installed here, each as a sentence.
     """
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = stored = with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted)
+    frame = stored = replace(with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted), absent=tuple(absent))
     keys = {identity_of(cell): key for cell, key in cells}
     notes = [note for note in notes_of(layout) if note.key in keys.values()]
     frame, left_out = without_invalid(frame, keys, invalid(notes))
@@ -76,10 +79,11 @@ def report_run(
     trained = with_warnings(layout, trained)
     published = list(origins.facts())
     # What nothing needs is no gap in a run that took published results; in any other one it once was there.
-    absent = absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
-    if absent:
-        published.append(absent_fact(absent))
-        parts = [(part, key) for part, key in parts if part not in absent]
+    gone = absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
+    if gone:
+        published.append(absent_fact(gone))
+        parts = [(part, key) for part, key in parts if part not in gone]
+    remarks = (*origins.remarks(), *absent)
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
@@ -109,7 +113,7 @@ def report_run(
     return Report(
         name=spec.name,
         layout=layout,
-        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *left_out, *published, *unknown, *damaged),
+        facts=(*((people_fact(sittings),) if sittings else ()), *_facts(spec, frame), *left_out, *published, *remarks, *unknown, *damaged),
         tables=(*front, *back),
         shown=len(front),
         frame=frame,
@@ -117,6 +121,7 @@ def report_run(
         assumptions=tuple(assumptions_in_force(spec)),
         damaged=tuple(damaged),
         published=tuple(published),
+        remarks=remarks,
         verdict=verdict,
         keys=keys,
         notes=tuple(notes),

@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import secrets
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -50,6 +51,8 @@ class Recorded:
     """Each cell whose interventions were to be judged with the key of its counterfactual branches."""
     unknown: tuple[str, ...] = ()
     """What its record has that this version does not know, each as a sentence; it stays in the record, and is in no table."""
+    absent: tuple[str, ...] = ()
+    """Whose cells are left out, since it is not installed here, each as a sentence."""
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False) -> str:
@@ -126,11 +129,14 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
         what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
     there = [[(cell, key) for cell, key in part if _is_known(cell)] for part in (cells, branched)]
-    left_out = sorted({cell.method for cell, _ in cells if cell.method not in METHODS})
-    left_out += sorted({cell.operator for cell, _ in cells if cell.operator not in (*OPERATORS, UNIMPAIRED)})
-    unknown += [f"Cells of '{name}' are left out: it is not known here." for name in left_out]
+    left_out = Counter(cell.method if cell.method not in METHODS else cell.operator for cell, _ in cells if not _is_known(cell))
+    absent = [f"{name}: not installed here; {_its_cells(count)} left out." for name, count in sorted(left_out.items())]
     parts = [(part, key) for part, key in parts if part.kind in STAGES]
-    return Recorded(run_id, spec, there[0], parts, there[1], tuple(unknown))
+    return Recorded(run_id, spec, there[0], parts, there[1], tuple(unknown), tuple(absent))
+
+
+def _its_cells(count: int) -> str:
+    return "its cell is" if count == 1 else f"its {count} cells are"
 
 
 def _is_known(cell: Cell) -> bool:

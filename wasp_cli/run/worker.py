@@ -45,7 +45,7 @@ from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices
 from wasp_cli.store.recorded import read_recorded
-from wasp_cli.store.slim import without_steps
+from wasp_cli.store.slim import HALF_INPUTS, precision_of, without_steps
 from wasp_cli.store.tables import cell_file
 
 DEATHS = 2
@@ -261,12 +261,23 @@ def manifest_of(job: NodeJob, summary: Mapping[str, Any], seconds: float, starte
             **({"cuda": devices} if (devices := cuda_devices()) else {}),
             "run": job.run_id,
             **({"earlier": job.earlier} if job.earlier else {}),
+            **({HALF_INPUTS: half} if (half := _half_inputs(job)) else {}),
             "attempt": job.attempt,
             "threads": job.threads,
             "started_at": started_at,
             "seconds": round(seconds, 3),
         },
     }
+
+
+def _half_inputs(job: NodeJob) -> list[str]:
+    """The names of the inputs that are in half precision, or were computed from such: the key of a node says nothing of it."""
+    layout, found = Layout(Path(job.root)), []
+    for name, (kind, key) in sorted(job.inputs.items()):
+        with suppress(ArtifactError):
+            if precision_of(read_manifest(layout, kind, key)):
+                found.append(name)
+    return found
 
 
 def _recorded_failure(job: NodeJob, layout: Layout, log: Path, started: float, error: BaseException) -> NodeResult:

@@ -1,4 +1,4 @@
-"""The episode columns of a cell for a reader of thousands of cells: what all rows share comes from the footer, not from the rows.
+"""Some episode columns of a cell, and what all its rows share, for a reader of thousands of cells.
 
     found = read_numbers(path, ("return", "cost"))
     found.identity, found.thresholds, found.table
@@ -44,32 +44,28 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             if (file.schema_arrow.metadata or {}).get(VERSION_KEY) not in ALIKE or file.num_row_groups != 1:
                 return None
-            shared = _shared(file.metadata.row_group(0))
-            table = file.read(columns=list(columns), use_threads=False)
+            table = file.read(columns=[*SHARED, *columns], use_threads=False)
     except (pa.ArrowException, OSError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return None
-    if (
-        shared is None
-        or table.num_rows == 0
-        or [field.type for field in table.schema] != [SCHEMA.field(name).type for name in table.column_names]
-    ):
+    # pyarrow leaves out, without a word, a column that the footer does not name.
+    if table.num_rows == 0 or [(each.name, each.type) for each in table.schema] != [(n, SCHEMA.field(n).type) for n in (*SHARED, *columns)]:
+        return None
+    shared = _shared(table)
+    if shared is None:
         return None
     thresholds = Thresholds(**{name: shared.pop(name) for name in Thresholds.__dataclass_fields__})
-    return Numbers(CellIdentity(**shared), thresholds, table)
+    return Numbers(CellIdentity(**shared), thresholds, table.select(list(columns)))
 
 
-def _shared(group: Any) -> dict[str, Any] | None:
-    """SHARED of a row group, from the least and the greatest value of each; None unless they are known to be the same."""
+def _shared(table: pa.Table) -> dict[str, Any] | None:
+    """SHARED of some rows; None unless all rows have the same.
+
+    From the rows: pyarrow ends the whole process over some footers of which it is asked for the statistics.
+    """
     found: dict[str, Any] = {}
     for name in SHARED:
-        column = group.column(SCHEMA.get_field_index(name))
-        known = column.statistics
-        if column.path_in_schema != name or known is None or not known.has_null_count:
+        values = table[name].unique().to_pylist()
+        if len(values) != 1 or values[0] != values[0]:  # NaN is no threshold
             return None
-        if known.null_count == group.num_rows:
-            found[name] = None
-        elif known.null_count == 0 and known.has_min_max and known.min == known.max:
-            found[name] = known.max
-        else:
-            return None
+        found[name] = values[0]
     return found

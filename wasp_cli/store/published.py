@@ -65,6 +65,8 @@ class Reused:
     offer: Offer
     reason: str
     """Which code computed it, for people."""
+    details: str = ""
+    """What has changed since."""
 
 
 def commit_of(manifest: Mapping[str, Any]) -> str:

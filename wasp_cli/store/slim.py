@@ -19,6 +19,10 @@ SLIM = "slim"
 """In a published manifest: by file, what was left out of it, and the digest of the whole."""
 IMAGES_FILE = "images.parquet"
 """Of `diagnostics`: frames for pictures in reports; nothing is computed from them."""
+HALF = "weights in half precision"
+"""What was left out of a file with such weights."""
+HALF_INPUTS = "half_precision"
+"""In the provenance of what was computed: the names of its inputs that were in half precision, or computed from such."""
 DATA = frozenset({"dataset", "latents", "heldout", "rollouts"})
 """Kinds whose tensors are recorded data, not weights."""
 
@@ -52,7 +56,7 @@ def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]
     for path in sorted(folder.rglob("*")):
         whole = file_digest(path) if path.is_file() else ""
         if wanted.half and path.suffix == ".safetensors" and kind not in DATA and _halve(path):
-            left_out = "weights in half precision"
+            left_out = HALF
         elif wanted.steps is not None and kind == "evaluate" and path.name == STEPS_FILE and _cut(path, wanted.steps):
             left_out = f"steps of all episodes but the first {wanted.steps}" if wanted.steps > 1 else "steps of all episodes but the first"
         elif not wanted.images and kind == "diagnostics" and path.name == IMAGES_FILE:
@@ -68,6 +72,22 @@ def without_steps(manifest: Mapping[str, Any]) -> bool:
     """Return whether steps of a published cell were left out, so that nothing may be computed from it."""
     changed = manifest.get(SLIM)
     return manifest.get("kind") == "evaluate" and isinstance(changed, Mapping) and bool(changed)
+
+
+def half_inputs(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the names of the inputs in half precision that an artifact was computed from; empty also where it was not recorded."""
+    provenance = manifest.get("provenance")
+    names = provenance.get(HALF_INPUTS) if isinstance(provenance, Mapping) else None
+    return [str(name) for name in names] if isinstance(names, list) else []
+
+
+def precision_of(manifest: Mapping[str, Any]) -> str:
+    """Return what is not in full precision about an artifact, for people; empty where everything is, as far as its manifest says."""
+    changed = manifest.get(SLIM)
+    files = changed.values() if isinstance(changed, Mapping) else ()
+    if any(isinstance(each, Mapping) and each.get("left_out") == HALF for each in files):
+        return "in half precision"
+    return "computed from parts in half precision" if half_inputs(manifest) else ""
 
 
 def _halve(path: Path) -> bool:

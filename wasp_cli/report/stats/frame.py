@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError
@@ -19,7 +20,7 @@ from wasp_cli.metrics.necessity import Necessity
 from wasp_cli.report.stats.kept import Kept, place_of, read_kept, stamp_of, write_kept
 from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.parquet import AGAIN
-from wasp_cli.store.tables import CellIdentity, Thresholds, read_episodes
+from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, read_episodes
 
 Floats = NDArray[np.float64]
 
@@ -132,6 +133,8 @@ class Frame:
     """The cells whose interventions were branched."""
     unbranched: tuple[Missing, ...] = ()
     """The cells with rows whose interventions should have been branched, and were not."""
+    absent: tuple[str, ...] = ()
+    """Whose cells are left out, since it is not installed here, each as a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +219,12 @@ def _read(cell: Wanted, known: Mapping[str, Kept]) -> Kept | Missing:
 
 def _read_closely(path: Path) -> Numbers:
     """The rows of a cell of an older version; an error says what is wrong with a damaged one."""
-    table = read_episodes([path])
+    try:
+        table = read_episodes([path])
+    except ValueError as error:  # its columns are not those of a cell
+        there = pq.read_schema(path).names
+        absent = ", ".join(name for name in SCHEMA.names if name not in there)
+        raise StoreError(f"{path} is damaged: {f'it has no column {absent}' if absent else error}", AGAIN) from error
     if table.num_rows == 0:
         raise StoreError(f"{path} has no episodes")
     row = table.slice(0, 1).to_pylist()[0]

@@ -61,6 +61,8 @@ def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
 def missing_notes(frame: Frame) -> list[str]:
     """Return the line of drops: how many cells were planned, and what became of those that are not here; the report names each of them."""
     total = len(frame.cells) + len(frame.missing)
+    if not frame.missing and frame.absent:
+        return [f"{total} of {total} planned cells of what is installed here are finished; none failed. {' '.join(frame.absent)}"]
     if not frame.missing:
         return [f"{total} of {total} planned cells are finished; none failed, and none is left out."]
     # The reason begins with what happened: failed, blocked by another node, damaged, or nothing yet.
