@@ -79,7 +79,9 @@ def report_run(
     absent = absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
     if absent:
         published.append(absent_fact(absent))
-        parts = [(part, key) for part, key in parts if part not in absent]
+        # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
+        told = {(part.task, part.kind, part.round) for part, _ in parts if part not in absent}
+        parts = [(part, key) for part, key in parts if (part.task, part.kind, part.round) in told]
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
