@@ -82,7 +82,9 @@ def report_run(
     gone = absent_parts(layout, parts, spec.stages) if published and not stored.missing else []
     if gone:
         published.append(absent_fact(gone))
-        parts = [(part, key) for part, key in parts if part not in gone]
+        # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
+        told = {(part.task, part.kind, part.round) for part, _ in parts if part not in gone}
+        parts = [(part, key) for part, key in parts if (part.task, part.kind, part.round) in told]
     remarks = (*origins.remarks(), *absent)
     sittings, unread = read_people(wanted, frame)
     damaged += unread

@@ -12,6 +12,7 @@ from rich.text import Text
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of
 from wasp_cli.report.render.files import rendered
+from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
@@ -58,6 +59,25 @@ def headline(verdict: VerdictReport) -> str:
         parts.append(_counted(rest["untested"], "untested", verdict))
     total = f"{len(verdict.claims)} claim{'s' if len(verdict.claims) != 1 else ''}"
     return f"Of {total} {'; '.join(parts)}."
+
+
+def second_headlines(verdict: VerdictReport) -> list[str]:
+    """Count the claims by their outcome with each further row in its method's place, in a sentence for each row."""
+    sentences = []
+    for i, who in enumerate(verdict.others):
+        pairs = [(one.outcome, other.outcome) for one in verdict.claims if (other := one.others[i]) and other.outcome != "untested"]
+        counts = Counter(outcome for _, outcome in pairs)
+        said = [_counted(counts[outcome], outcome, verdict) for outcome in ("holds", "fails", "undecided") if counts[outcome]]
+        changed = sum(own != other for own, other in pairs)
+        place = f"{title_of(who)} in place of {title_of(Who(who.method))}"
+        sentences.append(f"Judged by {place}: {'; '.join(said)}; {changed} of {len(pairs)} verdicts differ." if pairs else "")
+    return [text for text in sentences if text]
+
+
+def second_label(verdict: VerdictReport, judged: Judged, i: int) -> str:
+    """Return the outcome of a claim by a further row of its method; empty where that row cannot answer it."""
+    other = judged.others[i]
+    return "" if other is None or other.part == "untested" else label(verdict, other)
 
 
 def _counted(count: int, outcome: Outcome, verdict: VerdictReport) -> str:
@@ -134,19 +154,32 @@ def beyond_print(judged: Judged) -> str:
 
 def verdict_terminal(verdict: VerdictReport) -> Text:
     """Count the claims in one line; the written report has each of them, with the comparisons that decide it."""
-    line = headline(verdict)
+    line = " ".join((headline(verdict), *second_headlines(verdict)))
     return Text.assemble((f"{TITLE}: ", "bold"), f"{line[0].lower()}{line[1:-1]}; report.html lists them.")
 
 
 def verdict_markdown(verdict: VerdictReport) -> str:
     """Render a section: every claim with every comparison."""
     lines = [f"## {TITLE}", "", f"*{verdict.paper.title}*. {headline(verdict)}", "", *(f"- {note}" for note in verdict.notes), ""]
+    lines += _second_table(verdict)
     for judged in verdict.claims:
         if judged.outcome != "untested" or judged.part != "untested":
             lines += _claim(verdict, judged)
     if text := untested(verdict):
         lines += ["", text]
     return "\n".join(lines) + "\n"
+
+
+def _second_table(verdict: VerdictReport) -> Iterator[str]:
+    """Yield a table of all tested claims, with a column for each further row of a method; nothing where there is no such row."""
+    told, titles = second_headlines(verdict), [title_of(who) for who in verdict.others]
+    if told:
+        yield from (*told, "", markdown_row(("Claim", "Verdict", *titles)), markdown_row(["---"] * (2 + len(titles))))
+        for judged in verdict.claims:
+            if judged.part != "untested":
+                seconds = (second_label(verdict, judged, i) for i in range(len(verdict.others)))
+                yield markdown_row((f"`{judged.claim.id}`", label(verdict, judged), *seconds))
+        yield ""
 
 
 def _claim(verdict: VerdictReport, judged: Judged) -> Iterator[str]:
@@ -166,8 +199,9 @@ def _claim(verdict: VerdictReport, judged: Judged) -> Iterator[str]:
 def verdict_html(verdict: VerdictReport) -> Markup:
     """Return every claim with every comparison; those of which nothing could be asked in one line."""
     claims = [_claim_html(verdict, judged) for judged in verdict.claims if judged.part != "untested"]
-    told = {"title": TITLE, "headline": headline(verdict), "untested": untested(verdict)}
-    return rendered("claims.html", verdict=verdict, headings=HEADINGS, claims=claims, **told)
+    told = {"title": TITLE, "headline": headline(verdict), "seconds": second_headlines(verdict), "untested": untested(verdict)}
+    headings = (*HEADINGS, *map(title_of, verdict.others))
+    return rendered("claims.html", verdict=verdict, headings=headings, claims=claims, **told)
 
 
 def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
@@ -179,16 +213,26 @@ def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
     )
     shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
     facts = {"id": claim.id, "shade": shade, "label": label(verdict, judged), "says": claim.says, "section": claim.section}
-    return {**facts, "remarks": remarks, "rows": list(_rows(judged))}
+    seconds = [(title_of(who), text) for i, who in enumerate(verdict.others) if (text := second_label(verdict, judged, i))]
+    return {**facts, "seconds": seconds, "remarks": remarks, "rows": list(_rows(judged))}
 
 
 def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
     """Yield the class and the cells of every comparison that was asked."""
-    for answers in judged.answers:
+    for place, answers in enumerate(judged.answers):
         for number, answer in enumerate(answers):
             if answer.outcome != "untested":
                 aside = "" if any_of(answers) == answer.outcome else " aside"
-                yield answer.outcome + aside, _cells(answer, "or " if number else "")
+                seconds = [("" if other is None else _second(other.answers[place][number]), None) for other in judged.others]
+                yield answer.outcome + aside, [*_cells(answer, "or " if number else ""), *seconds]
+
+
+def _second(answer: Answer) -> str:
+    """Put a comparison of a further row into a cell: its outcome, and the difference or value behind it."""
+    if answer.outcome == "untested":
+        return ""
+    number = COLUMN_OF[answer.asked.column].number(answer.estimate.value if answer.estimate else None, answer.asked.right is not None)
+    return f"{PLAIN[answer.outcome]}: {number}{interval_text(answer)}"
 
 
 def _cells(answer: Answer, before: str) -> list[Cell]:

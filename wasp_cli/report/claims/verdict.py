@@ -9,14 +9,18 @@ hold when the interval lies on the wrong side, and is undecided when the thresho
 
 A claim holds when all of its questions do, and does not hold when one does not. One whose rows are not all there is not tested; what
 the others say is kept beside it. With the models of a single training a verdict is about these models, and says so.
+
+A method may have a second row that is no ablation, as the method of the paper has its own section as printed. Claims are judged a second
+time with that row in the method's place. Claims that name an ablation are not: the ablation has no second row.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
+from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats.bootstrap import Estimate, difference_of, mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups
 from wasp_cli.report.stats.summary import Interval
@@ -57,6 +61,8 @@ class Judged:
     outcome: Outcome
     answers: tuple[tuple[Answer, ...], ...]
     """Per question; of the answers in a tuple one is enough."""
+    others: tuple[Judged | None, ...] = ()
+    """The same claim with each of the report's `others` in its method's place; None where that cannot be asked."""
 
     @property
     def part(self) -> Outcome:
@@ -96,6 +102,8 @@ class VerdictReport:
     one_training: bool
     """Whether all rows come from the models of one training."""
     notes: tuple[str, ...]
+    others: tuple[Who, ...] = ()
+    """The rows that stand for a method as another recipe makes it, and that claims are judged by too."""
 
     def having(self, outcome: Outcome) -> list[Judged]:
         """Return the claims with an outcome."""
@@ -113,14 +121,17 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
     shared = spec is not None and spec.training_seed is not None
+    others = tuple(Who(name, variant) for name, info in METHODS.items() for variant in info.rows if rows.has(Who(name, variant)))
+    judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
         paper=paper,
         rows=tuple(_beside(rows, paper)),
-        claims=tuple(_judged(rows, paper, claim) for claim in paper.claims),
+        claims=tuple(replace(found, others=tuple(_judged_by(rows, paper, found.claim, who) for who in others)) for found in judged),
         tasks=rows.tasks,
         seeds=seeds,
         one_training=seeds == 1 or shared,
         notes=tuple(_notes(frame, _absent(rows, paper), seeds, spec)),
+        others=others,
     )
 
 
@@ -167,6 +178,9 @@ class _Rows:
     def group(self, task: str, who: Who) -> Group | None:
         return self._groups.get((task, who))
 
+    def has(self, who: Who) -> bool:
+        return any(found == who for _, found in self._groups)
+
     def mean(self, task: str, who: Who, column: str) -> Estimate | None:
         """None where there is no such row or column."""
         place = (task, who, column)
@@ -195,6 +209,20 @@ class _Rows:
 def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
     answers = tuple(tuple(_answer(rows, paper, asked) for asked in question) for question in claim.questions())
     return Judged(claim, all_of([any_of(each) for each in answers]), answers)
+
+
+def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | None:
+    """Judge a claim with another row of its method in the method's place; None where it says nothing of the method, or of an ablation."""
+    named = {side for question in claim.questions() for asked in question for side in (asked.left, asked.right) if side is not None}
+    own = {side for side in named if side.method == who.method}
+    if own != {Who(who.method)}:
+        return None
+
+    def placed(sides: tuple[Who, ...] | None) -> tuple[Who, ...] | None:
+        return sides and tuple(who if side in own else side for side in sides)
+
+    statements = (each.model_copy(update={"left": placed(each.left), "right": placed(each.right)}) for each in claim.statements)
+    return _judged(rows, paper, claim.model_copy(update={"statements": tuple(statements)}))
 
 
 def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:

@@ -12,8 +12,12 @@ from typing import Literal
 
 import numpy as np
 
+from wasp_cli.metrics.episode import WEIGHTS
 from wasp_cli.report.stats.frame import CellNumbers, Floats
 from wasp_cli.store.tables import CellIdentity
+
+HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2"}
+"""Columns of an episode that say what happened and what was corrected, not why."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,26 @@ def paired_difference(cells: Sequence[CellNumbers], reference: Sequence[CellNumb
         if not math.isnan(change):
             differences.setdefault(cell.identity.seed, []).append(change)
     return float(np.mean([np.mean(numbers) for numbers in differences.values()])) if differences else None
+
+
+def same_episodes(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]) -> tuple[int, int]:
+    """Count the episodes that went as the reference's did in the same world, and all that both have.
+
+    They went alike when what happened and what was corrected is equal to the bit. Gates may differ, and times do.
+    """
+    by_condition = {condition(cell.identity): cell for cell in reference}
+    same = total = 0
+    for cell in cells:
+        other = by_condition.get(condition(cell.identity))
+        if other is None:
+            continue
+        _, own, others = np.intersect1d(cell.episodes["world"], other.episodes["world"], return_indices=True)
+        alike = np.ones(len(own), bool)
+        for name in HAPPENED & cell.episodes.keys() & other.episodes.keys():
+            left, right = cell.episodes[name][own], other.episodes[name][others]
+            alike &= (left == right) | (np.isnan(left) & np.isnan(right))
+        same, total = same + int(alike.sum()), total + len(own)
+    return same, total
 
 
 def distinct_resamples(seeds: int) -> int:

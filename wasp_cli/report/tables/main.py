@@ -14,7 +14,16 @@ import numpy as np
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.stats.frame import TIMES, CellNumbers, Floats, Frame, Group, groups
-from wasp_cli.report.stats.summary import UNDEFINED, Value, over_episodes, over_seeds, paired_difference, spread_note, summarise
+from wasp_cli.report.stats.summary import (
+    UNDEFINED,
+    Value,
+    over_episodes,
+    over_seeds,
+    paired_difference,
+    same_episodes,
+    spread_note,
+    summarise,
+)
 from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.tables.titles import assistant_title, is_row, task_title
 
@@ -102,19 +111,22 @@ def ablation_table(frame: Frame) -> Table | None:
     if not ablations:
         return None
     full = {(group.task, group.method): group.cells for group in ablations if group.assistant_variant == "full"}
-    rows = []
+    rows, notes = [], []
     for group in ablations:
         numbers = values(group, PAPER_COLUMNS)
         reference = full.get((group.task, group.method), ())
         if group.assistant_variant != "full":
             pairs = zip(numbers, PAPER_COLUMNS, strict=True)
             numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
+            same, total = same_episodes(group.cells, reference)
+            if same:
+                title = f"{task_title(group.task)}, {assistant_title(group, ablation=True)}"
+                notes.append(f"{title}: {same} of {total} episodes are the same as with the full method, in every number.")
         rows.append(Row((task_title(group.task), assistant_title(group, ablation=True)), numbers))
     cells = [cell for group in ablations for cell in group.cells]
     meanings = ("In brackets: mean difference to the full method over the operators, severities and seeds that both have.",)
-    return Table(
-        "table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), (spread_note(cells), *missing_notes(frame)), meanings
-    )
+    notes = [spread_note(cells), *missing_notes(frame), *notes]
+    return Table("table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), tuple(notes), meanings)
 
 
 def _order(every: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:

@@ -1,0 +1,86 @@
+"""Claims about a method are judged a second time with its other row in its place."""
+
+from __future__ import annotations
+
+from tests.report.claims.test_verdict import HUMAN, against, asked, cell, frame_of, paper_with
+from wasp_cli.report.claims.text import second_headlines, verdict_html, verdict_markdown, verdict_terminal
+from wasp_cli.report.claims.verdict import VerdictReport, judge
+from wasp_cli.report.stats.frame import Frame
+from wasp_cli.spec.paper import Who
+
+PRINTED = Who("wasp", "as-printed")
+STATEMENT = asked("lower")
+
+
+def both(own: tuple[float, ...] = (10, 12, 11, 13), printed: tuple[float, ...] = (60, 61, 62, 61)) -> Frame:
+    """Both rows of WASP beside an operator with 43 to 46."""
+    cells = (cell("wasp", [mean - 1, mean, mean + 1], seed, variant="as-printed") for seed, mean in enumerate(printed))
+    return frame_of(*against(*own).cells, *cells)
+
+
+def outcomes(frame: Frame, *statements: str) -> tuple[str, list[str | None]]:
+    (found,) = judge(frame, paper_with(*statements)).claims
+    return found.outcome, [other and other.outcome for other in found.others]
+
+
+def test_the_other_row_has_a_verdict_of_its_own() -> None:
+    assert judge(both(), paper_with(STATEMENT)).others == (PRINTED,)
+    assert outcomes(both(), STATEMENT) == ("holds", ["fails"])
+    assert outcomes(both((60, 61, 62, 61), (10, 12, 11, 13)), STATEMENT) == ("fails", ["holds"])
+    assert outcomes(both((10, 12, 11, 13), (10, 80, 11, 90)), STATEMENT) == ("holds", ["undecided"])
+
+
+def test_it_stands_on_the_right_side_too_and_against_a_bound() -> None:
+    assert outcomes(both(), asked("higher", "right: [wasp]", left="human")) == ("holds", ["fails"])
+    assert outcomes(both(), asked("at_most", "bound: 20")) == ("holds", ["fails"])
+
+
+def test_what_says_nothing_of_the_method_or_names_an_ablation_is_not_asked_again() -> None:
+    assert outcomes(both(), asked("at_least", "bound: 20", left="human")) == ("holds", [None])
+    ablated = frame_of(*both().cells, *(cell("wasp", [50.0, 51.0, 52.0], seed, variant="task-only") for seed in range(4)))
+    assert outcomes(ablated, asked("higher", "right: [wasp]", left="wasp/task-only")) == ("holds", [None])
+
+
+def test_on_a_task_without_that_row_it_is_not_tested() -> None:
+    cells = [cell(name, [cost + seed] * 3, seed, task="race1") for seed in range(4) for name, cost in (("wasp", 1.0), ("human", 9.0))]
+    assert outcomes(frame_of(*both().cells, *cells), asked("lower", task="race1")) == ("holds", ["untested"])
+
+
+def test_a_report_without_that_row_says_nothing_of_it() -> None:
+    verdict = judge(against(10, 12, 11, 13), paper_with(STATEMENT))
+    assert (verdict.others, verdict.claims[0].others, second_headlines(verdict)) == ((), (), [])
+    assert "as printed" not in verdict_markdown(verdict) + verdict_html(verdict) + verdict_terminal(verdict).plain
+
+
+def report() -> VerdictReport:
+    return judge(both(), paper_with(STATEMENT, asked("higher", "right: [wasp]", left="human")))
+
+
+def test_every_form_of_the_report_has_the_second_verdict() -> None:
+    verdict = report()
+    line = "Judged by WASP (as printed) in place of WASP: 1 does not hold; 1 of 1 verdicts differ."
+    text, page = verdict_markdown(verdict), verdict_html(verdict)
+    assert "| Claim | Verdict | WASP (as printed) |\n| --- | --- | --- |\n| `claim` | holds | does not hold |\n" in text
+    assert line in text
+    assert line in page
+    assert line.rstrip(".") in verdict_terminal(verdict).plain
+    assert '<span class="second">WASP (as printed): does not hold</span>' in page
+
+
+def test_every_comparison_on_the_page_has_that_of_the_other_row_beside_it() -> None:
+    page = verdict_html(report())
+    assert page.count("<th>WASP (as printed)</th>") == 1
+    rows = page.split("<tbody>")[1].split("<tr ")[1:]
+    assert len(rows) == 2
+    for row, difference in zip(rows, ("+16.50", "-16.50"), strict=True):
+        assert row.count("<td") == page.count("<th>")
+        assert f"does not hold: {difference} (" in row.rpartition("<td")[2]
+
+
+def test_the_operator_is_never_replaced() -> None:
+    (found,) = judge(both(), paper_with(STATEMENT)).claims
+    (other,) = found.others
+    assert other is not None
+    ((answer,),) = other.answers
+    assert (answer.asked.left, answer.asked.right) == (PRINTED, Who("human"))
+    assert answer.right == found.answers[0][0].right == sum(sum(one.episodes["cost"]) for one in HUMAN) / 12
