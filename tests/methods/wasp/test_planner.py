@@ -170,7 +170,8 @@ def test_broken_rollouts_are_never_chosen() -> None:
 
     model = Broken(Corridor(9, 9), NoCritics(), config(), 0.9, 0.9, 0.9)
     start, draws = nowhere(1)
-    found = plan_residuals(model, start, torch.zeros(1, 2, 1), torch.randn(1, 5, 40, 2, 1), draws, TAU)
+    normals = torch.randn(1, 5, 40, 2, 1, generator=torch.Generator().manual_seed(0))  # of some seeds no candidate is safe
+    found = plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU)
     assert torch.isfinite(found.residuals).all()
     assert -0.6 <= float(found.residuals[0, 0, 0]) <= -0.4
 
