@@ -73,9 +73,12 @@ def test_undefined_is_none_not_zero() -> None:
     assert episode_metrics(trajectory(steps=1), 1, 25.0).smoothness is None
 
 
-def test_rounding_is_no_intervention() -> None:
-    row = episode_metrics(trajectory(a=np.full((4, 2), 1e-8)), 1, 25.0)
+def test_rounding_is_no_intervention_and_what_is_no_rounding_is_one() -> None:
+    row = episode_metrics(trajectory(a=np.full((4, 2), 5e-7)), 1, 25.0)  # norm 7e-7
     assert (row.int_rate, row.mag, row.intervened) == (0.0, 0.0, 0)
+    row = episode_metrics(trajectory(a=[[2e-6, 0], [0, 1e-5], [0, 0], [1e-4, 0]]), 1, 25.0)
+    assert (row.int_rate, row.intervened, row.int_rate_05) == (0.75, 3, 0.0)
+    assert row.mag == pytest.approx((2e-6 + 1e-5 + 1e-4) / 4)
 
 
 def test_safe_success_needs_both() -> None:

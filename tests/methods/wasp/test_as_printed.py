@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from tests.worlds import Corridor, LinearCritics
-from wasp_cli.methods.configs import PAPER_RECIPE, WASPConfig
+from wasp_cli.methods.base import Heldout
+from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import DecisionNoise, as_gumbel
 from wasp_cli.methods.wasp.assistant import PROBE as PROBING
 from wasp_cli.methods.wasp.assistant import SEARCH, WASP
@@ -123,7 +124,7 @@ def section_4(x: float, a_h: float, tau_c: float, tau_r: float) -> Outcome:
 
 
 class Counted(Corridor):
-    """Counts the rows of every rollout's first step."""
+    """Counts the rows of every rollout's first step. Any step may end the episode, and section 4 does not ask (Eq. 8)."""
 
     def __init__(self) -> None:
         super().__init__(LOW, HIGH, JITTER)
@@ -135,6 +136,9 @@ class Counted(Corridor):
             self.calls.append(len(action) // M)
         self.steps += 1
         return super().imagine(latent, action, noise)
+
+    def continues(self, latent: Latent) -> Tensor:
+        return torch.full_like(latent.h[..., 0], 0.5)
 
 
 CASES = [
@@ -185,12 +189,41 @@ def test_nothing_is_carried_over_to_the_next_decision() -> None:
     assert torch.equal(assistant.decide(*start).action, again)
 
 
+SECTION_4: dict[str, Any] = {
+    "composition": "hold",  # Eq. 13
+    "discounts": "reward", "bootstrap_cost": True, "bootstrap_reward": True, "continuation": False,  # Eq. 7-8
+    "operator_model": "rule", "tau_c": "calibrated", "witness": "sum",  # Eq. 9
+    "probe_with": "random", "rescore": False, "takeover_shares": (), "braking": False, "effort": "sampled", "alpha": 0.1,  # Eq. 11
+    "tau_r_floor": 0.05,  # Eq. 12
+    "probe_first": False, "task_search": True, "safety_search": True, "forced": False, "warm_start": False, "case2_memory": 0,
+    "elites_kept": 0.0, "shrink": 1.0, "momentum": 0.0,  # Eq. 14-17
+    "best_of": "all", "finalists": 0, "recheck": False,  # Eq. 18
+}  # fmt: skip
+"""What the recipe has to settle, written out: its own table would agree with itself."""
+
+
 def test_the_recipe_settles_its_fields_whatever_they_say_and_the_variant_sets_it() -> None:
+    otherwise = {"finalists": 4, "tau_c": 0.5, "rollouts": 3, "warm_start": True, "continuation": True, "tau_r_floor": 0.15}
     for how in ({"recipe": "paper"}, {"variant": "as-printed"}, {"variant": "as-printed", "recipe": "own"}):
-        config = WASPConfig.model_validate({"finalists": 4, "tau_c": 0.5, "rollouts": 3, "warm_start": True} | how)
+        config = WASPConfig.model_validate(otherwise | how)
         assert config.recipe == "paper"
-        assert {name: getattr(config, name) for name in PAPER_RECIPE} == dict(PAPER_RECIPE)
+        assert {name: getattr(config, name) for name in SECTION_4} == SECTION_4
         assert config.gate_rollouts == 3  # one M
     own = WASPConfig()
     assert own.recipe == "own"
-    assert all(getattr(own, name) != value for name, value in PAPER_RECIPE.items() if name in ("finalists", "recheck", "composition"))
+    assert all(getattr(own, name) != SECTION_4[name] for name in ("finalists", "recheck", "composition", "continuation", "tau_r_floor"))
+
+
+def test_where_nothing_can_be_gained_the_calibrated_tau_r_is_the_recipe_s_floor() -> None:
+    """Far from the goal the expert's command is the bound: no sample gains anything, in the recipe of the paper or in our own."""
+    for how, floor in (({"recipe": "paper"}, 0.05), ({"probe_with": "random", "takeover_shares": (), "gate_rollouts": M}, 0.15)):
+        config = WASPConfig.model_validate(SIZES | how)
+        world = Corridor(LOW, HIGH, JITTER)
+        assistant = WASP(config, Imagination(world, LinearCritics(), config, GAMMA, OTHER, LAM), {})
+        zeros = torch.zeros(20)
+        heldout = Heldout(world.at(*[-5.0] * 20), torch.ones(20, 1), zeros, zeros, zeros.long(), zeros)
+        found = assistant.calibrate(
+            heldout, zeros, Operator(lambda features: torch.ones_like(features[:, :1]), 1, EpisodeNoise([0] * 20), 20), 5
+        )
+        assert found["gain_p95"] <= 1e-6
+        assert found["tau_r"] == floor

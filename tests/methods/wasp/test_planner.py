@@ -55,10 +55,10 @@ def literal_plan(settings: WASPConfig, batches: list[tuple[Tensor, Returns]]) ->
 
 
 def literal_elites(settings: WASPConfig, returns: Returns) -> list[int]:
-    """Indices of the elites of one batch, by Eq. 14-17."""
+    """Indices of the elites of one batch, by Eq. 14-17; without Case II the safe ones, however few."""
     g_r, g_c, effort = (field[0] for field in returns)
     safe = [n for n in range(len(g_r)) if g_c[n] <= TAU]
-    if len(safe) >= settings.feasible:
+    if len(safe) >= settings.feasible or settings.variant == "no-case2":
         ranked = sorted(safe, key=lambda n: -float(g_r[n] - settings.alpha * effort[n]))
         return ranked[: settings.elites]
     ranked = sorted(range(len(g_r)), key=lambda n: max(0.0, float(g_c[n]) - TAU) + settings.alpha * float(effort[n]))
@@ -67,8 +67,9 @@ def literal_elites(settings: WASPConfig, returns: Returns) -> list[int]:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("feasible", [3, 40])
-def test_a_whole_search_equals_its_literal_reading(seed: int, feasible: int) -> None:
-    settings = config(feasible=feasible, iterations=3)
+@pytest.mark.parametrize("variant", ["full", "no-case2"])
+def test_a_whole_search_equals_its_literal_reading(seed: int, feasible: int, variant: str) -> None:
+    settings = config(feasible=feasible, iterations=3, variant=variant)
     model = Scripted(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
     start, draws = nowhere(1)
     normals = torch.randn(1, 3, 40, 2, 1, generator=torch.Generator().manual_seed(seed))
@@ -117,13 +118,47 @@ def test_without_a_safe_candidate_the_lowest_safety_score_is_chosen() -> None:
     assert (found.residuals == 0).all()  # every cost is alike, so the least effort wins
 
 
-def test_no_case2_keeps_the_command_when_nothing_is_safe() -> None:
-    settings = config(variant="no-case2")
-    model = Scripted(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+@pytest.mark.parametrize("rescored", [False, True])
+def test_no_case2_keeps_the_command_where_the_whole_method_takes_the_least_unsafe_plan(rescored: bool) -> None:
+    class Hopeless(Scripted):
+        """The harder the brake the smaller the cost, which never becomes small enough."""
+
+        def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
+            found = super().returns(start, residuals, draws)
+            return found._replace(cost=TAU + 2.5 + residuals[:, :, 0, 0])
+
     start, draws = nowhere(1)
-    warm = torch.full((1, 2, 1), 0.5)
-    found = plan_residuals(model, start, warm, torch.rand(1, 2, 40, 2, 1), draws, TAU)
-    assert (found.residuals == 0).all()
+    normals = torch.randn(1, 3, 40, 2, 1, generator=torch.Generator().manual_seed(0))
+    found = {}
+    for variant in ("full", "no-case2"):
+        settings = config(variant=variant, iterations=3, finalists=4 if rescored else 0)
+        model = Hopeless(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+        found[variant] = plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU, fresh=draws if rescored else None)
+    assert not any(bool(plan.found_safe) for plan in found.values())
+    assert float(found["full"].residuals[0, 0, 0]) < -0.5
+    assert float(found["full"].predicted.cost) < TAU + 2.0
+    assert (found["no-case2"].residuals == 0).all()
+    assert [float(field) for field in found["no-case2"].predicted] == [float(field) for field in found["no-case2"].alone]
+
+
+def test_no_case2_learns_from_the_few_safe_candidates_and_without_any_from_none() -> None:
+    """Case II would move the distribution toward the N_f candidates of lowest S_safe, safe or not."""
+    start, draws = nowhere(1)
+    for brake, wanted in ((-0.9, -0.9), (0.2, 0.0)):
+        batches: list[Tensor] = []
+
+        class Watched(Scripted):
+            def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
+                batches.append(residuals)  # noqa: B023
+                return super().returns(start, residuals, draws)
+
+        settings = config(variant="no-case2", iterations=2, momentum=0.0, finalists=0, initial_std=1.0)
+        model = Watched(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
+        normals = torch.full((1, 2, 40, 2, 1), 0.1)
+        normals[0, 0, 2] = brake  # the only candidate that may be safe
+        normals[0, 1] = 0.0
+        plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU)
+        assert batches[1][0, 2:, :, 0] == pytest.approx(wanted)  # without noise every candidate is the mean
 
 
 def test_broken_rollouts_are_never_chosen() -> None:
@@ -135,7 +170,8 @@ def test_broken_rollouts_are_never_chosen() -> None:
 
     model = Broken(Corridor(9, 9), NoCritics(), config(), 0.9, 0.9, 0.9)
     start, draws = nowhere(1)
-    found = plan_residuals(model, start, torch.zeros(1, 2, 1), torch.randn(1, 5, 40, 2, 1), draws, TAU)
+    normals = torch.randn(1, 5, 40, 2, 1, generator=torch.Generator().manual_seed(0))  # of some seeds no candidate is safe
+    found = plan_residuals(model, start, torch.zeros(1, 2, 1), normals, draws, TAU)
     assert torch.isfinite(found.residuals).all()
     assert -0.6 <= float(found.residuals[0, 0, 0]) <= -0.4
 

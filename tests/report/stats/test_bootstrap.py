@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -126,8 +127,10 @@ def test_one_seed_resamples_worlds(key: str) -> None:
     assert (found.interval.unit, found.interval.clusters) == ("world", 7)
 
 
-def test_one_seed_resamples_worlds_of_all_pairs() -> None:
-    own, other = made([4], worlds=4), made([4], "human", worlds=4)
+@pytest.mark.parametrize("rows", [[0, 1, 2, 3], [2, 0, 3]])
+def test_one_seed_resamples_worlds_of_all_pairs_in_whatever_order_they_are(rows: list[int]) -> None:
+    own, whole = made([4], worlds=4), made([4], "human", worlds=4)
+    other = [replace(cell, episodes={name: column[rows] for name, column in cell.episodes.items()}) for cell in whole]
     wins = [mean([better(x, y, "mag_int", times) for x, y in zip(own, other, strict=True)]) for times in world_draws(own)]
     assert interval(improvement_over(own, other, "mag_int", "up")) == pytest.approx(limits(wins))
 
