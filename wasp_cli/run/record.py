@@ -49,13 +49,13 @@ class Recorded:
     """What its record has that this version does not know, each as a sentence; it stays in the record, and is in no table."""
 
 
-def new_run(layout: Layout, loaded: Loaded, plan: Plan) -> str:
-    """Make the folder of a new run and write down what it is asked for."""
+def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, aside: bool = False) -> str:
+    """Make the folder of a new run and write down what it is asked for; one that is set `aside` is reported only where it is named."""
     spec = loaded.spec
     with _new_folder(layout, spec.name) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
-        write_record(folder / "plan.json", {"spec": spec.name, **plan.as_json()})
+        write_record(folder / "plan.json", {"spec": spec.name, **({"aside": True} if aside else {}), **plan.as_json()})
     return folder.name
 
 
