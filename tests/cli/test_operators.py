@@ -144,6 +144,21 @@ def test_a_cell_without_rows_ends_with_1(fakes: Fakes, spec: Path, tmp_path: Pat
     assert LINES[2] in done.stdout
 
 
+def test_its_run_is_reported_only_where_it_is_named_or_alone(spec: Path, tmp_path: Path) -> None:
+    results = store(spec, tmp_path / "results", FALLING)
+    invoke(spec, "--results", results, "-j", "0")
+
+    def reported(*more: str) -> set[str]:
+        done = run_here("report", results, "--no-films", "--no-trained", *more, columns=200)
+        return set(re.findall(r"reports/([\w-]+)/report.html", done.output))
+
+    assert reported() == {"operators-little"}, "nothing else ran"
+    run_here("run", spec, "--results", results, "-j", "0", "--set", "methods=[human]", "--set", "variants=[full]", columns=200)
+    invoke(spec, "--results", results, "-j", "0")
+    assert reported() == {"little"}
+    assert reported("--spec", "operators-little") == {"operators-little"}
+
+
 def test_the_cells_are_those_of_the_whole_spec(spec: Path) -> None:
     with_expert = load(spec, ["methods=[human, wasp, expert]"])
     whole = {str(cell): node.key for cell, node in lay_out(with_expert.spec).cells if cell.method != "wasp"}

@@ -64,6 +64,33 @@ def test_the_tables_the_page_and_the_curves(cells: None, small_spec: Path, tmp_p
     }  # fmt: skip
 
 
+def test_a_dry_run_shows_the_plan_of_all_values_and_writes_nothing(small_spec: Path, tmp_path: Path) -> None:
+    done = sweep(small_spec, tmp_path / "results", *VARY, "--dry-run")
+    assert done.exit_code == 0, done.output
+    assert "12 cells to evaluate" in done.stdout
+    record = json.loads(sweep(small_spec, tmp_path / "results", *VARY, "--dry-run", "--json").stdout)
+    assert record["spec"] == "small-sweep-diffusion.ratio"
+    assert sum(node["kind"] == "evaluate" for node in record["nodes"]) == 12
+    assert not (tmp_path / "results").exists()
+
+
+def test_published_results_are_used_or_not_as_reuse_says(cells: None, small_spec: Path, tmp_path: Path) -> None:
+    elsewhere, published = tmp_path / "elsewhere", tmp_path / "published"
+    assert sweep(small_spec, elsewhere, *VARY).exit_code == 0
+    done = run_here("publish", small_spec, "--results", elsewhere, "--to", published, "--set", "methods=[human]", columns=160)
+    assert done.exit_code == 0, done.output
+
+    def states(reuse: str) -> set[str]:
+        planned = sweep(small_spec, tmp_path / "results", *VARY, "--dry-run", "--json", "--reuse", reuse)
+        return {node["state"] for node in json.loads(planned.stdout)["nodes"]}
+
+    assert states("none") == {"missing"}
+    assert "published" in states(str(published))
+    there = sweep(small_spec, tmp_path / "results", *VARY, "--reuse", str(published))
+    assert there.exit_code == 0, there.output
+    assert "published results are used" in there.stderr
+
+
 def test_json_is_json_alone(cells: None, small_spec: Path, tmp_path: Path) -> None:
     done = sweep(small_spec, tmp_path / "results", *VARY, "--json", "--task", "goal1")
     record = json.loads(done.stdout)

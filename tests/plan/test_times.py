@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from wasp_cli.plan import times
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.show import show
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
@@ -42,9 +44,39 @@ def test_the_quickstart_has_a_figure_for_every_node_and_the_plan_says_that_it_is
     assert plan.guessed == {node.sort for node in plan.to_run()}
     show(plan, Console(width=200), 2)
     text = capsys.readouterr().out
-    assert f"for {len(plan.to_run())} nodes an estimate, from another machine's times and the speed of this one" in text
+    assert f"for {len(plan.to_run())} nodes an estimate, from times of nodes like them or of another machine" in text
     work = sum(plan.seconds[node.sort] for node in plan.to_run())
     assert max(work / 2, plan.critical_path()[0]) <= seconds < work
+
+
+def test_what_nobody_measured_is_taken_for_its_method_and_a_plugin_for_wasp(tmp_path: Path) -> None:
+    plan = planned("quickstart.yaml", tmp_path, "methods=[human, wasp]", "variants=[full, no-case2]")
+    assert plan.estimate(1)[1] == 0
+    whole, variant = (seconds_of(plan, f"wasp{variant} noisy") for variant in ("", "/no-case2"))
+    assert variant == pytest.approx(whole)
+    plugin = next(node for node in plan.to_run() if node.kind == "evaluate" and node.axes["method"] == "wasp")
+    plugin = replace(plugin, axes={**plugin.axes, "method": "held", "method_config": {}}, sort="held")
+    assert times.estimated([plugin], "quick") == {"held": pytest.approx(whole)}
+
+
+def test_what_is_published_says_how_long_its_like_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from rich.console import Console
+
+    layout = Layout(tmp_path / "absent")
+    grid = lay_out_over(
+        load(ROOT / "specs/table1.yaml", ["tasks=[goal1]", "seeds=[1]", "methods=[wasp]", "variants=[full, no-case2]"]).spec, layout
+    )
+    plan = plan_against(grid, layout)
+    assert plan.count("published", "evaluate"), "the whole method is published"
+    assert {node.axes["method_config"]["variant"] for node in plan.to_run() if node.kind == "evaluate"} == {"no-case2"}
+    seconds, unknown = plan.estimate(1)
+    assert (seconds > 60, unknown) == (True, 0)
+    show(plan, Console(width=200), 1)
+    assert "an estimate, from times of nodes like them" in capsys.readouterr().out
+
+
+def seconds_of(plan: Plan, label: str) -> float:
+    return next(plan.seconds[node.sort] for node in plan.to_run() if node.kind == "evaluate" and f" {label}" in node.label)
 
 
 def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

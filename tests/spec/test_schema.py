@@ -64,6 +64,7 @@ def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsons
         GOOD,
         GOOD.replace("tasks: [goal1, my_pkg:MyEnv-v0]", "task: goal1"),
         "extends: base.yaml\nname: over\n",
+        "extends: quickstart\nname: over\n",
         "extends: base.yaml\nname: over\ntask: CartPole-v1\nwasp: {candidates: 8}\n",
         GOOD + "episodes: 1e1\nfilter: {tau_c: calibrated}\nwasp: {tau_r: 0.3}\ntraining_seed: null\n",
         GOOD + "residual: {operators: {laggy: [0.5]}}\nevaluate: {success_goals: null}\n",

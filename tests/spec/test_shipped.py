@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
+from wasp_cli.spec.derived import read_sweep
 from wasp_cli.spec.load import load
 from wasp_cli.spec.shipped import copy_specs, published_folder, shipped_names, spec_path, specs_folder
 
@@ -55,6 +56,22 @@ def test_a_spec_that_extends_another_is_found_with_it(elsewhere: Path) -> None:
     assert load(Path("table2")).spec.name == "table2"
 
 
+def test_a_sweep_finds_a_spec_by_its_name(elsewhere: Path) -> None:
+    sweep = read_sweep(Path("quickstart"), "wasp.tau_c=0.5,1")
+    assert (sweep.spec, len(sweep.points)) == ("quickstart", 2)
+
+
+@pytest.mark.parametrize("value", ["quickstart", "quickstart.yaml", "specs/quickstart.yaml"])
+def test_a_shipped_spec_is_extended_by_its_name_from_any_folder(value: str, elsewhere: Path) -> None:
+    mine = elsewhere / "own" / "mine.yaml"
+    mine.parent.mkdir()
+    mine.write_text(f"extends: {value}\nname: mine\nseeds: [7]\n")
+    spec = load(mine).spec
+    assert (spec.name, spec.seeds, spec.tasks) == ("mine", (7,), load(Path("quickstart")).spec.tasks)
+    (mine.parent / "quickstart.yaml").write_text("name: nearer\ntasks: [race1]\nmethods: [human]\noperators: {laggy: {moderate: 0.7}}\n")
+    assert load(mine).spec.tasks == (load(Path("quickstart")).spec.tasks if "/" in value else ("race1",)), "a file beside it comes first"
+
+
 def test_init_changes_no_file(elsewhere: Path) -> None:
     assert run_here("init", columns=200).exit_code == 0
     Path("specs/smoke.yaml").write_text("name: mine\n")
@@ -66,10 +83,35 @@ def test_init_changes_no_file(elsewhere: Path) -> None:
     assert Path("specs/table1.yaml").read_bytes() == (ROOT / "specs" / "table1.yaml").read_bytes()
 
 
-def test_an_unknown_name_is_answered_with_those_there_are(elsewhere: Path) -> None:
-    done = run_here("check", "nothing", columns=200)
+@pytest.mark.parametrize("command", [("check",), ("run",), ("plan",), ("sweep", "--vary", "episodes=1,2")])
+def test_an_unknown_name_is_answered_with_those_there_are(command: tuple[str, ...], elsewhere: Path) -> None:
+    (elsewhere / "other.yaml").write_text("name: other\n")
+    done = run_here(*command, "nope", columns=200)
     assert done.exit_code == 3
-    assert "quickstart" in done.output
+    assert "here are: other.yaml; by name there are:" in done.output
+    assert all(name in done.output for name in shipped_names())
+    assert "did you mean 'quickstart' or 'other.yaml'" not in done.output
+    assert "did you mean 'quickstart'?" in run_here(*command, "quikstart", columns=200).output
+
+
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        ("goal9", "unknown task or spec 'goal9'\n       did you mean 'goal0', 'goal1' or 'goal2'?"),
+        ("studdy", "did you mean 'study'?"),
+        ("puddle:Puddle-v0", "'puddle:Puddle-v0' cannot be driven: own tasks have no page"),
+        ("space/Puddle-v0", "'space/Puddle-v0' cannot be driven"),
+        ("mine/study.yaml", "mine/study.yaml:1:1: no such file"),
+    ],
+)
+@pytest.mark.parametrize("more", [(), ("--method", "none"), ("--withdraw",)])
+def test_a_word_that_cannot_be_driven_is_answered_with_those_that_can(
+    typed: str, message: str, more: tuple[str, ...], elsewhere: Path
+) -> None:
+    done = run_here("drive", typed, *more, columns=200)
+    assert done.exit_code in (2, 3)
+    if more[:1] != ("--method",) or not typed.endswith(".yaml"):
+        assert message in done.output
 
 
 @pytest.fixture(scope="module")

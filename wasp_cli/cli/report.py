@@ -72,7 +72,7 @@ def report(
 
     claimed = None if paper == Path("none") else load_paper(paper)
     layout = results_of(results_folder(folder, results))
-    runs, damaged = last_runs(layout)
+    runs, damaged = last_runs(layout, aside=spec is not None)
     if not runs and not damaged:
         raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
     if spec is not None and runs and spec not in runs:

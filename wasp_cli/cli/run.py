@@ -35,6 +35,7 @@ from wasp_cli.cli.options import (
 from wasp_cli.cli.report import show_report
 
 if TYPE_CHECKING:
+    from wasp_cli.plan.plan import Plan
     from wasp_cli.report.stats.frame import Missing
     from wasp_cli.run.session import RunOptions, Selection
     from wasp_cli.spec.load import Loaded
@@ -188,6 +189,8 @@ def sweep(
     preset: PresetOption = None,
     jobs: JobsOption = None,
     results: ResultsOption = Path("results"),
+    reuse: ReuseOption = None,
+    dry_run: DryRunOption = False,
     timeout: TimeoutOption = None,
     retries: RetriesOption = 0,
     backend: BackendOption = "loky",
@@ -204,13 +207,18 @@ def sweep(
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.record import reported
-    from wasp_cli.run.session import on_tasks, run_sweep
+    from wasp_cli.run.session import on_tasks, planned_sweep, run_sweep
     from wasp_cli.spec.derived import read_sweep, sized
+    from wasp_cli.store.layout import Layout
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
     wanted = on_tasks(read_sweep(spec, vary[0], method or (), sized(preset, set_)), task)
-    done = run_sweep(wanted, results, run_options(jobs, timeout, retries, backend, scheduler))
+    options = run_options(jobs, timeout, retries, backend, scheduler)
+    if dry_run:
+        print_plan(planned_sweep(wanted, Layout(results.absolute()), reuse), wanted.name, options.jobs, json=json)
+        return
+    done = run_sweep(wanted, results, options, reuse)
     layout = done.session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
     report = report_sweep(layout.root, wanted, [cells_with_keys(grid) for grid in done.grids])
@@ -262,7 +270,7 @@ def operators(
     from wasp_cli.spec.derived import operators_alone, sized
 
     loaded = restricted(operators_alone(spec, sized(preset, set_)), task)
-    session = run_spec(loaded, results, run_options(jobs, timeout, retries, backend, scheduler))
+    session = run_spec(loaded, results, run_options(jobs, timeout, retries, backend, scheduler), aside=True)
     # Also after failures: what is there is worth seeing.
     wanted, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
     checks, frame = read_checks(loaded.spec, wanted)
@@ -308,20 +316,26 @@ def show_plan(
     aside: bool = False,
 ) -> None:
     """Print the plan of a spec against a results folder; `aside`, to stderr, where the run itself follows."""
-    from wasp_cli.console import err, out
     from wasp_cli.plan.plan import plan_against
     from wasp_cli.plan.reuse import lay_out_over
     from wasp_cli.plan.select import select
-    from wasp_cli.plan.show import show
     from wasp_cli.store.layout import Layout
 
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
     laid_out = plan_against(grid, layout, wanted=select(grid, selection.select), failed_only=selection.failed)
+    print_plan(laid_out, spec.name, jobs, every=every, json=json, aside=aside)
+
+
+def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: bool = False, aside: bool = False) -> None:
+    """Print a plan, as JSON under a name; `aside`, to stderr."""
+    from wasp_cli.console import err, out
+    from wasp_cli.plan.show import show
+
     if json:
-        print_json({"spec": spec.name, **laid_out.as_json()})
+        print_json({"spec": name, **plan.as_json()})
     else:
-        show(laid_out, err() if aside else out(), max(jobs, 1), every=every)
+        show(plan, err() if aside else out(), max(jobs, 1), every=every)
 
 
 def run_detached() -> None:

@@ -28,10 +28,11 @@ from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
 from wasp_cli.spec.derived import sized
 from wasp_cli.spec.load import Loaded, load
+from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
 from wasp_cli.store.artifact import discard, exists, read_manifest, read_record, stored_keys
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.people import SESSION_FILE
-from wasp_cli.tasks.registry import TASKS
+from wasp_cli.tasks.registry import TASKS, is_foreign
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -98,8 +99,14 @@ class Wanted:
         return table
 
     def loaded(self) -> Loaded:
-        """Return the spec: the shipped one for a task, or the one that was named."""
+        """Return the spec: the shipped one for a task, or the one that was named.
+
+        Raises:
+            UsageError: there is no such task or spec, an environment of others' is meant, or an option does not fit.
+            InvalidSpec: the spec is not valid.
+        """
         if not self._is_task:
+            self._require_spec()
             for name, value in (("--method", self.method), ("--session", self.session)):
                 if value is not None:
                     raise UsageError(f"{name} is for a task; '{self.what}' is a spec, which says it", "change the spec, or use --set")
@@ -108,6 +115,15 @@ class Wanted:
         if self.session is not None:
             return self._of(self.session)
         return self._of(free_session(Layout(self.results.absolute()), self._of))
+
+    def _require_spec(self) -> None:
+        """Raise what is wrong with a word that is neither a task nor a spec."""
+        if spec_path(Path(self.what)).exists():
+            return
+        if is_foreign(Path(self.what).name):
+            raise UsageError(f"'{self.what}' cannot be driven: own tasks have no page to drive on", f"these have one: {', '.join(TASKS)}")
+        if Path(self.what).name == self.what and not self.what.endswith(SUFFIX):
+            raise UnknownName("task or spec", self.what, [*TASKS, *shipped_names()])
 
     def _of(self, session: int, methods: Sequence[str] = (), seeds: Sequence[int] = ()) -> Loaded:
         """The shipped spec for this task, session and method, or for several of both."""

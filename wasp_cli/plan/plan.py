@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -52,7 +52,7 @@ class Plan:
     begun: Mapping[str, str] = field(default_factory=dict)
     """Keys of cells of which the store has the first episodes, each with the key of the cell that has them."""
     guessed: frozenset[str] = frozenset()
-    """The sorts whose time is an estimate from figures of another machine."""
+    """The sorts whose time is an estimate: nodes like them were measured, or other machines measured them."""
 
     def to_run(self) -> list[Node]:
         """Return the nodes that a run computes, needed ones first."""
@@ -220,7 +220,7 @@ def plan_against(
         plan = make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
         begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
         plan = _with_precision(plan, index)
-        guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset)
+        guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset, _timed(plan))
         return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
 
 
@@ -240,6 +240,17 @@ def _with_precision(plan: Plan, index: ArtifactIndex) -> Plan:
     note = f"{halved} node{plural} computed from parts in half precision: other numbers than those of the whole parts, under the same keys"
     notes = (*plan.grid.notes, note) if halved else plan.grid.notes
     return replace(plan, steps=tuple(steps), grid=replace(plan.grid, notes=notes) if halved else plan.grid)
+
+
+def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:
+    """Yield each node of a plan whose time was measured, here or where it was published, with its seconds."""
+    for node in plan.grid.nodes:
+        if node.sort in plan.seconds:
+            yield node, plan.seconds[node.sort]
+        elif node.key in plan.grid.reused:
+            seconds = plan.grid.reused[node.key].offer.manifest["provenance"].get("seconds")
+            if isinstance(seconds, int | float) and seconds > 0:
+                yield node, float(seconds)
 
 
 def _may_begin(step: Step) -> bool:

@@ -112,7 +112,7 @@ def _computed(plan: Plan, workers: int) -> list[str]:
     if plan.begun:
         count = len(plan.begun)
         rest += f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there and are taken over"
-    source = f"; for {guessed} nodes an estimate, from another machine's times and the speed of this one" if guessed else ""
+    source = f"; for {guessed} nodes an estimate, from times of nodes like them or of another machine" if guessed else ""
     return [
         f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",
         f"critical path {duration(longest)}: {' > '.join(names)}",

@@ -1,7 +1,8 @@
 """Seconds of nodes that this machine has not computed yet: measured on another one, and scaled by the speed of this one.
 
 The figures are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size. `wasp bench times RESULTS` makes
-them. A later round is taken for a first one, but for the size of its world model.
+them. A later round is taken for a first one, but for the size of its world model. A variant that nobody measured is taken for its method,
+and a method that nobody measured for WASP, the slowest.
 """
 
 from __future__ import annotations
@@ -24,16 +25,25 @@ SIZES = {
     "evaluate": "episodes",
 }  # fmt: skip
 """By stage the setting that its time grows with."""
+SLOWEST = "wasp"
+"""The method that stands for one that nobody measured."""
 LATER = {"world_model": "later_updates"}
 """The same where a later round has another one."""
 
 
 def figure_of(kind: str, task: str, axes: Mapping[str, Any]) -> str:
     """Return the name of a figure: `evaluate goal1 wasp/as-printed`."""
+    return figures_like(kind, task, axes)[0]
+
+
+def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
+    """Return the name of a figure, and behind it those that stand for it where it is not there, nearest first."""
     method, config = axes.get("method"), axes.get("method_config")
+    if not method:
+        return [f"{kind} {task}"]
     variant = config.get("variant", "full") if isinstance(config, Mapping) else "full"
-    assistant = f"{method}/{variant}" if method and variant != "full" else method
-    return " ".join(filter(None, (kind, task, assistant)))
+    own = [f"{method}/{variant}"] if variant != "full" else []
+    return [f"{kind} {task} {assistant}" for assistant in dict.fromkeys((*own, method, SLOWEST))]
 
 
 @cache
@@ -60,23 +70,33 @@ def shipped(path: Path = FIGURES) -> Mapping[str, Any]:
     return figures
 
 
-def estimated(nodes: Iterable[Node], preset: str, figures: Mapping[str, Any] | None = None) -> dict[str, float]:
-    """Return the seconds by sort that nodes will take here, where there is a figure for them.
+def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, float]] = ()) -> dict[str, float]:
+    """Return the seconds by sort that nodes will take here, where there is a figure for them or for something like them.
 
     Args:
         nodes: any.
         preset: of their spec. Other sizes that a spec changes are not known.
-        figures: as `shipped` gives them.
+        near: nodes of the same spec that were computed, each with the seconds that it took.
     """
-    figures = shipped() if figures is None else figures
+    figures = shipped()
     known: Mapping[str, float] = figures["seconds"].get(preset, {})
+    times: dict[str, list[float]] = {}
+    for node, seconds in near:
+        times.setdefault(figure_of(node.kind, node.task, node.axes), []).append(seconds / _size(node.kind, node.config, node.axes))
+    elsewhere: dict[str, float] = {}
     found: dict[str, float] = {}
     for node in nodes:
-        seconds = known.get(figure_of(node.kind, node.task, node.axes))
-        if seconds is not None:
-            found[node.sort] = seconds * _size(node.kind, node.config, node.axes)
-    scale = figures["speed"] / speed() if found else 1.0
-    return {sort: seconds * scale for sort, seconds in found.items()}
+        size = _size(node.kind, node.config, node.axes)
+        for name in figures_like(node.kind, node.task, node.axes):
+            if name in times:
+                found[node.sort] = median(times[name]) * size
+            elif name in known:
+                elsewhere[node.sort] = known[name] * size
+            else:
+                continue
+            break
+    scale = figures["speed"] / speed() if elsewhere else 1.0
+    return found | {sort: seconds * scale for sort, seconds in elsewhere.items()}
 
 
 def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:

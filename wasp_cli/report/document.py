@@ -15,7 +15,7 @@ from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.kept import drawn_before, keep, mark_of
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
-from wasp_cli.report.notes import Note, one_line
+from wasp_cli.report.notes import Note, lines_of
 from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
@@ -92,8 +92,8 @@ class Report:
             console.print(Text(fact), soft_wrap=True)
         for table in self.tables[: min(self.shown, 1)]:
             console.print(terminal(table, console.width))
-        for note in self.notes[-NAMED:]:
-            console.print(Text(f"note on {one_line(note)}"), soft_wrap=True)
+        for line in lines_of(self.notes)[-NAMED:]:
+            console.print(Text(f"note on {line}"), soft_wrap=True)
         if self.verdict is not None:
             console.print(verdict_terminal(self.verdict))
         if self.missing:
@@ -139,7 +139,7 @@ class Report:
         parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
         parts += [markdown(table) for table in self.tables[self.shown :]]
         if self.notes:
-            lines = "".join(f"- {one_line(note)}\n" for note in self.notes)
+            lines = "".join(f"- {line}\n" for line in lines_of(self.notes))
             parts.append(f"## Notes\n\n{lines}")
         if self.trained:
             parts.append(trained_markdown(self.trained))
@@ -153,7 +153,7 @@ class Report:
             name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
             figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,
             assumptions=self.assumptions, films=films, cells=cell_sources(self.layout, self.frame.cells, self.keys),
-            notes=[one_line(note) for note in self.notes],
+            notes=lines_of(self.notes),
         )  # fmt: skip
 
 

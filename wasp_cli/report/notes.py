@@ -61,11 +61,17 @@ def mark_of(text: str) -> Mark:
     raise UsageError(f"'{text}' is no mark", "invalid, valid, or none")
 
 
-def one_line(note: Note) -> str:
-    """Return a note as a line: where, what, who and when."""
+def one_line(note: Note, *, past: bool = False) -> str:
+    """Return a note as a line: where, what, who and when; `past`: a later one took its mark back."""
     text = " ".join(note.text.split())
-    said = " ".join(filter(None, (f"[{note.mark}]" if note.mark else "", text)))
-    return f"{note.where}: {said} ({note.author}, {note.at[:10]})"
+    mark = f"[{note.mark}{', taken back' if past else ''}]" if note.mark else ""
+    return f"{note.where}: {' '.join(filter(None, (mark, text)))} ({note.author}, {note.at[:10]})"
+
+
+def lines_of(notes: Sequence[Note]) -> list[str]:
+    """Return all notes as lines, oldest first; an `invalid` that no longer counts says so."""
+    held = invalid(notes)
+    return [one_line(note, past=note.mark == "invalid" and (note.key, note.episode) not in held) for note in notes]
 
 
 def author_name() -> str:

@@ -40,8 +40,14 @@ Assumption = tuple[str, Any, str]
 """Dotted name, value, why."""
 
 
-def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
-    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read."""
+def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], list[str]]:
+    """Return the last run of each spec name, oldest first; and what is wrong with the runs whose plan does not read.
+
+    Args:
+        layout: the results folder.
+        aside: also those that are set aside, where there are others.
+    """
+    hidden: set[str] = set()
     found: dict[str, str] = {}
     damaged: list[str] = []
     for run_id in reversed(run_ids(layout)):
@@ -49,16 +55,18 @@ def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
         if not path.exists():
             continue
         try:
-            name = (read_record(path) or {}).get("spec")
+            record = read_record(path) or {}
         except ArtifactError as error:
             damaged.append(error.message)
             continue
+        name = record.get("spec")
         if not isinstance(name, str):
             damaged.append(f"'{path}' is damaged: it names no spec")
             continue
         found.pop(name, None)
         found[name] = run_id
-    return found, damaged
+        (hidden.add if record.get("aside") is True else hidden.discard)(name)
+    return {name: run for name, run in found.items() if aside or name not in hidden} or found, damaged
 
 
 @dataclass

@@ -127,7 +127,9 @@ class Selection:
 WHOLE = Selection()
 
 
-def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Selection = WHOLE, reuse: str | None = None) -> Session:
+def run_spec(
+    loaded: Loaded, results: Path, options: RunOptions, selection: Selection = WHOLE, reuse: str | None = None, *, aside: bool = False
+) -> Session:
     """Compute what is missing of a spec.
 
     Args:
@@ -136,6 +138,7 @@ def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Sele
         options: how it is carried out.
         selection: which part of the spec is meant.
         reuse: what of published results may be used, instead of what the spec says.
+        aside: whether reports show it only where it is named.
 
     Raises:
         StoreError: the results folder cannot be written.
@@ -149,7 +152,7 @@ def run_spec(loaded: Loaded, results: Path, options: RunOptions, selection: Sele
         plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
         if _without_slim_inputs(plan, layout):
             plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
-        run_id = new_run(layout, loaded, plan, reports=options.reports)
+        run_id = new_run(layout, loaded, plan, reports=options.reports, aside=aside)
     announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options)
 
@@ -283,21 +286,41 @@ def on_tasks(sweep: Sweep, tasks: Sequence[str] | None) -> Sweep:
     return replace(sweep, points=tuple(replace(point, loaded=restricted(point.loaded, tasks)) for point in sweep.points))
 
 
-def run_sweep(sweep: Sweep, results: Path, options: RunOptions) -> SweepSession:
+def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:
+    """Return the plan of a spec under every value of a setting.
+
+    Args:
+        sweep: the setting and its values.
+        layout: the results folder; it need not be there.
+        reuse: what of published results may be used, instead of what the spec says.
+
+    Raises:
+        UsageError: there are no cells, they are the same under every value, or there are no published results.
+    """
+    return plan_against(together(_grids(sweep, layout, reuse)), layout)
+
+
+def _grids(sweep: Sweep, layout: Layout, reuse: str | None) -> tuple[Grid, ...]:
+    grids = tuple(lay_out_over(point.loaded.spec, layout, reuse) for point in sweep.points)
+    _require_effect(sweep, grids)
+    return grids
+
+
+def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | None = None) -> SweepSession:
     """Compute what is missing of a spec under every value of a setting.
 
     Args:
         sweep: the setting and its values.
         results: the results folder.
         options: how it is carried out.
+        reuse: what of published results may be used, instead of what the spec says.
 
     Raises:
-        UsageError: there are no cells, or they are the same under every value.
+        UsageError: there are no cells, they are the same under every value, or there are no published results.
         StoreError: the results folder cannot be written.
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
-    grids = tuple(lay_out_over(point.loaded.spec, Layout(results.absolute())) for point in sweep.points)
-    _require_effect(sweep, grids)
+    grids = _grids(sweep, Layout(results.absolute()), reuse)
     layout = prepared(results, options)
     with planning(layout):
         plan = plan_against(together(grids), layout)

@@ -22,6 +22,7 @@ from wasp_cli.spec.model import Spec, method_sections, preset_names, validate
 from wasp_cli.spec.names import LONGEST, assistant_variants, spec_name
 from wasp_cli.spec.places import InvalidSpec, Problem
 from wasp_cli.spec.read import read
+from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
 
 WHOLE = "full"
@@ -158,7 +159,7 @@ def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Seq
     """Read and validate a spec file under every value of `vary`.
 
     Args:
-        path: the YAML file.
+        path: the YAML file, or the name of a spec that comes with the package.
         vary: a text `a.b=v1,v2`.
         methods: the methods of the spec that run. With none, the setting of a method runs this method and Human-only, and any other
             setting all that the spec lists.
@@ -171,7 +172,7 @@ def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Seq
     """
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
-    chain = chain_of(read(path))
+    chain = chain_of(read(spec_path(path)))
     specs = _validated(chain, overrides, options)
     key = ".".join(options[0].path)
     name = specs[0].spec.name

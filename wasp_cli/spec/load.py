@@ -17,7 +17,7 @@ from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.names import EXTENDS, SHORT
 from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem, locate
 from wasp_cli.spec.presets import merged
-from wasp_cli.spec.read import Source, beside, dotted, kind_of, parse, plain, read
+from wasp_cli.spec.read import Source, dotted, kind_of, meant, parse, plain, read
 from wasp_cli.spec.shipped import spec_path
 
 USUAL = ("mild", "moderate", "severe")
@@ -165,21 +165,21 @@ def chain_of(source: Source) -> Chain:
         if len(sources) == LONGEST_CHAIN:
             raise _refused(last, f"a chain of more than {LONGEST_CHAIN} files", "write what they share into one of them")
         if not os.path.exists(path):
-            raise _refused(last, f"no such file: '{path}'", beside(path.parent, path.name))
+            raise _refused(last, f"no such file: '{path}'", meant(path))
         sources.append(read(path))
         seen.append(_identity(str(path)))
     return Chain(tuple(sources))
 
 
 def _extended(source: Source) -> Path:
-    """The file that a source extends; a relative path begins at the folder of the source."""
+    """The file that a source extends: one beside it, or a spec that comes with the package."""
     value = source.document[EXTENDS]
     if not isinstance(value, str):
         shown = "nothing" if value is None else "a number" if isinstance(value, int | float) else kind_of(value)
         raise _refused(source, f"should be the name of one file, not {shown}")
-    if not value.endswith(SUFFIX) or not value.isprintable():
-        raise _refused(source, f"should be the name of a {SUFFIX} file, not {value!r}")
-    return Path(source.name).parent / value
+    if Path(value).suffix not in ("", SUFFIX) or not Path(value).name or not value.isprintable():
+        raise _refused(source, f"should be the name of a spec or of a {SUFFIX} file, not {value!r}")
+    return spec_path(Path(value), Path(source.name).parent)
 
 
 def _refused(source: Source, message: str, hint: str | None = None) -> InvalidSpec:

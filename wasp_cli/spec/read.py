@@ -92,11 +92,11 @@ def _text(path: Path) -> str:
 
     try:
         if path.is_dir():
-            raise refuse("is a folder, not a spec file", beside(path))
+            raise refuse("is a folder, not a spec file", inside(path))
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError as error:
-        raise refuse("no such file", beside(path.parent, path.name) or f"by name there are: {', '.join(shipped_names())}") from error
+        raise refuse("no such file", meant(path)) from error
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if len(data) > MAX_BYTES:
@@ -109,15 +109,28 @@ def _text(path: Path) -> str:
         raise InvalidSpec([Problem(str(path), position, f"not a text file: byte 0x{data[error.start]:02x} is not UTF-8")]) from error
 
 
-def beside(folder: Path, name: str = "") -> str | None:
-    """Return a hint for those who look for a spec that is not there: what is nearly called so in the folder, or what there is."""
+def meant(path: Path) -> str:
+    """Return a hint for those who look for a spec that is not there: what is nearly called so, or what there is."""
+    # Compared without the ending, which makes all of them alike.
+    files = {file.stem: file.name for file in _specs_in(path.parent)}
+    names = shipped_names()
+    shown = {name: name for name in names} | files
+    there = "; ".join(filter(None, (inside(path.parent), f"by name there are: {', '.join(names)}")))
+    hint = did_you_mean(path.stem, list(shown), otherwise=there)
+    return hint if hint == there else re.sub(r"'([^']*)'", lambda match: f"'{shown.get(match[1], match[1])}'", hint)
+
+
+def inside(folder: Path) -> str | None:
+    """Return a hint that names the first specs in a folder; None where there are none."""
+    files = _specs_in(folder)[:8]
+    return "here are: " + ", ".join(map(str, files)) if files else None
+
+
+def _specs_in(folder: Path) -> list[Path]:
     try:
-        files = sorted(folder.glob("*.yaml"))
+        return sorted(folder.glob("*.yaml"))
     except OSError:
-        return None
-    # Without the ending, which makes all of them alike.
-    hint = did_you_mean(Path(name).stem, [path.stem for path in files], otherwise="here are: " + ", ".join(map(str, files[:8])))
-    return re.sub(r"'([^']*)'", r"'\1.yaml'", hint) if hint.startswith("did you mean") else hint if files else None
+        return []
 
 
 def _position_of(text: str, index: int) -> Position:

@@ -57,7 +57,11 @@ def spec_schema(*, plugins: bool = False) -> Schema:
     for preset in PRESETS:
         _without_defaults(top, preset_values(preset), definitions)
     _name_things(top, definitions, plugins)
-    extends = {"type": "string", "pattern": f"{re.escape(SUFFIX)}$", "description": "another spec whose values this one builds on"}
+    extends = {
+        "type": "string",
+        "pattern": rf"(^|/)[^/.]+$|{re.escape(SUFFIX)}$",
+        "description": "another spec whose values this one builds on: a file, or the name of one that comes with the package",
+    }
     return {
         "$schema": DIALECT,
         "title": "wasp spec",

@@ -2,10 +2,12 @@
 
 wasp run quickstart                  a spec by its name, from any folder
 wasp run specs/quickstart.yaml       the same; a file that is there comes first
+extends: quickstart                  the same inside a spec, where paths begin at the folder of its file
 """
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -34,15 +36,21 @@ def shipped_names() -> list[str]:
     return sorted(path.stem for path in specs_folder().glob(f"*{SUFFIX}") if path.stem != PAPER)
 
 
-def spec_path(typed: Path) -> Path:
-    """Return the file that was meant: the typed one, else one of that name in `specs/`, else the one that comes with the package."""
-    if typed.exists() or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
-        return typed
+def spec_path(typed: Path, folder: Path = Path()) -> Path:
+    """Return the file that was meant: the typed one, else one of that name here or in `specs/`, else the one that comes with the package.
+
+    Args:
+        typed: a file or the name of a spec.
+        folder: where a relative path begins.
+    """
+    path = folder / typed
+    if os.path.exists(path) or str(typed.parent) not in (".", FOLDER) or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
+        return path
     name = typed.stem + SUFFIX
-    for path in (Path(FOLDER, name), specs_folder() / name):
-        if path.is_file():
-            return path
-    return typed
+    for found in (folder / typed.parent / name, folder / FOLDER / name, specs_folder() / name):
+        if os.path.isfile(found):
+            return found
+    return path
 
 
 def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:

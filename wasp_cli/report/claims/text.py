@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
@@ -31,6 +32,8 @@ SIDES = {
     "higher": "above", "not_lower": "at least", "at_least": "at least",
 }  # fmt: skip
 HEADINGS = ("Task", "Measure", "Left", "Right", "Difference (95 %)", "Needed", "Outcome", "In the paper")
+SAID = 70
+"""Characters of a claim that is only named."""
 Cell = tuple[str, float | None]
 """A text, and the number that it prints without rounding."""
 
@@ -101,7 +104,8 @@ def untested(verdict: VerdictReport) -> str:
         return ""
     reasons = few(lacking(untested))
     what = "1 claim is" if len(untested) == 1 else f"{len(untested)} claims are"
-    return f"{what} not tested by this spec{f' ({reasons})' if reasons else ''}: {', '.join(judged.claim.id for judged in untested)}."
+    claims = "; ".join(f'"{shorten(judged.claim.says, SAID, placeholder=" ...")}"' for judged in untested)
+    return f"{what} not tested by this spec{f' ({reasons})' if reasons else ''}: {claims}."
 
 
 def lacking(claims: Sequence[Judged]) -> list[str]:
