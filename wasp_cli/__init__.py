@@ -8,11 +8,10 @@
 docs/results.md shows what they can do.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # nothing is imported here, `typing` neither: `wasp_cli.__main__` first says where modules are looked for
 if TYPE_CHECKING:
+    from typing import Any
+
     from wasp_cli.notebook.results import open_results as results
     from wasp_cli.notebook.world_model import load_world_model
 
@@ -20,7 +19,7 @@ __version__ = "0.1.0"
 __all__ = ["__version__", "load_world_model", "results"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     # Imported when they are asked for: importing the package must take no time, and the command line needs neither.
     if name == "results":
         from wasp_cli.notebook.results import open_results

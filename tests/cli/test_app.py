@@ -90,7 +90,7 @@ def test_version() -> None:
     assert wasp("--version").stdout == f"wasp {__version__}\n"
 
 
-DRIVING = ["starlette", "uvicorn", "websockets"]
+DRIVING = ["starlette", "uvicorn", "h11", "websockets"]
 """What only `wasp drive` needs."""
 
 

@@ -54,7 +54,8 @@ def main_options(
 
 
 def main() -> None:
-    """Run the console script."""
+    """Run the program."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # no process of ours imports from the working directory, which may be somebody's results
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # an ASCII terminal shows ? where it has no character
             stream.reconfigure(errors="replace")

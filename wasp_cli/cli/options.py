@@ -14,11 +14,11 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 import typer
 
 from wasp_cli.cli import completion as complete
+from wasp_cli.cli.early import INTERRUPTED, end_in_order
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-INTERRUPTED = 130
 PIPE_CLOSED = 141
 
 option = functools.partial(typer.Option, show_default=False)
@@ -141,6 +141,7 @@ def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
         from wasp_cli.errors import WaspError
 
         try:
+            end_in_order()
             result = command(*args, **kwargs)
             sys.stdout.flush()
             return result

@@ -35,7 +35,7 @@ def detached(arguments: Sequence[str]) -> tuple[Mapping[str, Any] | None, int, s
         told, log = Path(folder) / "run.json", Path(folder) / "terminal.log"
         with log.open("w", encoding="utf-8") as stream:
             process = subprocess.Popen(
-                [sys.executable, *program, *arguments],
+                [sys.executable, "-P", *program, *arguments],
                 stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True, env={**os.environ, TOLD: str(told)},
             )  # fmt: skip
         while not told.exists() and process.poll() is None:

@@ -184,6 +184,7 @@ def _film(site: Site, key: str, number: int, folder: Path) -> tuple[dict[str, An
     with tempfile.TemporaryFile() as log:
         command = [
             sys.executable,
+            "-P",  # the working directory may be the results themselves: their modules are not ours
             "-m",
             "wasp_cli.view.draw",
             str(site.layout.root.absolute()),

@@ -81,6 +81,7 @@ class Films:
             folder.mkdir(parents=True)
             command = [
                 sys.executable,
+                "-P",  # the working directory may be the results themselves: their modules are not ours
                 "-m",
                 "wasp_cli.view.draw",
                 str(self._layout.root.absolute()),

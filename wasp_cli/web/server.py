@@ -19,6 +19,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute
 
 from wasp_cli.errors import UsageError
+from wasp_cli.web.guard import BACKLOG, guarded
 
 HOST = "127.0.0.1"
 NAMES = ("127.0.0.1", "localhost", "[::1]")
@@ -50,7 +51,7 @@ class LocalServer:
         self.port: int = self._socket.getsockname()[1]
         config = uvicorn.Config(
             Starlette(routes=routes), log_level="error", lifespan="off", server_header=False, access_log=False,
-            timeout_graceful_shutdown=2, **options,
+            timeout_graceful_shutdown=2, http=guarded(), backlog=BACKLOG, **options,
         )  # fmt: skip
         self._server = uvicorn.Server(config)
         self._thread: threading.Thread | None = None

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from importlib.machinery import PathFinder
 from typing import Any
 
 import gymnasium
@@ -137,9 +138,11 @@ def make_env(name: str) -> GymEnv:
 def _import(module: str) -> None:
     top = module.partition(".")[0]
     try:
-        if importlib.util.find_spec(top) is None and os.getcwd() not in sys.path:
-            # The console script does not search the folder that it is started in. At the end, so that nothing installed is hidden.
-            sys.path.append(os.getcwd())
+        here = os.getcwd()
+        if importlib.util.find_spec(top) is None and PathFinder.find_spec(top, [here]) is not None:
+            # No process of ours searches the folder that it is started in, unless a spec names a module that lies there.
+            # At the end, so that nothing installed is hidden.
+            sys.path.append(here)
             importlib.invalidate_caches()
         importlib.import_module(module)
     except (Exception, SystemExit) as error:  # the code is another's

@@ -1,0 +1,42 @@
+"""Ctrl-C before a command has begun: the exit code of an interruption, one word, and no traceback of imports."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = "import wasp_cli.__main__ as program; program.main()"
+
+
+@pytest.mark.parametrize("module", ["wasp_cli.cli.early", "typing", "typer", "wasp_cli.cli.run", "wasp_cli.errors", "pydantic", "torch._C"])
+def test_it_ends_without_a_traceback(module: str, tmp_path: Path) -> None:
+    """The signal comes when Python says that it has imported `module`; more is imported after each."""
+    command = [sys.executable, "-P", "-X", "importtime", "-c", PROGRAM, "doctor"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    sent, said = False, []
+    assert process.stderr is not None
+    for line in process.stderr:
+        if not line.startswith("import time:"):
+            said.append(line)
+        elif not sent and line.split("|")[-1].strip() == module:
+            process.send_signal(signal.SIGINT)
+            sent = True
+    process.communicate()
+    assert sent
+    assert (process.returncode, said) == (130, ["interrupted\n"])
+
+
+def test_who_was_started_to_ignore_it_goes_on(tmp_path: Path) -> None:
+    program = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); " + PROGRAM
+    command = [sys.executable, "-P", "-X", "importtime", "-c", program, "--version"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.split("|")[-1].strip() == "typer":
+            process.send_signal(signal.SIGINT)
+    out, _ = process.communicate()
+    assert (process.returncode, out[:5]) == (0, "wasp ")

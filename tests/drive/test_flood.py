@@ -1,0 +1,153 @@
+"""Connections without the token that never say anything whole: they are closed, and a session hardly notices them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection
+
+from tests.drive.test_server import driver, get, state
+from tests.view.conftest import viewed
+from wasp_cli.drive.desk import Desk
+from wasp_cli.drive.server import TOO_MUCH, Server
+from wasp_cli.store.tables import read_episodes
+from wasp_cli.web import guard
+from wasp_cli.web.server import LocalServer
+
+HALVES = {
+    "nothing": b"",
+    "a line": b"GET / HTTP/1.1\r\n",
+    "no end of headers": b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: ",
+    "half a body": b"POST /note HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9999\r\n\r\nkey=",
+    "half a second request": b"GET /none HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /none HTTP/1.1\r\nHost: ",
+}
+PROGRAM = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256)); from wasp_cli.__main__ import main; main()"
+
+
+@pytest.fixture(params=["drive", "view"])
+def server(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LocalServer]:
+    with ExitStack() as stack:
+        if request.param == "view":
+            (tmp_path / "results" / "store" / "evaluate").mkdir(parents=True)
+            yield stack.enter_context(viewed(tmp_path / "results"))
+        else:
+            made = Server(Desk())
+            made.start()
+            stack.callback(made.stop)
+            yield made
+
+
+def opened(port: int, text: bytes) -> socket.socket:
+    connection = socket.create_connection(("127.0.0.1", port), timeout=20)
+    connection.sendall(text)
+    return connection
+
+
+def closed(connection: socket.socket) -> bool:
+    """Wait for the other side to close; an error of time where it does not."""
+    with suppress(ConnectionResetError):
+        while connection.recv(4096):
+            pass
+    return True
+
+
+@pytest.mark.parametrize("half", HALVES)
+def test_half_a_request_is_not_waited_for(half: str, server: LocalServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "PATIENCE", 0.4)
+    with opened(server.port, HALVES[half]) as connection:
+        # uvicorn itself closes what says nothing after an answer; what goes on to say a little it keeps
+        for _ in range(3):
+            time.sleep(0.1)
+            with suppress(OSError):
+                connection.sendall(b"a" if HALVES[half] else b"")
+        assert closed(connection)
+
+
+def to_the_end(ws: ClientConnection) -> None:
+    while True:
+        ws.recv(timeout=10)
+
+
+def test_the_driver_is_no_such_connection(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "PATIENCE", 0.2)
+    server = Server(Desk())
+    server.start()
+    try:
+        with driver(server) as ws:
+            state(ws)
+            time.sleep(0.8)
+            ws.send(json.dumps({"type": "alive"}))
+            ws.send(json.dumps({"type": "ask", "what": "nothing"}))
+            with pytest.raises(ConnectionClosed) as caught:
+                to_the_end(ws)
+        assert caught.value.rcvd is not None
+        assert caught.value.rcvd.code == TOO_MUCH, "for what it said, and not for its silence"
+    finally:
+        server.stop()
+
+
+def test_only_some_wait_at_once_and_a_whole_request_is_answered(server: LocalServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "PATIENCE", 1000.0)
+    most, waiting = guard.most_waiting(), []
+    try:
+        for _ in range(most + 40):
+            waiting.append(opened(server.port, HALVES["a line"]))
+        assert all(closed(each) for each in waiting[:30]), "those that have waited longest"
+        assert get(server, "/")[0] == 403  # type: ignore[arg-type]
+        waiting[-1].settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            waiting[-1].recv(1)
+    finally:
+        for each in waiting:
+            each.close()
+
+
+def test_a_refused_socket_is_gone() -> None:
+    """A handshake without the token, whose sender reads nothing and keeps its end open."""
+    server = Server(Desk())
+    server.start()
+    asked = (
+        b"GET /socket?token=guess HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    )
+    try:
+        with opened(server.port, asked) as connection:
+            assert closed(connection)
+    finally:
+        server.stop()
+
+
+def test_a_session_outlives_more_half_sent_requests_than_it_has_descriptors(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    command = [sys.executable, "-c", PROGRAM, "drive", "goal1", "--method", "human", "--simulate", "--speed", "4", "--episodes", "1"]
+    process = subprocess.Popen(
+        [*command, "--results", str(results)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "COLUMNS": "200"},
+    )  # fmt: skip
+    waiting: list[socket.socket] = []
+    try:
+        assert process.stdout is not None
+        found = next(match for line in process.stdout if (match := re.search(r"drive here: http://127\.0\.0\.1:(\d+)/", line)))
+        for _ in range(300):
+            with suppress(OSError):  # closed already
+                waiting.append(opened(int(found[1]), HALVES["a line"]))
+        assert len(waiting) > 256
+        _, errors = process.communicate(timeout=300)
+    finally:
+        process.kill()
+        for each in waiting:
+            each.close()
+    assert (process.returncode, "Traceback" in errors) == (0, False), errors[-3000:]
+    (path,) = results.glob("store/evaluate/*/episodes.parquet")
+    assert read_episodes([path]).num_rows == 1

@@ -1,0 +1,52 @@
+"""What the package imports is what it declares, and no more."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NAMES = {"pillow": "PIL", "pyyaml": "yaml", "ruamel-yaml": "ruamel"}
+"""Distributions whose module has another name."""
+OPTIONAL = {"minari", "scipy"}
+"""Read where somebody has them; without them a message says so."""
+
+
+def modules_of(source: str) -> set[str]:
+    """The first names of absolute imports anywhere in a source, in functions too."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module.partition(".")[0])
+    return found
+
+
+def declared(*extras: str) -> set[str]:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = [*project["dependencies"], *(line for extra in extras for line in project["optional-dependencies"][extra])]
+    names = [re.sub(r"[._-]+", "-", re.split(r"[ <>=!~\[;]", line)[0]).lower() for line in lines]
+    return {NAMES.get(name, name.replace("-", "_")) for name in names}
+
+
+def test_every_import_is_declared() -> None:
+    imported: dict[str, set[str]] = {}
+    for path in sorted((ROOT / "wasp_cli").rglob("*.py")):
+        for module in modules_of(path.read_text(encoding="utf-8")) - set(sys.stdlib_module_names) - {"wasp_cli"}:
+            imported.setdefault(module, set()).add(str(path.relative_to(ROOT)))
+    missing = {module: places for module, places in imported.items() if module not in declared("dask", "ray", "pandas", "drive", "web")}
+    assert missing == {}
+    assert declared() <= set(imported), "each is imported somewhere"
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"), [("def f():\n from a.b import c", {"a"}), ("import x.y as z", {"x"}), ("from . import q", set())]
+)
+def test_the_walk_sees_what_is_imported(source: str, expected: set[str]) -> None:
+    assert modules_of(source) == expected

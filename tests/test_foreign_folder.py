@@ -1,0 +1,145 @@
+"""A results folder of somebody else as the working directory: modules that lie there are imported by no process of ours."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from http.client import HTTPConnection
+from pathlib import Path
+
+import pytest
+
+from tests.view.conftest import brought
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.plan import plan_against
+from wasp_cli.run.record import new_run
+from wasp_cli.spec.load import load
+from wasp_cli.store.layout import Layout
+
+ROOT = Path(__file__).parents[1]
+CELL = "goal1 s1 human noisy=0.45"
+DECOYS = (
+    "numpy", "joblib", "pickle", "typing", "torch", "mujoco", "pyarrow", "PIL", "matplotlib", "gymnasium", "uvicorn", "rich", "json",
+    "multiprocessing", "random", "struct", "signal", "threading", "subprocess", "tempfile", "cloudpickle", "runner_up",
+)  # fmt: skip
+"""Modules of Python, of libraries, and one that nothing names."""
+SETTINGS = ("preset=smoke", "expert.interactions=400", "expert.envs=4", "expert.evaluation_episodes=1")
+SPEC = "name: tiny\npreset: smoke\ntasks: [goal1]\nmethods: [human]\noperators: {noisy: {moderate: 0.4}}\nseeds: [0]\n"
+
+
+@pytest.fixture
+def theirs(tmp_path: Path) -> Path:
+    """Results with a module of every name in DECOYS; each notes when it is imported."""
+    folder = brought(tmp_path / "results", CELL)
+    for name in DECOYS:
+        (folder / f"{name}.py").write_text(f"open({str(tmp_path)!r} + '/imported-{name}', 'w').close()\n", encoding="utf-8")
+    (folder / "tiny.yaml").write_text(SPEC, encoding="utf-8")
+    found, layout = load(folder / "tiny.yaml"), Layout(folder)
+    new_run(layout, found, plan_against(lay_out(found.spec), layout))
+    return folder
+
+
+def imported(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.parent.glob("imported-*"))
+
+
+def started(folder: Path, *arguments: str, safe: bool = True) -> subprocess.Popen[str]:
+    """Start `wasp` as its console script does, which does not search the working directory; or as `python -m wasp_cli`, which does."""
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"} | {"COLUMNS": "200", "NO_COLOR": "1"}
+    command = [sys.executable, *(["-P"] if safe else []), "-m", "wasp_cli", *arguments]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables)
+
+
+def done(folder: Path, *arguments: str, safe: bool = True) -> str:
+    process = started(folder, *arguments, safe=safe)
+    out, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    return out
+
+
+RUN = (
+    "run", "tiny.yaml", "-j", "1", "--results", ".", "--reuse", "none", "--select", "stage=expert",
+    *(part for each in SETTINGS for part in ("--set", each)),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["report", ".", "--no-films"],
+        ["view", ".", "--bundle", "../b", "--cell", CELL, "--episodes", "0"],
+        RUN,
+        pytest.param(["replay", CELL, "-e", "0", "-o", "../a.gif", "--results", "."], marks=pytest.mark.slow),
+        pytest.param(
+            ["drive", "goal1", "--method", "human", "--simulate", "--episodes", "1", "--speed", "4", "--results", "."],
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=lambda each: each[0],
+)
+def test_no_command_imports_what_lies_there(arguments: list[str], theirs: Path) -> None:
+    done(theirs, *arguments)
+    if "--bundle" in arguments:
+        assert list(theirs.parent.glob("b/**/00000.*")), "a film was drawn"
+    assert imported(theirs) == []
+
+
+def test_neither_does_a_run_without_its_terminal(theirs: Path) -> None:
+    said = json.loads(done(theirs, *RUN, "--detach"))
+    try:
+        assert Path(said["log"]).is_file(), "it has begun, with all that it imports for itself"
+    finally:
+        os.killpg(said["pid"], signal.SIGKILL)
+    assert imported(theirs) == []
+
+
+@pytest.mark.parametrize("arguments", [["report", ".", "--no-films"], ["plan", "tiny.yaml"]], ids=lambda each: each[0])
+def test_neither_does_python_m(arguments: list[str], theirs: Path) -> None:
+    """What Python itself imports before the first line of ours is beyond us; none of DECOYS is among it."""
+    done(theirs, *arguments, safe=False)
+    assert imported(theirs) == []
+
+
+def test_a_film_on_demand_imports_nothing_from_there(theirs: Path) -> None:
+    process = started(theirs, "view", ".", "--no-browser")
+    try:
+        assert process.stdout is not None
+        found = re.search(r"view here: http://127\.0\.0\.1:(\d+)(\S+)", process.stdout.readline())
+        assert found is not None
+        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=60)
+
+        def ask(method: str, place: str, **headers: str) -> tuple[str, str]:
+            connection.request(method, place, headers=headers)
+            answer = connection.getresponse()
+            return (answer.getheader("set-cookie") or "").partition(";")[0], answer.read().decode(errors="replace")
+
+        cookie, _ = ask("GET", found[2])
+        (key,) = (path.name for path in (theirs / "store" / "evaluate").iterdir())
+        place, origin = f"/film/{key}/0/film", f"http://127.0.0.1:{found[1]}"
+        state = json.loads(ask("POST", place, Cookie=cookie, Origin=origin)[1])
+        for _ in range(600):
+            if state["state"] in ("done", "failed"):
+                break
+            time.sleep(0.2)
+            state = json.loads(ask("GET", place, Cookie=cookie)[1])
+        assert state["state"] == "done", state
+    finally:
+        process.kill()
+        process.communicate()
+    assert imported(theirs) == []
+
+
+def test_a_module_that_a_spec_names_is_still_found_beside_it(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "docs" / "examples" / "puddle.py", tmp_path)
+    spec = SPEC.replace("goal1", "puddle:Puddle-v0")
+    (tmp_path / "tiny.yaml").write_text(spec, encoding="utf-8")
+    assert "1 cells to evaluate" in done(tmp_path, "plan", "tiny.yaml")
+    (tmp_path / "tiny.yaml").write_text(spec.replace("puddle:", "nowhere:"), encoding="utf-8")
+    process = started(tmp_path, "plan", "tiny.yaml")
+    assert "run in the folder that holds 'nowhere'" in process.communicate(timeout=60)[1]
