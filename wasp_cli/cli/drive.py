@@ -185,6 +185,8 @@ def _check(session: Session, json: bool) -> None:
         print_json([as_json(timing) for timing in found])
     else:
         out().print(timing_table(found))
+        for timing in found:
+            say(timing.where_gates_fired)
         slow = min(timing.recommended for timing in found)
         late = [timing for timing in found if not timing.in_time]
         say("decisions are in time" if not late else f"too many decisions are late; --speed {slow:g} would keep them in time")

@@ -1,7 +1,8 @@
 """One block of a session: a person drives the episodes of one cell, with an assistant that answers in time or not at all.
 
-A decision: the latest state of the controls is the command; the assistant has until the deadline; where it is late, the command is executed
-as it is. Everything is recorded as an evaluation records it, so that the block is a cell like any other.
+A decision: the latest state of the controls is the command; the assistant corrects it. Its search ends where the period does, and the world
+slows down where that is not enough. Only an assistant that takes PATIENCE periods is late: the command is executed as it is, and the row
+says so. Everything is recorded as an evaluation records it, so that the block is a cell like any other.
 """
 
 from __future__ import annotations
@@ -25,15 +26,19 @@ from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import Filter, Loop
 from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.methods.base import Decision, Parts, checked
-from wasp_cli.methods.record import Planned
-from wasp_cli.metrics.episode import GATE_NONE, Trajectory
+from wasp_cli.methods.record import Planned, blank_record
+from wasp_cli.metrics.episode import GATE_LATE, GATE_NONE, Trajectory
 from wasp_cli.operators.base import EpisodeNoise
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.map import stick
 
-GATES = {0: "none", 1: "safety", 2: "task", 3: "method"}
+GATES = {0: "none", 1: "safety", 2: "task", 3: "method", GATE_LATE: "late"}
+ALONE = "human"
+"""The method without an assistant: nobody can be late."""
+PATIENCE, LEAST = 4.0, 0.5
+"""Periods after which an assistant is late, and the share of one that its search has at least. The world slows down meanwhile."""
 
 
 class Beat(NamedTuple):
@@ -44,7 +49,7 @@ class Beat(NamedTuple):
     decision_ms: float
     """how long the assistant was waited for"""
     late: bool
-    """it had not answered at the deadline, and the command was executed as it is"""
+    """it had not answered after PATIENCE periods, and the command was executed as it is"""
     behind_ms: float
     """how long after its beat the decision began"""
     rest_ms: float
@@ -115,6 +120,9 @@ class Block:
         self.operator = PersonOperator(parts.skills.expert, self.task.action_size, EpisodeNoise([0]), 1)
         self.futures = Futures(config.task, parts, self.assistant, self.task) if "imagined" in config.shown else None
         self._decider: Decider[Decision] = Decider()
+        assistant: Any = self.assistant
+        if hasattr(assistant, "time_is_up"):
+            assistant.time_is_up = self._decider.time_is_up
         self._clock = Clock(self.period)
         self._frames = 0
         self._begun = time.monotonic()
@@ -127,7 +135,13 @@ class Block:
     @property
     def answer_seconds(self) -> list[float]:
         """Return how long every answer of the assistant took, late ones too."""
-        return self._decider.seconds
+        return [seconds for seconds, _, _ in self._decider.answers]
+
+    @property
+    def fired(self) -> list[tuple[float, bool]]:
+        """Return of every answer with which a gate fired how long it took, and whether it was late."""
+        made = [(seconds, late, answer.record) for seconds, late, answer in self._decider.answers]
+        return [(seconds, late) for seconds, late, record in made if record is not None and bool((record.gate != GATE_NONE).any())]
 
     def hello(self) -> dict[str, Any]:
         """Return what the page has to know of the block before the first frame."""
@@ -137,7 +151,9 @@ class Block:
             "map": self.view.still if "map" in self.config.shown else None, "decisions": self.task.max_decisions,
         }  # fmt: skip
 
-    def episode(self, number: int, layout: int, method_seed: int, facts: Mapping[str, Any] | None = None) -> Driven | Cut:
+    def episode(
+        self, number: int, layout: int, method_seed: int, facts: Mapping[str, Any] | None = None, most: int | None = None
+    ) -> Driven | Cut:
         """Let the driver drive one episode, after a `go`.
 
         Args:
@@ -145,6 +161,7 @@ class Block:
             layout: seed of the world.
             method_seed: of the assistant's own sampling.
             facts: further ones for the page.
+            most: decisions after which it ends; None: when the task does.
         """
         running = _Running(self, layout)
         with torch.inference_mode():
@@ -155,7 +172,7 @@ class Block:
                 return Cut(layout, 0, END)
             self.desk.state("driving", episode=number, **(facts or {}))
             self._clock.begin()
-            while not running.ended:
+            while not running.ended and (most is None or len(running.beats) < most):
                 request = self.desk.asked()
                 if request == PAUSE:
                     if (request := running.pause(number, facts or {})) in (RESTART, NEXT, END):
@@ -205,13 +222,15 @@ class _Running:
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)
         latent, assistant, operator = self._latent, block.assistant, block.operator
+        own = a_h.clone()  # what a late answer does to it changes nothing here
 
         def answer() -> Decision:
             with torch.inference_mode():
-                return checked(assistant.decide(latent, a_h, operator), assistant, a_h)
+                return checked(assistant.decide(latent, own, operator), assistant, own, a_h)
 
-        answered, seconds = block._decider.ask(answer, clock.deadline())
-        decision = Decision(a_h) if answered is None else answered
+        answered, seconds = block._decider.ask(answer, PATIENCE * block.period, clock.deadline(), LEAST * block.period)
+        late = answered is None and block.config.method != ALONE
+        decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None) if answered is None else answered
         executed_at = time.monotonic()
         self._filter.executed(decision.action)
         step = block.task.step(decision.action.cpu().numpy())
@@ -220,7 +239,7 @@ class _Running:
             Beat(
                 at=begun - block._begun,
                 decision_ms=1000 * seconds,
-                late=answered is None,
+                late=late,
                 behind_ms=1000 * behind,
                 rest_ms=float("nan"),
                 input=held.number,
@@ -275,9 +294,10 @@ class _Running:
             if "gate" in shown:
                 done = stick(block.task, decision.action[0].cpu().numpy())
                 gate = GATE_NONE if decision.record is None else int(decision.record.gate[0])
+                fired = "alone" if block.config.method == ALONE else GATES.get(gate, "method")
                 header |= {
                     "executed": None if done is None else [round(float(x), 3) for x in done],
-                    "gate": GATES.get(gate, "method"),
+                    "gate": fired,
                     "corrected": bool((decision.action != a_h).any()),
                 }
         block.desk.show(Frame(header, camera_bytes(self._seen) if "cameras" in shown else b""))

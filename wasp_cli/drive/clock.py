@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -44,7 +45,7 @@ class Clock:
         return now, behind
 
     def deadline(self) -> float:
-        """Return until when the decision of this beat is in time: what else is to be done in the period is kept free."""
+        """Return until when the decision of this beat is wanted: what else is to be done in the period still fits then."""
         rest = float(np.quantile(self._rest, 0.9)) if self._rest else RESERVE * self.period
         return self._next - min(rest, self.period)
 
@@ -54,37 +55,53 @@ class Clock:
 
 
 class Decider(Generic[T]):
-    """Asks for one thing at a time in a thread of its own, and does not wait longer than until a deadline."""
+    """Asks for one thing at a time in a thread of its own, and does not wait for it for longer than it has patience."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, "assistant")
         self._asked: Future[T] | None = None
-        self.seconds: list[float] = []
-        """How long every answer took, late ones too."""
+        self._wanted = self._looked = 0.0
+        self.answers: list[tuple[float, bool, T]] = []
+        """Every answer: how many seconds it took, whether it was late, and what it was."""
 
-    def ask(self, question: Callable[[], T], deadline: float) -> tuple[T | None, float]:
-        """Return the answer, None where it is not there in time, and the seconds waited for it.
+    def ask(self, question: Callable[[], T], patience: float, wanted: float = -math.inf, least: float = 0.0) -> tuple[T | None, float]:
+        """Return the answer, None where it is late, and the seconds waited for it.
 
         A late answer is thrown away; while it is still being thought about, nothing new is asked.
+
+        Args:
+            question: asked in the thread.
+            patience: seconds after which it is late, from when it can be thought about.
+            wanted: until when a search is to end, on the monotonic clock (`time_is_up`).
+            least: seconds that it has nevertheless, from when it can be thought about.
         """
         begun = time.monotonic()
         if self._asked is not None:
-            wait([self._asked], max(deadline - begun, 0.0))
+            wait([self._asked], patience)
             if not self._asked.done():
                 return None, time.monotonic() - begun
-            self._asked = None
-        asked = self._thread.submit(self._timed, question)
-        wait([asked], max(deadline - time.monotonic(), 0.0))
+            overdue, self._asked = self._asked, None
+            overdue.result()  # thrown away, but not what went wrong there
+        self._wanted = max(wanted, time.monotonic() + least)
+        asked = self._thread.submit(self._timed, question, patience)
+        wait([asked], patience)
         seconds = time.monotonic() - begun
         if not asked.done():
             self._asked = asked
             return None, seconds
         return asked.result(), seconds
 
-    def _timed(self, question: Callable[[], T]) -> T:
-        begun = time.monotonic()
+    def time_is_up(self) -> bool:
+        """Tell a question that is being answered whether a further step, as long as its last one, would end later than is wanted."""
+        now = time.monotonic()
+        step, self._looked = now - self._looked, now
+        return now + step > self._wanted
+
+    def _timed(self, question: Callable[[], T], patience: float) -> T:
+        begun = self._looked = time.monotonic()
         answer = question()
-        self.seconds.append(time.monotonic() - begun)
+        seconds = time.monotonic() - begun
+        self.answers.append((seconds, seconds > patience, answer))
         return answer
 
     def finish(self) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.console import count_table, plain, say
 from wasp_cli.drive.block import SHOWN
+from wasp_cli.drive.check import TOLERATED, warning
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.script import Habits, drive
 from wasp_cli.drive.server import Server
@@ -160,6 +161,8 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
     Raises:
         Interrupted: Ctrl-C; finished episodes are kept.
     """
+    if scripted is None and (told := warning(session)) is not None:
+        say(f"warning: {told}")
     desk = Desk()
     server = Server(desk, port)
     server.start()
@@ -189,6 +192,8 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
         whole = "" if block["episodes"] == block["of"] else f" of {block['of']}: the session ended early"
         late = f"{block['late']} of {block['decisions']} decisions late"
         say(f"{block['label']}: {block['episodes']} episodes{whole}; {late} ({block['key']})")
+        if block["late"] > TOLERATED * block["decisions"]:
+            say(f"warning: nobody assisted in the late ones, and the report says so; try --speed {session.how.speed / 2:g}")
     if session.failure is not None:
         raise session.failure
     if interrupted:

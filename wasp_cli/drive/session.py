@@ -17,7 +17,7 @@ import torch
 
 from wasp_cli import seeds
 from wasp_cli.console import plain
-from wasp_cli.drive.block import SHOWN, Block, BlockConfig, Cut, Driven
+from wasp_cli.drive.block import ALONE, SHOWN, Block, BlockConfig, Cut, Driven
 from wasp_cli.drive.desk import END, NEXT, Desk
 from wasp_cli.drive.record import CellRecord
 from wasp_cli.errors import UsageError
@@ -49,8 +49,6 @@ QUICK = ("goal1",)
 """Tasks whose small models are published; of the others those of the preset `cpu` are."""
 IN_TIME = ("gate_rollouts=4", "takeover_rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2", "finalists=2")
 """Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
-ALONE = "human"
-"""The method of practice."""
 
 
 @dataclass(frozen=True)

@@ -120,10 +120,11 @@ def run_episodes(
         latent = filter_.see(seen, first)
         first = torch.zeros(batch)
         a_h = operator.command(latent.features).clamp(-1, 1)
+        given = a_h.clone()
         begun = time.perf_counter()
         decision = assistant.decide(latent, a_h, operator)
         times.append((time.perf_counter() - begun) * 1000 / batch)
-        action = checked(decision, assistant, a_h).action
+        action = checked(decision, assistant, a_h, given).action
         filter_.executed(action)
         step = task.step(action.cpu().numpy())
         for name, value in (

@@ -36,15 +36,26 @@ class Decision(NamedTuple):
     """the plans, of methods that plan"""
 
 
-def checked(decision: object, assistant: object, a_h: Tensor) -> Decision:
-    """Return the decision of `assistant` on commands a_h [B, A] after a look at what its contract promises.
+def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> Decision:
+    """Return the decision of `assistant` on commands after a look at what its contract promises.
+
+    Args:
+        decision: what it returned.
+        assistant: who is named in messages.
+        a_h: [B, A] the commands that it was given, as they are now.
+        given: [B, A] a copy of them from before.
 
     Raises:
-        WaspError: it is no `Decision`, an action has another shape, or a command was changed although no gate fired.
+        WaspError: it changed the commands in place, it returned no `Decision`, an action has another shape, or a command was changed
+            although no gate fired.
     """
     who = f"the assistant '{type(assistant).__name__}'"
     if not isinstance(decision, Decision):
         raise WaspError(f"{who} returned a {type(decision).__name__}, not a Decision", "return Decision(action, record) from `decide`")
+    if ((a_h != given) & ~given.isnan()).any():
+        raise WaspError(
+            f"{who} changed the operator's command in place", "let `decide` work on a_h.clone(), and return Decision(action, record)"
+        )
     action, record = decision.action, decision.record
     if action.shape != a_h.shape:
         raise WaspError(f"{who} returned actions of shape {list(action.shape)} for commands of shape {list(a_h.shape)}")
@@ -109,6 +120,8 @@ class Assistant(Protocol):
         """Decide on commands a_h [B, A] (within [-1, 1]) in the latent states [B, .]; `operator` has just issued them.
 
         a_h is not to be changed in place; what is drawn depends on the seed of the episode and the decision alone (`methods.noise`).
+        Where a person waits, an assistant that has an attribute `time_is_up` finds a callable in it: a search that goes on for long asks
+        it, and returns its best so far once it says True.
         """
         ...
 

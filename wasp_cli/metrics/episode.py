@@ -32,13 +32,17 @@ Bools = NDArray[np.bool_]
 INTERVENED = 1e-6
 """The paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0 everywhere."""
 
-GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD = 0, 1, 2, 3
-"""Values of `Trajectory.gate`: the command stands; WASP's safety gate; its task gate; a rule of another method."""
+GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD, GATE_LATE = 0, 1, 2, 3, 4
+"""Values of `Trajectory.gate`: the command stands; WASP's safety gate; its task gate; a rule of another method; the assistant of a person
+was late, so that no gate was asked and the command stands."""
+
+CUT_OFF = -2
+"""In `Plans.safe`: an iteration that was left out, since the time of the decision was up. Those that were made stand behind it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plans:
-    """What was planned in T decision steps; NaN (-1 in `safe`) where nothing was. L residual steps, I iterations."""
+    """What was planned in T decision steps; NaN (below 0 in `safe`) where nothing was. L residual steps, I iterations."""
 
     residuals: Floats
     """[T, L, A] the chosen sequence"""
@@ -57,7 +61,8 @@ class Plans:
 
     def share(self) -> Floats:
         """Return the share [T] of the iterations in Case II."""
-        return np.where(self.safe[:, -1] >= 0, self.case2.mean(1), np.nan)
+        made = (self.safe != CUT_OFF).sum(1)
+        return np.where(self.safe[:, -1] >= 0, self.case2.sum(1) / made, np.nan)
 
 
 @dataclass(frozen=True, eq=False)

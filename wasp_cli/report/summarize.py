@@ -25,7 +25,7 @@ from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.necessity import necessity_table
-from wasp_cli.report.tables.people import people_fact, people_tables
+from wasp_cli.report.tables.people import late_facts, people_fact, people_tables
 from wasp_cli.report.tables.severity_check import check_table, judged
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
@@ -92,6 +92,8 @@ def report_run(
     judging = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.variant != PERSON for cell in frame.cells)
     verdict = judge(frame, paper, spec) if paper is not None and judging else None
     front = [main_table(frame)] if cells else []
+    if front and (late := late_facts(sittings)):
+        front[0] = replace(front[0], notes=(*front[0].notes, *late))
     front += people_tables(sittings)
     ablations = ablation_table(frame)
     if ablations is not None:

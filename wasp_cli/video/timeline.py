@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
+from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.video.map import COMMAND, COST, EXECUTED
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-GATE_COLOURS = {GATE_SAFETY: "#0072B2", GATE_TASK: "#E69F00", GATE_METHOD: "#56B4E9"}
-GATE_NAMES = {GATE_SAFETY: "safety gate", GATE_TASK: "task gate", GATE_METHOD: "its own rule"}
+GATE_COLOURS = {GATE_SAFETY: "#0072B2", GATE_TASK: "#E69F00", GATE_METHOD: "#56B4E9", GATE_LATE: "#696969"}
+GATE_NAMES = {GATE_SAFETY: "safety gate", GATE_TASK: "task gate", GATE_METHOD: "its own rule", GATE_LATE: "late, command stands"}
 _DPI = 100
 _LEFT, _RIGHT, _TOP, _BOTTOM = 88, 14, 6, 36
 """Margins in px."""

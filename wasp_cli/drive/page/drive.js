@@ -10,10 +10,13 @@ const GATES = {
   safety: "Safety gate: your command is predicted to cost too much.",
   task: "Task gate: a correction is predicted to gain.",
   method: "The assistant's own rule fired.",
+  late: "Late: the assistant had not answered in time, your command is executed.",
+  alone: "You drive alone.",
 };
+const STAYS = 25; // decisions for which the banner stays after a late one
 
 let socket = null, over = false, phase = "connecting", shown = new Set(), hidden = new Set();
-let world = null, ground = null, frame = null, lines = null, trail = [], costs = [], inputs = 0;
+let world = null, ground = null, frame = null, lines = null, trail = [], costs = [], inputs = 0, speed = 1, lastLate = -STAYS;
 const held = new Set();
 let stick = [0, 0], lastSent = "";
 
@@ -53,7 +56,7 @@ function take(message) {
 // -- what goes on --------------------------------------------------------------------------------------------------------------
 
 function begin(block) {
-  world = block.map; shown = new Set(block.shown); frame = null; trail = []; costs = []; lines = null;
+  world = block.map; shown = new Set(block.shown); frame = null; trail = []; costs = []; lines = null; speed = block.speed; lastLate = -STAYS;
   byId("title").textContent = block.task;
   if (world) { ground = new Image(); ground.src = world.ground.image; }
   byId("eyes").height = 64 * block.cameras;
@@ -177,9 +180,9 @@ function hold() {
 }
 
 addEventListener("keydown", (event) => {
-  if (phase === "driving" && KEYS.includes(event.code) && !event.ctrlKey && !event.metaKey && !event.altKey) {
-    event.preventDefault();
-    if (!event.repeat) { held.add(event.code); hold(); }
+  if (KEYS.includes(event.code) && !event.ctrlKey && !event.metaKey && !event.altKey) {
+    held.add(event.code); // before the world moves too: a key that is held while Go is pressed drives
+    if (phase === "driving") { event.preventDefault(); hold(); }
   } else if (phase === "driving" && (event.code === "Space" || event.code === "Escape")) { event.preventDefault(); ask("pause"); }
 });
 addEventListener("keyup", (event) => { if (held.delete(event.code)) hold(); });
@@ -220,6 +223,8 @@ for (const id of ["pause", "restart", "next", "end"]) byId(id).onclick = () => {
 function draw(got) {
   frame = got;
   const header = got.header;
+  if (header.t === 0) lastLate = -STAYS;
+  if (header.gate === "late") lastLate = header.t;
   if (header.robot) { if (header.t === 0) { trail = []; costs = []; } trail.push(header.robot.slice(0, 2)); if (header.costly) costs.push(header.robot.slice(0, 2)); }
   paint();
   send({ type: "ack", frame: header.frame });
@@ -240,9 +245,11 @@ function paint() {
     dt.textContent = name; dd.textContent = value; if (name === "cost" && header.costly) dd.className = "costly";
     return [dt, dd];
   }));
+  byId("late").hidden = !sees("gate") || header.t - lastLate >= STAYS;
+  byId("late").textContent = `late: you drive alone; try --speed ${Math.max(0.05, Math.round(50 * speed) / 100)}`;
   const gate = byId("gate");
   gate.classList.toggle("corrected", Boolean(header.corrected));
-  gate.textContent = header.gate ? (header.gate !== "none" && !header.corrected ? GATES[header.gate] + " Your command stands." : GATES[header.gate]) : "";
+  gate.textContent = header.gate ? (["safety", "task", "method"].includes(header.gate) && !header.corrected ? GATES[header.gate] + " Your command stands." : GATES[header.gate]) : "";
 }
 
 function cameras() {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, cast
 
@@ -109,6 +109,7 @@ class WASP:
         self.kept_for = torch.zeros(0, dtype=torch.long)  # [B] decisions for which it stays a candidate
         self.exceeded = torch.zeros(0, dtype=torch.bool)  # [B] the nominal cost return exceeded tau_c at the last decision
         self.resting = torch.zeros(0, dtype=torch.bool)  # [B] the episode has ended
+        self.time_is_up: Callable[[], bool] | None = None  # set where somebody waits: a search that it ends returns its best so far
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
@@ -320,6 +321,7 @@ class WASP:
         return plan_residuals(
             self.imagination, start, mean, normals, look.draws.first(config.rollouts), self.tau_c,
             first=first, besides=look.taken, fresh=fresh, kept=self._kept(start.rows),
+            time_is_up=self.time_is_up, gate=look.nominal._replace(reward=look.baseline),
         )  # fmt: skip
 
     def _rechecked(self, made: Plan, fired: Tensor) -> Plan:

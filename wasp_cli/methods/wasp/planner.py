@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.candidates import Batch, is_plan, propose
 from wasp_cli.methods.wasp.gates import safe_score, task_score
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Returns, Situation
+from wasp_cli.metrics.episode import CUT_OFF
 
 BEHIND, EXCLUDED = -1e4, -1e6
 """Scores in a ranking by S_task: of an infeasible sequence, behind all feasible ones; of one that is a finalist anyway."""
@@ -25,7 +28,7 @@ class Plan(NamedTuple):
     found_safe: Tensor
     """[B] whether the selected sequence is feasible"""
     safe: Tensor
-    """[B, I] |F_s| of every iteration"""
+    """[B, I] |F_s| of every iteration; CUT_OFF for those that were left out"""
     case2: Tensor
     """[B, I] whether it was fewer than N_f"""
     predicted: Returns
@@ -61,6 +64,8 @@ def plan_residuals(
     besides: Batch | None = None,
     fresh: Draws | None = None,
     kept: Tensor | None = None,
+    time_is_up: Callable[[], bool] | None = None,
+    gate: Returns | None = None,
 ) -> Plan:
     """Search residual sequences for B decisions by constrained CEM (section 4.3).
 
@@ -77,12 +82,21 @@ def plan_residuals(
             safe in the search are not on other draws. Without them the best as scored is selected, as the paper says.
         kept: a sequence [B, L, A] that is a candidate and a finalist too, whatever the search thinks of it: the shifted plan of an earlier
             recovery, so that an escape once begun is not given up for one that is no better. Zeros where there is none.
+        time_is_up: asked before every further batch of rollouts; once it says so the best so far is selected, on the draws of the search.
+            None: the search is never cut off.
+        gate: of the commands without residuals [B], as the gates saw them; what a search that is cut off compares with.
     """
     config = imagination.config
     search = _Search(mean, torch.full_like(mean, config.initial_std))
+    over = False
     for i in range(normals.shape[1]):
+        over = time_is_up is not None and time_is_up()
+        if over and i:
+            break
         if i == 0 and first is not None:
             batch = first
+        elif over and besides is not None:
+            batch, besides = besides, None  # nothing is sampled any more: the takeovers are all there is
         else:
             # Sample candidates, and imagine the composed behaviour of each (Eq. 13).
             own = normals[:, i, : config.population(i)]
@@ -98,9 +112,10 @@ def plan_residuals(
     everything = search.seen[-1] if config.best_of == "last" else Batch.joined(search.seen)
 
     # Finalists: the best plans of all iterations by either score, scored again with fresh rollouts, beside the commands alone.
-    if fresh is None:
+    over = over or (time_is_up is not None and time_is_up())
+    if fresh is None or over:
         finalists = everything
-        alone = imagination.nominal(start, draws)
+        alone = gate if over and gate is not None else imagination.nominal(start, draws)
     else:
         finalists = _finalists(everything, search.mean, kept, config, tau_c)
         again = imagination.returns(start, finalists.residuals, fresh, *_shares(finalists), alone=1)
@@ -120,7 +135,10 @@ def plan_residuals(
     residuals = torch.where(stands.view(-1, 1, 1), 0.0, residuals)
     predicted = Returns(*(torch.where(stands, *values) for values in zip(alone, predicted, strict=True)))
     safe = torch.stack(search.safe, 1)
-    return Plan(residuals, found, safe, safe < config.feasible, predicted, alone)
+    case2 = safe < config.feasible
+    if left_out := normals.shape[1] - safe.shape[1]:
+        safe, case2 = F.pad(safe, (left_out, 0), value=float(CUT_OFF)), F.pad(case2, (left_out, 0))
+    return Plan(residuals, found, safe, case2, predicted, alone)
 
 
 def _shares(batch: Batch) -> tuple[Tensor, ...]:
@@ -201,7 +219,7 @@ def _update(search: _Search, batch: Batch, config: WASPConfig, tau_c: float) -> 
     search.std = torch.where(some, std, search.std)
 
     # Keep the best of them as candidates: on the same draws their returns stay what they are.
-    staying = int(config.elites_kept * config.elites)
+    staying = min(int(config.elites_kept * config.elites), size)
     if staying:
         index = torch.arange(staying, device=score.device).expand(len(score), -1)
         search.elites = best.take(index)

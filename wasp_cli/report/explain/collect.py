@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.facts import (
     DecisionFacts,
     EpisodeSummary,
@@ -38,6 +38,7 @@ def summarize(episode: Episode) -> EpisodeSummary:
         success=bool(row["success"]),
         costly=_places(episode.costly),
         missed=_places(episode.missed),
+        late=_places(episode.late),
         intervened=_places(episode.intervened),
         int_rate=float(row["int_rate"]),
         mag_int=number(row["mag_int"]),
@@ -156,6 +157,8 @@ def _safety(episode: Episode, t: int) -> Gate:
         state = "fired"
     elif episode.row["assistant_variant"] == "task-only":
         state = "off"
+    elif episode.gate[t] == GATE_LATE:
+        state = "late"
     elif value is None:
         state = "unknown"
     return Gate(state, value, episode.thresholds.tau_c)
@@ -168,6 +171,8 @@ def _task(episode: Episode, t: int) -> Gate:
         state = "fired"
     elif episode.row["assistant_variant"] == "safety-only":
         state = "off"
+    elif episode.gate[t] == GATE_LATE:
+        state = "late"
     elif episode.gate[t] == GATE_SAFETY:
         state = "not asked"
     elif value is None:  # where a cost return is known the decision has been recorded, and so would be a gain

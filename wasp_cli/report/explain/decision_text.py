@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.text import Text
 
+from wasp_cli.metrics.episode import CUT_OFF
 from wasp_cli.report.explain.facts import DecisionFacts, Gate, Planned, exceeds
 from wasp_cli.report.explain.layout import (
     STYLES,
@@ -11,6 +12,7 @@ from wasp_cli.report.explain.layout import (
     beside,
     cell_fields,
     cost_meaning,
+    count,
     decider,
     fields,
     gain_meaning,
@@ -30,6 +32,7 @@ FIRES = {
     "silent": "no",
     "not asked": "not asked: the safety gate fired",
     "no candidate": "no: no correction is predicted safe (Eq. 11)",
+    "late": "not asked: the assistant was late",
     "off": "off in this variant",
     "unknown": "not recorded",
 }
@@ -58,6 +61,8 @@ def _headline(facts: DecisionFacts) -> str:
         if gate is not None and gate.state == "fired":
             value, limit = beside(gate.value, gate.threshold)
             return f"The {name} gate fired ({symbols[0]} {value} > {symbols[1]} {limit}): {did}."
+    if facts.gate == "late":
+        return f"The assistant had not answered in time: {did}."
     if facts.gate == "method":
         return f"{decider(facts.who.method)} intervened: {did}."
     return f"No gate fired: {did}." if facts.safety is not None else f"{did.capitalize()}."
@@ -101,18 +106,22 @@ def _plan(facts: DecisionFacts, width: int) -> list[Text]:
     if plan is None:
         fired = facts.gate in ("safety", "task")
         older = " (the file has an older table version)" if fired and facts.unknown else ""
-        return fields([("search", f"not recorded{older}" if fired else "none: no gate fired")], width)
+        why = "the assistant was late" if facts.gate == "late" else "no gate fired"
+        return fields([("search", f"not recorded{older}" if fired else f"none: {why}")], width)
     known = facts.constants.task_batches if facts.gate == "task" else facts.constants.batches
-    sizes = [None] * len(plan.safe) if known is None else known[: len(plan.safe)]
+    cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made; how many candidates these had is not recorded then
+    made = len(plan.safe) - cut
+    sizes = [None] * made if known is None or cut else known[:made]
     rows = [
         [str(i + 1), "-" if size is None else str(size), str(safe), "II" if case2 else "I"]
-        for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe, plan.case2, strict=True))
+        for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe[cut:], plan.case2[cut:], strict=True))
     ]
-    if plan.safe[0] < 0:  # nothing was searched: what the task gate had found is carried out
+    if not cut and plan.safe[0] < 0:  # nothing was searched: what the task gate had found is carried out
         asked = facts.constants.asked
         rows = [["probe", "-" if asked is None else str(asked), str(plan.safe[-1]), "I"]]
     lines = table(["iteration", "candidates", "safe (|F_s|)", "case"], rows, width)
-    lines += notes(width, *(_case(facts, case2) for case2 in sorted(set(plan.case2))))
+    lines += notes(width, *(_case(facts, case2) for case2 in sorted(set(plan.case2[cut:]))))
+    lines += notes(width, f"the search was cut off before its last {count(cut, 'iteration')}: its time was up" if cut else "")
     if plan.empty:
         lines += fields([("correction", f"none: {_no_correction(facts, plan)}")], width)
     else:

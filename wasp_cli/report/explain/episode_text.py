@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.text import Text
 
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.collect import merge_runs
 from wasp_cli.report.explain.facts import EpisodeSummary, Run, exceeds
 from wasp_cli.report.explain.layout import (
@@ -42,7 +42,10 @@ MOST_RUNS = 24
 BLOCKS = "▁▂▃▄▅▆▇█"
 LABEL = 12
 SILENT = ("·", "dim", "")
-LETTERS = {GATE_SAFETY: ("S", "yellow", "safety"), GATE_TASK: ("T", "cyan", "task"), GATE_METHOD: ("M", "magenta", "the method's own")}
+LETTERS = {
+    GATE_SAFETY: ("S", "yellow", "safety"), GATE_TASK: ("T", "cyan", "task"), GATE_METHOD: ("M", "magenta", "the method's own"),
+    GATE_LATE: ("L", "red", "late"),
+}  # fmt: skip
 
 
 def episode_lines(summary: EpisodeSummary, width: int, command: str = "wasp explain CELL") -> list[Text]:
@@ -73,7 +76,8 @@ def _headline(summary: EpisodeSummary) -> str:
     totals, decisions = summary.totals, summary.who.decisions
     changed = f"{len(totals.intervened)} of {count(decisions, 'command')} changed" if totals.intervened else "No command changed"
     missed = f", {len(totals.missed)} of them missed (no gate fired)" if totals.costly and summary.selective else ""
-    return f"{changed}; {count(len(totals.costly), 'decision') if totals.costly else 'no decision'} with cost{missed}."
+    late = f", {len(totals.late)} while the assistant was late" if totals.late else ""
+    return f"{changed}; {count(len(totals.costly), 'decision') if totals.costly else 'no decision'} with cost{missed}{late}."
 
 
 def _outcome(summary: EpisodeSummary) -> list[tuple[str, str]]:
@@ -87,8 +91,9 @@ def _outcome(summary: EpisodeSummary) -> list[tuple[str, str]]:
     cost = count(totals.cost, "env step")
     if totals.costly:
         cost += f", in {count(len(totals.costly), 'decision')}"
-        foreseen = len(totals.costly) - len(totals.missed)
+        foreseen = len(totals.costly) - len(totals.missed) - len(totals.late)
         cost += f": {len(totals.missed)} missed, {foreseen} although a gate fired" if summary.selective else ""
+        cost += f", {len(totals.late)} while the assistant was late" if totals.late else ""
     size = "" if totals.mag_int is None else f", by {totals.mag_int:.2f} on average (|a - a^H|)"
     entries = [
         ("outcome", outcome),
@@ -115,13 +120,17 @@ def _gates(summary: EpisodeSummary, width: int) -> list[Text]:
         safety = off if who.assistant_variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
         task = off if who.assistant_variant == "safety-only" else f"ΔG > τ_r {short(thresholds.tau_r)}"
         gates[:1] = [(GATE_SAFETY, "safety", safety), (GATE_TASK, "task", task), *(gates[:1] if (series == GATE_METHOD).any() else [])]
+    if (series == GATE_LATE).any():
+        gates.append((GATE_LATE, "late", "no answer in time"))
     rows = []
     for gate, name, where in gates:
-        fired, stood = series == gate, int((kept & (series == gate)).sum()) if gate != GATE_NONE else 0
+        fired, stood = series == gate, int((kept & (series == gate)).sum()) if gate not in (GATE_NONE, GATE_LATE) else 0
         rows.append([name, where, str(int(fired.sum())), f"{fired.mean():.1%}", str(stood) if stood else "-"])
     said = [cost_meaning(summary.constants), gain_meaning(summary.constants)] if summary.gated else [f"{signal.name}: {signal.meaning}"]
     if any(row[-1] != "-" for row in rows):
         said.append("command kept: a gate fired, and the command was executed as it was")
+    if (series == GATE_LATE).any():
+        said.append("late: the assistant had not answered in time, no gate was asked, and the command was executed as it was")
     return table(["gate", "fires where", "decisions", "share", "command kept"], rows, width) + notes(width, *said)
 
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from wasp_cli.report.explain.stored import Constants
 from wasp_cli.store.tables import Thresholds
 
-State = Literal["fired", "silent", "not asked", "no candidate", "off", "unknown"]
-"""Of a gate. `no candidate`: no tried correction was predicted to be safe. `off`: this variant of the method does without it."""
+State = Literal["fired", "silent", "not asked", "no candidate", "late", "off", "unknown"]
+"""Of a gate. `no candidate`: no tried correction was predicted to be safe. `late`: nor was any gate
+asked in time. `off`: this variant of the method does without it."""
 
 Range = tuple[float, float]
 """Least and greatest."""
@@ -58,6 +59,8 @@ class Totals:
     """decisions with cost"""
     missed: tuple[int, ...]
     """decisions with cost and no gate"""
+    late: tuple[int, ...]
+    """decisions with cost while the assistant was late: no gate was asked"""
     intervened: tuple[int, ...]
     """decisions whose executed action is not the command"""
     int_rate: float

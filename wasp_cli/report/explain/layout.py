@@ -17,7 +17,7 @@ from wasp_cli.tasks.registry import TASKS
 
 INDENT = 2
 NUMBER = re.compile(r"[-+.…%\d]*")
-STYLES = {"safety": "yellow", "task": "cyan", "method": "magenta", "none": "dim"}
+STYLES = {"safety": "yellow", "task": "cyan", "method": "magenta", "late": "red", "none": "dim"}
 """By name of the gate."""
 
 

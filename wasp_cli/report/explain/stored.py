@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.methods.registry import METHODS, Signal
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
+from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.plain import printable
@@ -26,8 +26,8 @@ from wasp_cli.tasks.registry import TASKS
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHOD: "method"}
-"""The gate that called for a correction; `method` is a rule of a method without WASP's gates."""
+GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHOD: "method", GATE_LATE: "late"}
+"""The gate that called for a correction; `method` is a rule of a method without WASP's gates, `late` an assistant that had not answered."""
 
 NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
 THRESHOLDS = ("tau_c", "tau_r", "tau_q")
@@ -137,7 +137,7 @@ class Episode:
     @property
     def selective(self) -> bool:
         """Tell whether the method decides when to intervene, so that it can miss a cost. Human-only never does, a blend always."""
-        return bool(self.gated or np.isfinite(self.numbers["signal"]).any() or len(set(self.gate.tolist())) > 1)
+        return bool(self.gated or np.isfinite(self.numbers["signal"]).any() or len({*self.gate.tolist()} - {GATE_LATE}) > 1)
 
     @property
     def intervened(self) -> Bools:
@@ -150,6 +150,12 @@ class Episode:
         """Return where there was cost and no gate fired [T]."""
         missed: Bools = self.costly & (self.gate == GATE_NONE) & self.selective
         return missed
+
+    @property
+    def late(self) -> Bools:
+        """Return where there was cost while the assistant was late [T]."""
+        late: Bools = self.costly & (self.gate == GATE_LATE)
+        return late
 
 
 def signal_of(method: str) -> Signal:

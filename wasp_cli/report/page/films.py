@@ -20,7 +20,7 @@ import numpy as np
 
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.explain.stored import Episode, Floats, read_episode, signal_of
 from wasp_cli.report.render.files import rendered
@@ -191,7 +191,7 @@ def film_page(films: TaskFilms) -> Markup:
 
 CURVE, STRIP = 36, 8
 """Heights in px of a curve and of a row of marks."""
-KINDS = {GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHOD: "method"}
+KINDS = {GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHOD: "method", GATE_LATE: "late"}
 HEADROOM = 2.0
 """Thresholds up to which a curve is drawn; what is higher is cut off there."""
 Span = tuple[str, int, int]
@@ -214,8 +214,9 @@ class Lane(NamedTuple):
 def timeline(episode: Episode) -> list[Lane]:
     """Return a row for each gate's curve, with its threshold, one for the interventions and one for the costs."""
     lanes = [_curve(name, values, limit) for name, values, limit in _curves(episode)]
-    if episode.intervened.any():
-        kinds = [KINDS.get(gate, "method") if here else "" for gate, here in zip(episode.gate.tolist(), episode.intervened, strict=True)]
+    acts = episode.intervened | (episode.gate == GATE_LATE)  # what was late is to be seen, though it did nothing
+    if acts.any():
+        kinds = [KINDS.get(gate, "method") if here else "" for gate, here in zip(episode.gate.tolist(), acts, strict=True)]
         lanes.append(Lane("acts", STRIP, BASE, marks=_spans(kinds)))
     return [*lanes, Lane("cost", STRIP, BASE, marks=_spans(["cost" if here else "" for here in episode.costly]))]
 

@@ -66,6 +66,21 @@ def people_fact(sittings: Sequence[Sitting]) -> str:
     return text
 
 
+def late_facts(sittings: Sequence[Sitting]) -> list[str]:
+    """Say of every condition in which the assistant was late how often it was: there the driver was alone."""
+    found: Counter[tuple[str, str, str]] = Counter()
+    decisions: Counter[tuple[str, str, str]] = Counter()
+    for each in sittings:
+        late = np.asarray(each.beats["late"], bool)
+        found[condition_of(each)] += int(late.sum())
+        decisions[condition_of(each)] += len(late)
+    return [
+        f"{' on '.join(reversed(_labels(condition)))}: late in {late} of {decisions[condition]} decisions, in which nobody assisted."
+        for condition, late in found.items()
+        if late and condition[1] != ALONE
+    ]
+
+
 def _labels(condition: tuple[str, str, str]) -> tuple[str, str]:
     task, method, variant = condition
     return task_title(task), who_title(method, variant)
@@ -155,7 +170,7 @@ def _timing(groups: dict[tuple[str, str, str], list[Sitting]], sittings: Sequenc
         values = tuple(UNDEFINED if number is None else Value(float(number), n=people, ranked=False) for number in numbers)
         rows.append(Row(_labels(condition), values))
     meanings = (
-        "late: the assistant had not answered at the end of the period, and the command was executed as it is. Key to action: from the "
+        "late: the assistant had not answered in time, and the command was executed as it is. Key to action: from the "
         "arrival of a new key to the execution of the action that knows of it. Round trip: from a frame to its acknowledgement. "
         "cut: episodes that were given up; lost: connections that broke.",
     )

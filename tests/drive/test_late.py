@@ -1,0 +1,144 @@
+"""An assistant that is late is said to be late wherever its decisions are shown, and nobody calls them misses."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.drive.conftest import wanted
+from wasp_cli.cli.app import app
+from wasp_cli.drive import block
+from wasp_cli.drive.check import Timing, checked_blocks, recommended, warning
+from wasp_cli.drive.command import drive_session
+from wasp_cli.drive.desk import GO, Desk, Frame
+from wasp_cli.drive.script import Habits
+from wasp_cli.errors import WaspError
+from wasp_cli.methods.wasp.assistant import WASP
+from wasp_cli.metrics.episode import GATE_LATE
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.people import TIMING_FILE, read_timing
+from wasp_cli.store.tables import cell_file, read_steps
+
+
+@pytest.fixture(scope="module")
+def late(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """The folder of an episode in which an assistant without any patience assists, its key, and what the terminal said."""
+    results = tmp_path_factory.mktemp("late") / "results"
+    shutil.copytree(imported, results)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(block, "PATIENCE", 1e-6)
+        said: list[str] = []
+        patch.setattr("wasp_cli.drive.command.say", said.append)
+        summary = drive_session(wanted(results, "wasp", 40.0, simulated=True).prepared(), 0, open_browser=False, scripted=Habits(0))
+    return results, summary["blocks"][0]["key"], "\n".join(said)
+
+
+def test_late_is_a_gate_of_its_own_in_the_rows(late: tuple[Path, str, str]) -> None:
+    folder = Layout(late[0]).artifact("evaluate", late[1])
+    marked = np.array(read_timing(folder / TIMING_FILE)["late"].to_pylist())
+    gates = np.array(read_steps(cell_file(folder))["gate"].to_pylist())
+    assert marked.sum() > 200
+    assert (gates[marked] == GATE_LATE).all()
+    assert not (gates[~marked] == GATE_LATE).any()
+
+
+def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, str, str]) -> None:
+    results, key, said = late
+    assert "nobody assisted" in said
+    assert "--speed 20" in said
+    of = f"late in {len(_late(results, key)[_late(results, key)])} of 250 decisions"
+    told = CliRunner().invoke(app, ["report", str(results)])
+    assert told.exit_code == 0, told.output
+    assert f"WASP on Goal1: {of}" in " ".join(told.output.split())
+    explained = CliRunner().invoke(app, ["explain", key, "--episode", "0", "--results", str(results)]).output
+    assert "no answer in time" in explained
+    step = str(int(np.flatnonzero(_late(results, key))[0]))
+    decision = CliRunner().invoke(app, ["explain", key, "--episode", "0", "--step", step, "--results", str(results)]).output
+    assert "The assistant had not answered in time: the command was executed." in decision
+
+
+def _late(results: Path, key: str) -> Any:
+    return np.array(read_timing(Layout(results).artifact("evaluate", key) / TIMING_FILE)["late"].to_pylist())
+
+
+def headers(imported: Path, method: str) -> list[Any]:
+    """What the page is told in the first decisions."""
+    session = wanted(imported, method, 40.0).prepared()
+    desk = Desk()
+    desk.come()
+    frames: list[Frame] = []
+    show = desk.show
+    desk.show = lambda frame: (frames.append(frame), show(frame))[1]  # type: ignore[method-assign]
+    ((cell, node),) = session.blocks
+    made = session.built(desk, cell, node, node.axes["method_config"])
+    threading.Timer(0.2, desk.ask, (GO,)).start()
+    try:
+        made.episode(0, 0, 0, most=3)
+    finally:
+        made.close()
+    return [frame.header["gate"] for frame in frames[1:]]
+
+
+def test_the_page_is_told_late_and_alone(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(block, "PATIENCE", 1e-6)
+    assert "late" in headers(imported, "wasp")
+    assert headers(imported, "none") == ["alone"] * 3
+
+
+def timing(**changes: Any) -> Timing:
+    given = {
+        "label": "WASP", "period_ms": 80.0, "decisions": 250, "late_share": 0.016, "decision_ms": (20.0, 60.0), "input_ms": (70.0, 80.0),
+        "round_trip_ms": (1.0, 2.0), "speed": 1.0, "recommended": 0.5, "pace": 1.0, "fired": 10, "fired_late_share": 0.0,
+        "fired_ms": (60.0, 70.0),
+    }  # fmt: skip
+    return Timing(**given | changes)
+
+
+def test_a_check_judges_the_decisions_at_which_a_gate_fires() -> None:
+    assert timing().in_time
+    assert not timing(fired_late_share=0.4).in_time, "4 of 250 decisions are few, but they are those that matter"
+    assert not timing(pace=1.3).in_time
+    assert "a gate fired at 10 decisions: 60 ms (median), 70 ms (90th percentile), 0% late" in timing().where_gates_fired
+
+
+def test_the_recommended_speed_has_room_for_the_search(imported: Path) -> None:
+    (found,) = checked_blocks(wanted(imported, "wasp", 4.0).prepared(), 5)
+    assert found.decisions == 5
+    driven = _driven(10.0)
+    quick, slow = [0.02] * 200, [0.12] * 3
+    assert recommended([*quick, *slow], [], driven, 0.08, 1.0) == 1.0
+    assert recommended([*quick, *slow], slow, driven, 0.08, 1.0) == 0.6
+    assert math.isfinite(found.pace)
+
+
+def _driven(rest_ms: float) -> Any:
+    return type("Driven", (), {"beats": [type("Beat", (), {"rest_ms": rest_ms})]})
+
+
+def test_a_session_begins_with_a_warning_where_decisions_are_late(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(block, "PATIENCE", 1e-6)
+    monkeypatch.setattr("wasp_cli.drive.check.BRIEF", 5)
+    told = warning(wanted(imported, "wasp", 1.0).prepared())
+    assert told is not None
+    assert "would keep it in time" in told
+    assert warning(wanted(imported, "none", 1.0).prepared()) is None, "nobody is late who is not there"
+
+
+def test_an_assistant_that_changes_the_command_in_place_ends_the_session(imported: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decide = WASP.decide
+
+    def changing(self: WASP, latent: Any, a_h: Any, operator: Any) -> Any:
+        a_h *= 0.0
+        a_h += 0.25
+        return decide(self, latent, a_h, operator)
+
+    monkeypatch.setattr(WASP, "decide", changing)
+    with pytest.raises(WaspError, match="'WASP' changed the operator's command in place"):
+        checked_blocks(wanted(imported, "wasp", 1.0).prepared(), 3)
