@@ -174,7 +174,7 @@ class Storm:
 
 
 def storm(kills: int, seed: int, root: Path) -> Storm:
-    """Kill until every command had its share of the kills; in turns, so that a storm that is cut short has seen all of them."""
+    """Kill until every command had its share of the kills; next is the one that is furthest behind."""
     made = Storm(root, seed)
     made.do("preparing", lambda: prepare(root / "base"), root)
     print("prepared", flush=True)
@@ -184,9 +184,10 @@ def storm(kills: int, seed: int, root: Path) -> Storm:
         made.calm(command)
         print(f"{command.name}: {made.seconds[command.name]:.1f} s undisturbed, {quota[command.name]} kills to come", flush=True)
     while due := [command for command in COMMANDS if made.kills[command.name] < quota[command.name]]:
-        for command in due:
-            made.round(command, quota[command.name])
-        print(made.table(), flush=True)
+        command = min(due, key=lambda each: made.kills[each.name] / quota[each.name])
+        made.round(command, quota[command.name])
+        print(f"{command.name}: {made.kills[command.name]} of {quota[command.name]}", flush=True)
+    print(made.table(), flush=True)
     return made
 
 
