@@ -20,7 +20,8 @@ const listeners = {}, said = [];
 const anything = () => new Proxy({ style: {}, classList: { toggle() {} }, firstElementChild: null, dataset: {} }, {
   get: (own, name) => (name in own ? own[name] : () => anything()), set: (own, name, value) => { own[name] = value; return true; } });
 const byName = {};
-globalThis.document = { getElementById: (id) => (byName[id] ??= anything()), createElement: anything, addEventListener() {}, hasFocus: () => true };
+globalThis.document = {
+  getElementById: (id) => (byName[id] ??= anything()), createElement: anything, addEventListener() {}, hasFocus: () => true };
 globalThis.location = { search: "?token=t", host: "here" };
 globalThis.addEventListener = (name, does) => { listeners[name] = does; };
 globalThis.requestAnimationFrame = () => {};

@@ -22,6 +22,7 @@ from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.script import Habits, drive, to_the_goal
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.learning.playback import play
+from wasp_cli.metrics.episode import GATE_LATE
 from wasp_cli.store.artifact import corruption, read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing
@@ -76,7 +77,7 @@ def test_the_record_of_the_clock_has_a_row_for_every_decision(driven: tuple[Path
     late = np.array(beats["late"].to_pylist())
     a_h, a = np.array(steps["a_h"].to_pylist()), np.array(steps["a"].to_pylist())
     assert (a_h[late] == a[late]).all(), "where a decision is late the command is executed as it is"
-    assert set(np.array(steps["gate"].to_pylist())[late].tolist()) <= {0}
+    assert set(np.array(steps["gate"].to_pylist())[late].tolist()) <= {GATE_LATE}
     at = np.array(beats["at"].to_pylist())
     assert (np.diff(at) > 0).all()
     # 250 decisions of 40 ms each take ten seconds at least, whatever the machine.

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
+from wasp_cli.errors import WaspError
 from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.configs import ResidualConfig, ReturnsConfig
@@ -20,9 +22,10 @@ from wasp_cli.learning.heldout import load_heldout, save_heldout
 from wasp_cli.learning.nominal import heldout_rows
 from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
-from wasp_cli.methods.base import Parts
+from wasp_cli.methods.base import Decision, Parts
 from wasp_cli.methods.human import HumanOnly
-from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.tasks.base import Observation, Step
 
 
@@ -140,6 +143,20 @@ def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts: Parts) -> 
     together = drive([0, 1, 2], 9)
     for row in (0, 1, 2):
         np.testing.assert_allclose(drive([row], 9)[:, 0], together[:, row], atol=1e-5)
+
+
+class Changing(HumanOnly):
+    """An assistant that makes the command its own."""
+
+    def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        a_h *= 0.5
+        return super().decide(latent, a_h, operator)
+
+
+def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts: Parts) -> None:
+    operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0]), 1)
+    with pytest.raises(WaspError, match="'Changing' changed the operator's command in place"):
+        run_episodes(Staggered(1), parts.world_model, operator, Changing(), [0], [0])  # type: ignore[arg-type]
 
 
 def test_the_closed_loop_cuts_every_episode_at_its_end(parts: Parts, tmp_path: Path) -> None:

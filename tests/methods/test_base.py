@@ -19,14 +19,14 @@ class Mine:
 
 def test_commands_may_stand_without_a_record() -> None:
     decision = Decision(COMMANDS.clone())
-    assert checked(decision, Mine(), COMMANDS) is decision
+    assert checked(decision, Mine(), COMMANDS, COMMANDS.clone()) is decision
 
 
 def test_a_command_may_change_where_a_gate_fired() -> None:
     record = blank_record(2)
     record.gate[1] = 3
     decision = Decision(CHANGED, record)
-    assert checked(decision, Mine(), COMMANDS) is decision
+    assert checked(decision, Mine(), COMMANDS, COMMANDS.clone()) is decision
 
 
 @pytest.mark.parametrize(
@@ -41,10 +41,20 @@ def test_a_command_may_change_where_a_gate_fired() -> None:
 )
 def test_what_breaks_the_contract_is_said(decision: object, message: str) -> None:
     with pytest.raises(WaspError, match=message):
-        checked(decision, Mine(), COMMANDS)
+        checked(decision, Mine(), COMMANDS, COMMANDS.clone())
 
 
 def test_an_undefined_command_is_the_tasks_to_refuse() -> None:
     commands = torch.full((1, 2), torch.nan)
     decision = Decision(commands.clone())
-    assert checked(decision, Mine(), commands) is decision
+    assert checked(decision, Mine(), commands, commands.clone()) is decision
+
+
+@pytest.mark.parametrize("to", [0.0, torch.nan])
+def test_a_command_that_was_changed_in_place_is_refused(to: float) -> None:
+    """What is recorded as the command would be what the assistant made of it, without any intervention."""
+    commands = COMMANDS.clone()
+    given = commands.clone()
+    commands[1] = to
+    with pytest.raises(WaspError, match="'Mine' changed the operator's command in place"):
+        checked(Decision(commands), Mine(), commands, given)

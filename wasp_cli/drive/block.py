@@ -1,7 +1,7 @@
 """One block of a session: a person drives the episodes of one cell, with an assistant that answers in time or not at all.
 
 A decision: the latest state of the controls is the command; the assistant corrects it. Its search ends where the period does, and the world
-slows down where that is not enough. Only an assistant that takes PATIENCE periods is late: the command is executed as it is, and the row
+slows down where that is not enough. Only an assistant that takes PATIENCE seconds is late: the command is executed as it is, and the row
 says so. Everything is recorded as an evaluation records it, so that the block is a cell like any other.
 """
 
@@ -37,8 +37,10 @@ from wasp_cli.video.map import stick
 GATES = {0: "none", 1: "safety", 2: "task", 3: "method", GATE_LATE: "late"}
 ALONE = "human"
 """The method without an assistant: nobody can be late."""
-PATIENCE, LEAST = 4.0, 0.5
-"""Periods after which an assistant is late, and the share of one that its search has at least. The world slows down meanwhile."""
+PATIENCE = 1.0
+"""Seconds after which an assistant is late. The world slows down meanwhile: an answer that was waited for and thrown away helps nobody."""
+LEAST = 0.5
+"""Share of a period that its search has at least, however long everything else takes."""
 
 
 class Beat(NamedTuple):
@@ -49,7 +51,7 @@ class Beat(NamedTuple):
     decision_ms: float
     """how long the assistant was waited for"""
     late: bool
-    """it had not answered after PATIENCE periods, and the command was executed as it is"""
+    """it had not answered after PATIENCE seconds, and the command was executed as it is"""
     behind_ms: float
     """how long after its beat the decision began"""
     rest_ms: float
@@ -228,7 +230,7 @@ class _Running:
             with torch.inference_mode():
                 return checked(assistant.decide(latent, own, operator), assistant, own, a_h)
 
-        answered, seconds = block._decider.ask(answer, PATIENCE * block.period, clock.deadline(), LEAST * block.period)
+        answered, seconds = block._decider.ask(answer, PATIENCE, clock.deadline(), LEAST * block.period)
         late = answered is None and block.config.method != ALONE
         decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None) if answered is None else answered
         executed_at = time.monotonic()

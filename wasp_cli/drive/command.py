@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from wasp_cli.drive.check import Timing
 
 NONE = "none"
+WAITED = 20.0
+"""Milliseconds after their beat at which decisions may begin without a warning."""
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,8 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
         say(f"{block['label']}: {block['episodes']} episodes{whole}; {late} ({block['key']})")
         if block["late"] > TOLERATED * block["decisions"]:
             say(f"warning: nobody assisted in the late ones, and the report says so; try --speed {session.how.speed / 2:g}")
+        if (waited := block["behind_p50_ms"] or 0.0) > WAITED:
+            say(f"warning: the world slowed down, half of the time by {waited:.0f} ms or more; try --speed {session.how.speed / 2:g}")
     if session.failure is not None:
         raise session.failure
     if interrupted:

@@ -84,7 +84,7 @@ def plan_residuals(
             recovery, so that an escape once begun is not given up for one that is no better. Zeros where there is none.
         time_is_up: asked before every further batch of rollouts; once it says so the best so far is selected, on the draws of the search.
             None: the search is never cut off.
-        gate: of the commands without residuals [B], as the gates saw them; what a search that is cut off compares with.
+        gate: of the commands without residuals [B], as the gates saw them; a search that is cut off compares with these.
     """
     config = imagination.config
     search = _Search(mean, torch.full_like(mean, config.initial_std))
@@ -113,9 +113,13 @@ def plan_residuals(
 
     # Finalists: the best plans of all iterations by either score, scored again with fresh rollouts, beside the commands alone.
     over = over or (time_is_up is not None and time_is_up())
-    if fresh is None or over:
+    if over and gate is not None:
+        # No rollouts any more: the commands alone are a finalist as the gates saw them.
+        nothing = Batch(torch.zeros_like(mean).unsqueeze(1), None, Returns(*(values.unsqueeze(1) for values in gate)))
+        finalists, alone = Batch.joined([everything, nothing]), gate
+    elif fresh is None:
         finalists = everything
-        alone = gate if over and gate is not None else imagination.nominal(start, draws)
+        alone = imagination.nominal(start, draws)
     else:
         finalists = _finalists(everything, search.mean, kept, config, tau_c)
         again = imagination.returns(start, finalists.residuals, fresh, *_shares(finalists), alone=1)

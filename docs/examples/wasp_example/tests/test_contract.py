@@ -47,7 +47,8 @@ def drive(parts, rows):
         source = torch.Generator().manual_seed(t)
         latent = Latent(torch.randn(len(SEEDS), H, generator=source), torch.randn(len(SEEDS), Z, generator=source)).rows(torch.tensor(rows))
         a_h = who.command(latent.features)
-        decision = checked(assistant.decide(latent, a_h.clone(), who), assistant, a_h)
+        given = a_h.clone()
+        decision = checked(assistant.decide(latent, a_h, who), assistant, a_h, given)
         found.append((a_h, decision.action, decision.record.gate > 0))
     return [torch.stack(values) for values in zip(*found, strict=True)]
 
