@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from wasp_cli.plan.node import Cell, Part
     from wasp_cli.report.document import Report
     from wasp_cli.report.page.films import Draw
+    from wasp_cli.run.record import Recorded
     from wasp_cli.spec.model import Spec
     from wasp_cli.spec.paper import Paper
     from wasp_cli.store.layout import Layout
@@ -43,7 +44,8 @@ class NotWritten(WaspError):
 @report_app.command(
     rich_help_panel=PANEL,
     epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1 --strict[/]\n\n"
-    "Exit codes: 0 done, 1 part of the results cannot be read (with --strict also: something is missing), 2 usage, 3 invalid paper.",
+    "Exit codes: 0 done, 1 part of the results cannot be read (with --strict also: something is missing; with --verify also: a file was "
+    "changed), 2 usage, 3 invalid paper.",
 )
 @expected_errors
 def report(
@@ -59,6 +61,9 @@ def report(
         option("--out", metavar="DIR", parser=parse_folder, help="Write to DIR/<spec>. (default: reports/ in the results folder)"),
     ] = None,
     strict: Annotated[bool, flag("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
+    verify: Annotated[
+        bool, flag("--verify", help="Compare the SHA-256 of every file with its manifest; exit with 1 if one differs.")
+    ] = False,
     films: Annotated[bool, flag("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
     trained: Annotated[bool, flag("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
@@ -79,11 +84,13 @@ def report(
         raise UnknownName("spec in these results", spec, runs)
     gaps: list[str] = []
     missing: list[str] = []
+    changed: list[str] = []
     unwritten: list[NotWritten] = []
     for name, run_id in runs.items():
         if spec in (None, name):
             try:
                 recorded = read_run(layout, run_id)
+                changed += _changed(layout, recorded) if verify else []
                 shown = show_report(
                     layout,
                     recorded.spec,
@@ -105,6 +112,12 @@ def report(
                 unwritten.append(error)
             except WaspError as error:  # the other specs are still worth seeing
                 damaged.append(error.message)
+    if changed:
+        damaged += changed
+        hint = "remove the folder of each in store/, and run the spec again: what is gone is computed again"
+        raise ArtifactError(
+            "\n".join([f"files are not those that were stored ({len(changed)}):", *(f"  {text}" for text in damaged)]), hint
+        )
     if damaged:
         lines = "\n".join(f"  {text}" for text in dict.fromkeys(damaged))
         raise ArtifactError(f"part of the results cannot be read:\n{lines}", "run the spec again: only damaged results are computed again")
@@ -113,6 +126,19 @@ def report(
     if strict and gaps:
         more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
         raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
+
+
+def _changed(layout: Layout, recorded: Recorded) -> list[str]:
+    """Which artifacts of a run have other bytes than their manifests say; the number of those that were read is told."""
+    from wasp_cli.console import say
+    from wasp_cli.plan.grid import COUNTERFACTUAL
+    from wasp_cli.report.verify import altered
+    from wasp_cli.store.find import KIND
+
+    artifacts = [(KIND, key) for _, key in recorded.cells] + [(COUNTERFACTUAL, key) for _, key in recorded.branched]
+    read, wrong = altered(layout, [*artifacts, *((part.kind, key) for part, key in recorded.parts)])
+    say(f"SHA-256 of {recorded.spec.name}: {read - len(wrong)} of {read} results are as they were stored")
+    return wrong
 
 
 def show_report(

@@ -75,14 +75,19 @@ class Origins:
 
     total: int = 0
     published: list[Mapping[str, Any]] = field(default_factory=list)
+    versions: dict[str, Counter[str]] = field(default_factory=dict)
+    """By what it is, the number of cells that were computed with each version of it."""
     halved: list[str] = field(default_factory=list)
     """Labels of the cells that were computed from parts in half precision."""
 
     def add(self, manifest: Mapping[str, Any]) -> None:
         """Take one more artifact into account."""
         self.total += 1
-        if manifest.get("kind") == KIND and half_inputs(manifest):
-            self.halved.append(str(manifest.get("label")))
+        if manifest.get("kind") == KIND:
+            for name, version in _versions(manifest):
+                self.versions.setdefault(name, Counter())[version] += 1
+            if half_inputs(manifest):
+                self.halved.append(printable(str(manifest.get("label"))))
         if is_from_published(manifest):
             self.published.append(manifest)
 
@@ -103,9 +108,30 @@ class Origins:
 
     def remarks(self) -> Iterator[str]:
         """Yield what the keys of cells do not tell apart."""
+        mixed = {name: counts for name, counts in self.versions.items() if len(counts) > 1}
+        if mixed:
+            said = [f"{name} {_counted(counts)}" for name, counts in mixed.items()]
+            yield f"The cells were not computed with the same versions: {'; '.join(said)}."
         if self.halved:
             cells = "1 cell was" if len(self.halved) == 1 else f"{len(self.halved)} cells were"
             yield f"{cells} computed from parts in half precision; whole parts give other numbers: {few(self.halved, NAMED)}."
+
+
+def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What computed an artifact: commit, Python and libraries, each with its version."""
+    provenance = manifest["provenance"]
+    git, python, libraries = (provenance.get(name) for name in ("git", "python", "versions"))
+    if isinstance(git, Mapping) and isinstance(git.get("sha"), str):
+        changes = f" with changes {str(git.get('changes') or '')[:SHA_LENGTH]}".rstrip() if git.get("dirty") else ""
+        yield "commit", printable(f"{git['sha'][:SHA_LENGTH]}{changes}")
+    if isinstance(python, str):
+        yield "Python", printable(python)
+    for name, version in (libraries if isinstance(libraries, Mapping) else {}).items():
+        yield printable(str(name)), printable(str(version))
+
+
+def _counted(counts: Counter[str]) -> str:
+    return ", ".join(f"{version} ({count} cell{'s' if count > 1 else ''})" for version, count in counts.most_common())
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:

@@ -1,0 +1,50 @@
+"""What a table cannot see: rows that somebody changed, and cells of several versions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from tests.commands import run_here
+from tests.compare.two_runs import write_results
+from wasp_cli.store.tables import EPISODES_FILE, write_episodes
+
+REPORT = ("--no-films", "--no-trained", "--paper", "none")
+
+
+def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:
+    side = write_results(tmp_path / "results")
+    assert run_here("report", side.layout.root, *REPORT, "--verify", columns=300).exit_code == 0
+    (_, key), *_ = side.cells
+    path = side.layout.artifact("evaluate", key) / EPISODES_FILE
+    table = pq.read_table(path)
+    place = table.column_names.index("return")
+    better = pc.add(table["return"], pa.scalar(5.0, table.schema.field(place).type))
+    write_episodes(table.set_column(place, table.schema.field(place), better), path)
+    manifest = side.layout.manifest("evaluate", key)
+    record = json.loads(manifest.read_text(encoding="utf-8"))
+    record["files"][EPISODES_FILE]["size"] = path.stat().st_size  # as large as before, for all that a plan sees
+    manifest.write_text(json.dumps(record), encoding="utf-8")
+    assert run_here("report", side.layout.root, *REPORT, columns=300).exit_code == 0
+    told = run_here("report", side.layout.root, *REPORT, "--verify", columns=300)
+    assert told.exit_code == 1
+    assert f"'{path}' has other bytes than were stored" in told.output
+    assert "files are not those that were stored (1):" in told.output
+
+
+def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
+    side = write_results(tmp_path / "results", provenance={"git": {"sha": "a" * 40, "dirty": False}, "python": "3.11.7"})
+    assert "same versions" not in run_here("report", side.layout.root, *REPORT, columns=300).output
+    for _, key in side.cells[:3]:
+        path = side.layout.manifest("evaluate", key)
+        record = json.loads(path.read_text(encoding="utf-8"))
+        record["provenance"] |= {"versions": {"torch": "1.0.0"}, "git": {"sha": "b" * 40, "dirty": False}}
+        path.write_text(json.dumps(record), encoding="utf-8")
+    said = "commit aaaaaaa (5 cells), bbbbbbb (3 cells); torch 2.13.0 (5 cells), 1.0.0 (3 cells)."
+    assert (
+        f"The cells were not computed with the same versions: {said}" in run_here("report", side.layout.root, *REPORT, columns=300).output
+    )
