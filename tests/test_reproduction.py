@@ -27,6 +27,7 @@ VERDICTS = {
     "undecided": r"undecided with \d seeds?",
 }
 """As a report of one training says it, or of several."""
+BASELINES = ("ida", "diffusion", "saferl")
 
 
 def rows_of(text: str) -> list[list[str]]:
@@ -77,7 +78,7 @@ def test_each_claim_has_the_verdict_and_the_comparison_of_its_report() -> None:
     listed = rows_of(section("The 21 claims"))[1:]
     ids = re.findall(r"^  - id: ([\w-]+)$", (ROOT / "specs" / "paper.yaml").read_text(encoding="utf-8"), re.MULTILINE)
     assert [re.findall(r"\(`([\w-]+)`\)", row[0]) for row in listed] == [[each] for each in ids]
-    for says, verdict, report, decides in listed:
+    for says, verdict, _, report, decides in listed:
         text = (REPORTS / report / "report.md").read_text(encoding="utf-8")
         says, name = re.fullmatch(r"(.+) \(`([\w-]+)`\)", says).groups()  # type: ignore[union-attr]
         assert re.search(rf"- \*\*{VERDICTS[verdict]}\*\*: {re.escape(says)} \(`{name}`, section ", text)
@@ -157,16 +158,57 @@ def test_a_difference_is_paired_by_world_and_has_the_error_of_a_mean_over_operat
     assert found[2] == pytest.approx(math.sqrt(sum(statistics.variance(each) / 30 for each in apart)) / 2)
 
 
-def test_in_each_training_wasp_costs_less_than_the_baselines(tmp_path: Path) -> None:
-    """The sentence below the first table of the README."""
-    done = run_here("run", ROOT / "specs" / "table1.yaml", "--results", tmp_path, columns=200)
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results folder of a run of Table 1, which copies what is published."""
+    results = tmp_path_factory.mktemp("table1")
+    done = run_here("run", ROOT / "specs" / "table1.yaml", "--results", results, columns=200)
     assert done.exit_code == 0, done.stderr
-    found = wasp_cli.results(tmp_path).episodes(method=["wasp", "ida", "diffusion", "saferl"], variant="full").to_pylist()
-    costs: dict[tuple[str, int], dict[str, list[int]]] = {}
+    return results
+
+
+def test_in_each_training_wasp_costs_less_than_the_baselines(printed: Path) -> None:
+    """The sentence below the first table of the README, and of how many differences the 95 % interval over worlds includes zero."""
+    found = wasp_cli.results(printed).episodes(method=["wasp", *BASELINES], variant="full").to_pylist()
+    costs: dict[tuple[str, int], dict[str, dict[int, list[int]]]] = {}
     for row in found:
-        costs.setdefault((row["task"], row["seed"]), {}).setdefault(row["method"], []).append(row["cost"])
+        worlds = costs.setdefault((row["task"], row["seed"]), {}).setdefault(row["method"], {})
+        worlds.setdefault(row["episode_seed"], []).append(row["cost"])
     assert len(costs) == 9
+    open_ones = 0
     for by_method in costs.values():
-        means = {method: statistics.mean(each) for method, each in by_method.items()}
-        assert len(means) == 4
-        assert min(means, key=means.__getitem__) == "wasp"
+        assert len(by_method) == 4
+        for name in BASELINES:
+            apart = [statistics.mean(by_method["wasp"][world]) - statistics.mean(each) for world, each in by_method[name].items()]
+            assert len(apart) == 30
+            assert statistics.mean(apart) < 0
+            open_ones += statistics.mean(apart) + 1.96 * statistics.stdev(apart) / math.sqrt(30) > 0
+    for page in (PAGE, (ROOT / "README.md").read_text(encoding="utf-8")):
+        assert (
+            f"{open_ones} of these 27 paired differences include zero" in page
+            or f"of these 27 paired differences {open_ones} include zero" in page
+        )
+
+
+def test_each_claim_has_the_verdict_of_the_row_as_printed(printed: Path) -> None:
+    text = (printed / "reports" / "table1" / "report.md").read_text(encoding="utf-8")
+    judged = {row[0].strip("`"): row[1:] for row in rows_of(text.split("\n## The paper's claims\n", 1)[1].split("\n- **", 1)[0])}
+    assert judged.pop("Claim") == ["Verdict", "WASP (as printed)"]
+    plain = {word: re.sub(r" with \d seeds?$", "", word) for pair in judged.values() for word in pair}
+    shown = rows_of(section("The 21 claims"))[1:]
+    for says, _, second, _, _ in shown:
+        (name,) = re.findall(r"\(`([\w-]+)`\)", says)
+        assert second.strip("*") == (plain[judged[name][1]] if judged.get(name, ["", ""])[1] else "n/a")
+    pairs = [pair for pair in judged.values() if pair[1]]
+    assert f"Of the {len(pairs)} claims that this row can answer {sum(own != other for own, other in pairs)} come out differently" in PAGE
+
+
+def test_of_how_many_episodes_an_ablation_changed_nothing(tmp_path: Path) -> None:
+    """The sentence below Table 2."""
+    done = run_here("run", ROOT / "specs" / "table2.yaml", "--results", tmp_path, columns=200)
+    assert done.exit_code == 0, done.stderr
+    text = (tmp_path / "reports" / "table2" / "table2.md").read_text(encoding="utf-8")
+    case2, gate = (
+        re.findall(rf"{name}: (\d+) of 120 episodes are the same", text)[0] for name in ("no Case II recovery", "task gate only")
+    )
+    assert f"without Case II {case2} of 120 episodes are identical to those of the whole, without the safety gate {gate}." in PAGE

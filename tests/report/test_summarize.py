@@ -215,7 +215,7 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert found["wasp.candidates"] == (8, "differs from the paper, which has 300: N, section 5.1")
     assert "wasp.horizon" not in found  # 15, as in the paper
     assert "wasp.tau_c" in found
-    assert found["the filter"][0] == "mode"  # no setting, and told all the same
+    assert {found[name][0] for name in ("the filter", "wasp: step k")} == {"mode", "k + 1"}  # no settings, and told all the same
     assert found["world_model.free_nats"][1].startswith("differs from the paper: ")
     differs = [why.startswith("differs from the paper") for _, why in found.values()]
     assert differs == sorted(differs, reverse=True)  # what differs comes first
@@ -336,7 +336,7 @@ def test_published_results_are_counted_and_their_code_is_compared(spec: Spec, ce
         import_artifact(layout, "evaluate", name)
     report = report_run(tmp_path, spec, cells)
     # Ten cells, and behind them two experts, two world models and two calibrations.
-    today = "their code and libraries are those of today"
+    today = "made with the present code and libraries"
     assert report.published == (
         f"2 of 16 results here are published ones (2 evaluate), computed by wasp 0.9 (git abcdef0) on 2026-01-02; {today}.",
         f"Published cells: evaluate {cells[0][1][:4]}, evaluate {cells[1][1][:4]}.",

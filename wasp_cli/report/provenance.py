@@ -151,7 +151,7 @@ def _code_since(manifests: Sequence[Mapping[str, Any]]) -> str:
     changes: dict[str, None] = {}
     for manifest in manifests:
         changes |= dict.fromkeys([*changed_since(_modules(manifest)), *library_changes(manifest)])
-    return f"since then has changed: {few(list(changes))}" if changes else "their code and libraries are those of today"
+    return f"since then has changed: {few(list(changes))}" if changes else "made with the present code and libraries"
 
 
 def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
@@ -231,6 +231,13 @@ POSTERIOR = (
     "the same latent",
 )
 """An assumption that cannot be a choice: operators, filter and task share no random stream that a sample could come from."""
+READINGS = (
+    ("wasp, as printed: discounts", "gamma_r", f"{DIFFERS}: no setting: Eq. 7-8 use the rewards' discount for costs too, and V_c "
+     "behind the horizon was trained with `returns.gamma_c`"),
+    ("wasp: step k", "k + 1", "no setting: reward and cost of an imagined step are read at the state that it arrives in"),
+    ("wasp: residuals", "[-2, 2]", "no setting: samples are cut where a residual to a command within ±1 stops to differ"),
+)  # fmt: skip
+"""What section 4 leaves to the reader, and no field says."""
 
 
 def assumptions_in_force(spec: Spec) -> list[Assumption]:
@@ -260,6 +267,8 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
             found.append((name, value, why))
     if "world_model" in kinds:
         found.append(POSTERIOR)
+    if "wasp" in assistants:
+        found += READINGS
     return sorted(found, key=lambda one: not one[2].startswith(DIFFERS))
 
 
