@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.plan.keys import LENGTH, canonical, key_of, libraries
+from wasp_cli.plan import keys
+from wasp_cli.plan.keys import LENGTH, canonical, key_of, libraries, recipe_of
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
@@ -54,3 +55,15 @@ def test_library_versions_are_major_and_minor() -> None:
 def test_every_library_that_computes_is_in_the_key() -> None:
     assert set(libraries()) == {"mujoco", "numpy", "stable-baselines3", "torch"}
     assert "absent" not in libraries().values()
+
+
+def test_a_key_covers_schema_and_libraries_and_a_recipe_the_schema_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    identity = {"kind": "expert"}
+    key, recipe = key_of(identity), recipe_of(identity)
+    with monkeypatch.context() as other:
+        other.setattr(keys, "_libraries_text", lambda: canonical(libraries() | {"torch": "0.1"}))
+        assert key_of(identity) != key
+        assert recipe_of(identity) == recipe
+    monkeypatch.setattr(keys, "SCHEMA", keys.SCHEMA + 1)
+    assert key_of(identity) != key
+    assert recipe_of(identity) != recipe
