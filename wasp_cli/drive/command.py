@@ -188,12 +188,14 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
     for block in session.done:
         whole = "" if block["episodes"] == block["of"] else f" of {block['of']}: the session ended early"
         late = f"{block['late']} of {block['decisions']} decisions late"
-        say(f"{block['label']}: {block['episodes']} episodes{whole}; {late} ({block['key']})")
+        say(f"{block['label']}: {block['episodes']} episode{'' if block['episodes'] == 1 else 's'}{whole}; {late} ({block['key']})")
     if session.failure is not None:
         raise session.failure
     if interrupted:
         kept = sum(block["episodes"] for block in session.done)
-        raise Interrupted(f"interrupted: {kept} finished episodes are kept", "the same command goes on where it was")
+        raise Interrupted(
+            f"interrupted: {kept} finished episode{' is' if kept == 1 else 's are'} kept", "the same command goes on where it was"
+        )
     return {"run": session.run_id, "participant": session.participant, "blocks": session.done}
 
 
