@@ -30,7 +30,9 @@ def test_what_c_libraries_print_goes_to_the_log(job: NodeJob, capfd: pytest.Capt
     monkeypatch.setattr(Fake, "run", lambda self, job: {"written": os.write(1, b"one") + os.write(2, b"two")})
     result = execute(job)
     assert result.summary == {"written": 6}
-    assert Path(result.log).read_text(encoding="utf-8") == "onetwo"
+    begun, ended = Path(result.log).read_text(encoding="utf-8").splitlines()
+    assert begun.startswith(f"{job.label}: begun 20")
+    assert ended.startswith(f"onetwo{job.label}: done in "), "a log says when the node began and ended, also where nothing is printed"
     os.write(1, b"restored")
     assert capfd.readouterr() == ("restored", "")
 

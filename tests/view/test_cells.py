@@ -39,7 +39,9 @@ def test_a_cell_that_is_computed_meanwhile_appears(tmp_path: Path) -> None:
         (texts,) = numbers(server).values()
         assert texts[0] == "1"
         assert texts[-1] == ""
-        assert ask(server, f"/cell/{it.key}")[0] == 200
+        status, _, body = ask(server, f"/cell/{it.key}")
+        assert status == 200
+        assert "<h2>1 episode</h2>" in body
 
 
 def test_what_is_noted_with_the_command_changes_the_numbers_of_the_page(tmp_path: Path) -> None:

@@ -102,6 +102,17 @@ def test_a_node_is_taken_back_behind_a_confirmation(layout: Layout) -> None:
         assert layout.cancel(RUN, key(2)).exists()
 
 
+def test_what_was_not_needed_is_not_said_to_be_there(tmp_path: Path) -> None:
+    layout = Layout(tmp_path / "results")
+    layout.prepare()
+    states = ("unneeded", "cached", "missing")
+    write_run(layout, RUN, [planned(number, f"goal1 s{number} expert", state) for number, state in enumerate(states)], [], {})
+    with viewed(layout.root) as server:
+        page = ask(server, f"/run/{RUN}")[2]
+        assert "<title>expert: 1 waiting, 1 cached, 1 not needed</title>" in page
+        assert 'class="not needed"' not in page
+
+
 def test_a_log_is_text(layout: Layout) -> None:
     with viewed(layout.root) as server:
         status, _, body = ask(server, f"/run/{RUN}/log/{key(1)}")

@@ -60,6 +60,7 @@ def test_from_the_table_to_a_step_and_back(browser: Browser, results: Path) -> N
             press(tab, key)
             tab.until(f"document.querySelector('.step').dataset.shown === '{step}'")
             assert f"decision {step} " in tab.value(said)
+            assert f"decision {step} of 0 to " in tab.value("document.querySelector('.scrubber output, output').textContent")
             assert tab.value("location.search") == f"?step={step}"
             assert tab.value("document.querySelector('.cursor').getAttribute('x1')") == str(step + 0.5)
         stops = tab.value("JSON.parse(document.querySelector('section.episode').dataset.stops)")

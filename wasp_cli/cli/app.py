@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from wasp_cli import __version__
 from wasp_cli.cli.bench import bench_app
@@ -21,8 +22,29 @@ from wasp_cli.cli.spec import spec_app, tasks_app
 from wasp_cli.cli.store import store_app
 from wasp_cli.cli.view import view_app
 
+
+class _Plain:
+    """A command whose help shows no type behind the switches that typer adds itself, such as --help."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False) and param.metavar is None:
+                param.metavar = ""
+        return params
+
+
+class _Command(_Plain, TyperCommand):
+    pass
+
+
+class _Group(_Plain, TyperGroup):
+    pass
+
+
 app = typer.Typer(
     name="wasp",
+    cls=_Group,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -32,9 +54,12 @@ app = typer.Typer(
 )
 for group in (run_app, report_app, view_app, inspect_app, drive_app, spec_app, store_app):
     app.add_typer(group)
-app.add_typer(tasks_app, name="tasks", rich_help_panel="Specs and tasks")
-app.add_typer(bench_app, name="bench", rich_help_panel="Maintenance")
+app.add_typer(tasks_app, name="tasks", cls=_Group, rich_help_panel="Specs and tasks")
+app.add_typer(bench_app, name="bench", cls=_Group, rich_help_panel="Maintenance")
 app.add_typer(doctor_app)
+for added in app.registered_groups:
+    for command in added.typer_instance.registered_commands if added.typer_instance else ():
+        command.cls = _Command
 
 
 def _version(wanted: bool) -> None:

@@ -94,7 +94,7 @@ def resume(folder: ResultsArgument = None, run: RunOption = None, results: Resul
 
 @inspect_app.command(
     rich_help_panel=NODES,
-    epilog="[bold]wasp cancel 'goal1 s0 world_model'[/]   ·   [bold]wasp cancel 611a4993[/]\n\n"
+    epilog="[bold]wasp cancel 'goal1 s1 wasp laggy=0.7'[/]   ·   [bold]wasp cancel 'goal1 s1 heldout' --run quickstart[/]\n\n"
     "Exit codes: 0 done, 1 the results cannot be read, 2 no such node runs or waits.",
 )
 @expected_errors
@@ -114,7 +114,7 @@ def cancel(node: NodeArgument, run: RunOption = None, results: ResultsOption = P
 
 @inspect_app.command(
     rich_help_panel=NODES,
-    epilog="[bold]wasp logs 'goal1 s0 world_model'[/]   ·   [bold]tail -f $(wasp logs 611a4993 --path)[/]\n\n"
+    epilog="[bold]wasp logs 'goal1 s1 heldout'[/]   ·   [bold]tail -f \"$(wasp logs 'goal1 s1 heldout' --path)\"[/]\n\n"
     "Exit codes: 0 done, 1 the results cannot be read, 2 no such node.",
 )
 @expected_errors
@@ -124,10 +124,9 @@ def logs(
     results: ResultsOption = Path("results"),
     path: Annotated[bool, flag("--path", help="Print the path of the log, not the log.")] = False,
 ) -> None:
-    """Print the log of a node: a training stage or an evaluation, running, finished or failed."""
+    """Print the log of a node that a run computed: when it began and ended, what it printed, why it failed."""
     import sys
 
-    from wasp_cli.console import plain
     from wasp_cli.plan.recorded import named_run, planned_runs
     from wasp_cli.run.record import results_of
     from wasp_cli.run.show import find_log, write_log
@@ -139,13 +138,11 @@ def logs(
         print(log.path)
     else:
         write_log(log, sys.stdout)
-        if not log.path.stat().st_size:
-            plain(f"the log is empty: {log.label} printed nothing")
 
 
 @inspect_app.command(
     rich_help_panel=NODES,
-    epilog="[bold]wasp show 611a4993[/]   ·   [bold]wasp show 'goal1 s0 world_model' --json | jq .provenance.git[/]\n\n"
+    epilog="[bold]wasp show 'goal1 s1 world_model'[/]   ·   [bold]wasp show 'goal1 s1 world_model' --json | jq .provenance.git[/]\n\n"
     "Exit codes: 0 done, 1 the manifest cannot be read, 2 no such node.",
 )
 @expected_errors
@@ -169,7 +166,8 @@ def show(node: NodeArgument, run: RunOption = None, results: ResultsOption = Pat
 
 @inspect_app.command(
     rich_help_panel=EPISODES,
-    epilog="[bold]wasp explain 611a4993 --episode 3[/]   ·   [bold]wasp explain 'goal1 s0 wasp laggy=0.7' --episode 3 --step 57[/]\n\n"
+    epilog="[bold]wasp explain 'goal1 s1 wasp laggy=0.7' --episode 3[/]   ·   "
+    "[bold]wasp explain 'goal1 s1 wasp laggy=0.7' --episode 3 --step 57[/]\n\n"
     "Exit codes: 0 done, 1 the rows cannot be read, 2 no such cell, episode or step.",
 )
 @expected_errors
@@ -216,7 +214,8 @@ def explain(
 
 @inspect_app.command(
     rich_help_panel=EPISODES,
-    epilog="[bold]wasp replay 'goal1 s1 wasp laggy=0.7' --episode 0[/]   ·   [bold]wasp replay 611a4993 -e 3 --every 2 --out a.webp[/]\n\n"
+    epilog="[bold]wasp replay 'goal1 s1 wasp laggy=0.7' --episode 0[/]   ·   "
+    "[bold]wasp replay 'goal1 s1 ida laggy=0.7' -e 3 --every 2 --out a.webp[/]\n\n"
     "Exit codes: 0 done, 1 the episode cannot be replayed, 2 no such cell, episode or step, or an unsupported file format.",
 )
 @expected_errors

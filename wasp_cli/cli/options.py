@@ -52,9 +52,9 @@ ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=
 ResultsArgument = Annotated[
     Path | None, argument(metavar="[DIR]", parser=parse_folder, help="The results folder. (default: what --results says)")
 ]
-NodeArgument = Annotated[str, argument(metavar="NODE", help="A label ('goal1 s0 world_model'), or the beginning of a key.")]
+NodeArgument = Annotated[str, argument(metavar="NODE", help="A label ('goal1 s1 world_model'), or the beginning of a key.")]
 StoredCellArgument = Annotated[
-    str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
+    str, argument(metavar="CELL", help="A label ('goal1 s1 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
 ]
 EpisodeOption = Annotated[int, option("--episode", "-e", metavar="E", help="The episode, counted from 0.")]
 TaskOption = Annotated[

@@ -82,12 +82,12 @@ def view(
 @view_app.command(
     rich_help_panel="Results",
     epilog="[bold]wasp note 'goal1 s1 wasp laggy=0.7' --episode 3 --invalid 'the robot starts within a hazard'[/]   ·   "
-    "[bold]wasp note 611a4993 'worth a look'[/]   ·   [bold]wasp note 611a4993 -e 3 --valid ''[/]\n\n"
+    "[bold]wasp note 'goal1 s1 wasp laggy=0.7' 'worth a look'[/]   ·   [bold]wasp note 'goal1 s1 wasp laggy=0.7' -e 3 --valid ''[/]\n\n"
     "Exit codes: 0 done, 1 the note cannot be written, 2 no such cell or episode.",
 )
 @expected_errors
 def note(
-    cell: Annotated[str, argument(metavar="CELL", help="A label ('goal1 s0 wasp laggy=0.7'), or the beginning of a key.")],
+    cell: Annotated[str, argument(metavar="CELL", help="A label ('goal1 s1 wasp laggy=0.7'), or the beginning of a key.")],
     text: Annotated[str, argument(metavar="TEXT", help="What there is to say.")],
     episode: Annotated[int | None, option("--episode", "-e", min=0, metavar="E", help="One episode. (default: the whole cell)")] = None,
     invalid: Annotated[bool, flag("--invalid", help="Reports leave it out, and say so.")] = False,

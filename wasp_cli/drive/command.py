@@ -193,7 +193,7 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
     for block in session.done:
         whole = "" if block["episodes"] == block["of"] else f" of {block['of']}: the session ended early"
         late = f"{block['late']} of {block['decisions']} decisions late"
-        say(f"{block['label']}: {block['episodes']} episodes{whole}; {late} ({block['key']})")
+        say(f"{block['label']}: {block['episodes']} episode{'' if block['episodes'] == 1 else 's'}{whole}; {late} ({block['key']})")
         if block["late"] > TOLERATED * block["decisions"]:
             say(f"warning: nobody assisted in the late ones, and the report says so; try --speed {session.how.speed / 2:g}")
         if (waited := block["behind_p50_ms"] or 0.0) > WAITED:
@@ -202,7 +202,9 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
         raise session.failure
     if interrupted:
         kept = sum(block["episodes"] for block in session.done)
-        raise Interrupted(f"interrupted: {kept} finished episodes are kept", "the same command goes on where it was")
+        raise Interrupted(
+            f"interrupted: {kept} finished episode{' is' if kept == 1 else 's are'} kept", "the same command goes on where it was"
+        )
     return {"run": session.run_id, "participant": session.participant, "blocks": session.done}
 
 

@@ -16,6 +16,7 @@ from typing import Any, TextIO
 
 from wasp_cli import seeds
 from wasp_cli.config import Config
+from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, UsageError, WaspError
 from wasp_cli.memory import keep_memory
 from wasp_cli.operators.clones import PlacedClone, placed
@@ -121,6 +122,7 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
     staging = staging_folder(layout, job.key)
     started_at = datetime.now(UTC).isoformat(timespec="seconds")
     began = time.monotonic()
+    _note(log, f"{job.label}: begun {started_at}, process {os.getpid()} on {platform.node()}")
     try:
         with (
             limited(job.limit, layout.overdue(job.run_id, job.key), own_process),
@@ -146,7 +148,15 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
         raise
     layout.failure(job.key).unlink(missing_ok=True)
     discard(layout.work(job.key))
+    _note(log, f"{job.label}: done in {duration(seconds)}")
     return NodeResult(job.key, "done", time.monotonic() - started, summary, log=str(log))
+
+
+def _note(log: Path, text: str) -> None:
+    """Add a line to the log. A disk that is full must not end the node here: its own writing will."""
+    _flush()
+    with suppress(OSError), log.open("a", encoding="utf-8") as file:
+        file.write(f"{text}\n")
 
 
 def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:

@@ -28,7 +28,9 @@ TAIL = 200_000
 NODES = 400
 """Nodes of a stage that are listed."""
 FACTS = {"done": "done", "shared": "done", "failed": "failed", "blocked": "blocked", "cancelled": "cancelled"}
-STATES = ("done", "running", "failed", "blocked", "cancelled", "waiting", "cached")
+UNNEEDED = "not needed"
+"""Said of a node that is not in the store, since everything that needs it was there."""
+STATES = ("done", "running", "failed", "blocked", "cancelled", "waiting", "cached", UNNEEDED)
 ASKS = {"pause": "begins nothing new; what runs goes on to its end", "resume": "goes on", "cancel": "takes a node back, and what needs it"}
 
 BOX, GAP, HIGH = 168, 44, 46
@@ -144,7 +146,8 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> list[Stage]:
     active = {node.key for node in state.active if not node.gone} if state.state == "running" else set()
     by_kind: dict[str, list[tuple[PlannedNode, str]]] = {}
     for node in run.nodes.values():
-        here = "running" if node.key in active else ends.get(node.key) or ("waiting" if node.runs else "cached")
+        before = UNNEEDED if node.state == "unneeded" else "waiting" if node.runs else "cached"
+        here = "running" if node.key in active else ends.get(node.key) or before
         by_kind.setdefault(node.kind, []).append((node, here))
     place = layers(run)
     stages = []
@@ -205,7 +208,7 @@ def _parts(counts: Mapping[str, int], total: int, width: float) -> list[tuple[st
     found, x = [], 0.0
     for name in sorted(STATES, key=lambda each: each != "cached"):  # what was there before comes first
         wide = width * min(counts.get(name, 0) / max(total, 1), 1.0)
-        if wide and name != "waiting":
+        if wide and name not in ("waiting", UNNEEDED):
             found.append((name, round(x, 1), round(wide, 1)))
         x += wide
     return found

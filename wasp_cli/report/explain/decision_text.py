@@ -60,6 +60,8 @@ def _headline(facts: DecisionFacts) -> str:
     for name, gate, symbols in (("safety", facts.safety, ("G^c", "τ_c")), ("task", facts.task, ("ΔG", "τ_r"))):
         if gate is not None and gate.state == "fired":
             value, limit = beside(gate.value, gate.threshold)
+            if facts.plan is not None and not facts.intervened:
+                did = "the best correction was none, the command was executed"
             return f"The {name} gate fired ({symbols[0]} {value} > {symbols[1]} {limit}): {did}."
     if facts.gate == "late":
         return f"The assistant had not answered in time: {did}."

@@ -83,7 +83,7 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
                     draw_curve(panel, curve, column, CROWDED)
                 panel.set_title(f"{task_title(task)}: {column.heading}", loc="left", fontsize=9)
                 _name_conditions(panel, conditions)
-        legend(figure, panels.flat, loc="outside lower center", ncols=min(7, len(found)))
+        legend(figure, panels.flat, loc="outside lower center", most=7)
         return figure_files(figure, folder, "severity")
 
 

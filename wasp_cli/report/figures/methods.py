@@ -144,8 +144,7 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
             panels[-1], ("Share of the interventions by the risk ρ\nof the command alone", *PANELS.values()), strict=True
         ):
             panel.set_xlabel(text)
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower left", ncols=len(CLASSES), frameon=False, title=_what_rho_is(frame))
+        legend(figure, [panels[0, 0]], most=len(CLASSES), loc="outside lower left", title=_what_rho_is(frame))
         return figure_files(figure, folder, "figure3")
 
 

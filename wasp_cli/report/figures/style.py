@@ -112,19 +112,25 @@ def legend(
         figure: of the panels.
         panels: whose labels are shown.
         further: lines that are in no panel's legend, by label.
-        most: entries in a row, which are spread evenly over the rows.
+        most: entries in a row at most, spread evenly over the rows; 0: one below the other. There are as many rows as the width needs.
         options: of matplotlib's legend.
     """
     from matplotlib.lines import Line2D
 
     handles = {label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
     handles |= {label: Line2D([], [], **look) for label, look in (further or {}).items()}
-    if most:
-        options["ncols"] = math.ceil(len(handles) / math.ceil(len(handles) / most))
-    figure.legend(handles.values(), handles.keys(), frameon=False, **options)
+    rows = math.ceil(len(handles) / most) if most else len(handles)
+    while handles:
+        shown = figure.legend(handles.values(), handles.keys(), frameon=False, ncols=math.ceil(len(handles) / rows), **options)
+        if rows >= len(handles) or shown.get_window_extent().width <= MARGIN * figure.bbox.width:
+            break
+        shown.remove()
+        rows += 1
 
 
 GREY = "#999999"
+MARGIN = 0.97
+"""Of a figure's width that a legend may take."""
 
 
 @dataclass(frozen=True, eq=False)

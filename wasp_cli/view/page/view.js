@@ -246,7 +246,7 @@
     function go(t) {
       const step = Math.max(0, Math.min(last, t));
       slider.value = step;
-      output.textContent = "decision " + step + " of " + last + (seconds ? ", " + (step * seconds).toFixed(1) + " s" : "");
+      output.textContent = "decision " + step + " of 0 to " + last + (seconds ? ", " + (step * seconds).toFixed(1) + " s" : "");
       for (const each of episodes) each.at(step);
       given.set("step", step);
       address(given.toString());

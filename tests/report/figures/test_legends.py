@@ -1,0 +1,93 @@
+"""The legend of every figure lies within it, whatever the number of tasks and of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from tests.report.swept import NUMBERS, invent_sweep
+from wasp_cli.report.figures import by_axis, methods
+from wasp_cli.report.figures.style import Line, draw_lines, drawn, legend
+from wasp_cli.report.stats.frame import Frame
+from wasp_cli.report.tables.titles import who_title
+
+ROWS = [
+    ("human", "full"), ("wasp", "full"), ("filter", "full"), ("ida", "full"), ("diffusion", "full"), ("saferl", "full"),
+    ("wasp", "as-printed"), ("wasp", "safety-only"), ("wasp", "no-case2"),
+]  # fmt: skip
+TASKS = ("goal1", "formula1", "race1")
+Drawing = Callable[[Frame, Path], list[Path]]
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that would have been written."""
+    found: list[Figure] = []
+
+    def kept(figure: Figure, folder: Path, name: str) -> list[Path]:
+        figure.draw_without_rendering()
+        found.append(figure)
+        return []
+
+    for module in (by_axis, methods):
+        monkeypatch.setattr(module, "figure_files", kept)
+        monkeypatch.setattr(module, "is_row", lambda group: True, raising=False)
+    monkeypatch.setattr(methods, "assistant_title", lambda group: who_title(group.method, group.assistant_variant))
+    return found
+
+
+def of(frame: Frame, tasks: int, rows: int) -> Frame:
+    """The numbers of one cell for each operator, under so many tasks and methods."""
+    cells = [cell for cell in frame.cells if (cell.identity.method, cell.identity.assistant_variant) == ROWS[1] and cell.identity.seed == 0]
+    return Frame(
+        tuple(
+            replace(cell, identity=replace(cell.identity, task=task, method=method, assistant_variant=variant))
+            for task in TASKS[:tasks]
+            for method, variant in ROWS[:rows]
+            for cell in cells
+        )
+    )
+
+
+def require_whole(figure: Figure, entries: int) -> None:
+    """Fail where a legend is cut."""
+    (shown,) = figure.legends
+    assert len(shown.get_texts()) == entries
+    box, page = shown.get_window_extent(), figure.bbox
+    assert page.x0 <= box.x0 < box.x1 <= page.x1
+    assert page.y0 <= box.y0 < box.y1 <= page.y1
+    for panel in figure.axes:
+        assert not box.overlaps(panel.get_window_extent()), "the legend hides a panel"
+        assert panel.get_window_extent().height > 60, "the legend leaves no room for a panel"
+
+
+@pytest.mark.parametrize("rows", range(2, len(ROWS) + 1))
+@pytest.mark.parametrize("tasks", range(1, len(TASKS) + 1))
+@pytest.mark.parametrize("draw", [by_axis.severity_figure, methods.cost_return_figure])
+def test_the_legend_of_the_methods_is_whole(frame: Frame, figures: list[Figure], draw: Drawing, tasks: int, rows: int) -> None:
+    draw(of(frame, tasks, rows), Path())
+    require_whole(figures[0], rows)
+
+
+@pytest.mark.parametrize("conditions", range(1, by_axis.MOST + 1))
+def test_the_legend_of_a_sweep_is_whole(tmp_path: Path, conditions: int) -> None:
+    operators = [("limited-skill", 0.1 + 0.1 * number) for number in range(conditions)]
+    figure = by_axis.sweep_figure("diffusion.ratio", invent_sweep(tmp_path, NUMBERS, operators, (0,)), "goal1")
+    assert figure is not None
+    figure.draw_without_rendering()
+    require_whole(figure, conditions + 1)
+
+
+def test_entries_too_wide_for_a_row_stand_in_several() -> None:
+    ends = np.array([0.0, 1.0])
+    with drawn((4.0, 3.0)) as figure:
+        panel = figure.subplots()
+        draw_lines(panel, [Line(ends, ends, "a rather long title " + "x" * number) for number in range(6)])
+        legend(figure, [panel], loc="outside lower center", most=6)
+        figure.draw_without_rendering()
+        require_whole(figure, 6)
