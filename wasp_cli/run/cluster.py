@@ -162,7 +162,7 @@ class RayPool:
     """The workers of a ray cluster, one task for each node."""
 
     name = "ray"
-    gone = None
+    gone: str | None = None
 
     def __init__(self, scheduler: str | None) -> None:
         import ray

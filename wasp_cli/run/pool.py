@@ -23,7 +23,7 @@ class InlinePool:
 
     jobs = 1
     name = "inline"
-    gone = None
+    gone: str | None = None
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
         done: Future[NodeResult] = Future()
@@ -44,7 +44,7 @@ class LokyPool:
     """
 
     name = "loky"
-    gone = None
+    gone: str | None = None
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs

@@ -266,7 +266,7 @@ def deserted(event: Mapping[str, Any]) -> str:
 
 
 def _deserted(events: Sequence[Mapping[str, Any]]) -> str:
-    last = next((event for event in reversed(events) if event.get("event") in ("workers gone", "workers back")), {})
+    last: Mapping[str, Any] = next((event for event in reversed(events) if event.get("event") in ("workers gone", "workers back")), {})
     return " ".join(deserted(last).split()) if last.get("event") == "workers gone" else ""
 
 
