@@ -172,11 +172,12 @@ def test_two_that_publish_to_one_folder_take_turns(
     real, second = publish_module.copy_files, threading.Thread(target=carry_publication, args=(found, spec, layout, target, Slimming()))
 
     def copied(*arguments: Any) -> Any:
+        made = real(*arguments)
         if second.ident is None:
             second.start()
             wait_until(lambda: waits.is_set() or not second.is_alive())
             sweep(target)
-        return real(*arguments)
+        return made
 
     monkeypatch.setattr(publish_module, "copy_files", copied)
     monkeypatch.setattr(publish_module, "waiting_aloud", lambda text: lambda: waits.set() or True, raising=False)
