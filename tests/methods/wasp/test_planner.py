@@ -182,7 +182,8 @@ def test_where_every_rollout_is_broken_the_command_stands() -> None:
             return Returns(*(torch.full_like(field, torch.nan) for field in super().returns(start, residuals, draws)))
 
     start, draws = nowhere(1)
-    for settings in (config(), config(finalists=0), config(variant="no-case2")):
+    # Where nothing is forced, the first candidate is a sample and no zero.
+    for settings in (config(), config(finalists=0), config(finalists=0, forced=False), config(variant="no-case2")):
         model = Broken(Corridor(9, 9), NoCritics(), settings, 0.9, 0.9, 0.9)
         fresh = draws if settings.finalists else None
         found = plan_residuals(model, start, torch.full((1, 2, 1), 0.3), torch.randn(1, 5, 40, 2, 1), draws, TAU, fresh=fresh)
