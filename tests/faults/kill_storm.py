@@ -1,4 +1,4 @@
-"""kill -9 at random instants of seven commands: python -m tests.faults.kill_storm [--kills N] [--seed S]
+"""kill -9 at random instants of seven commands: python -m tests.faults.kill_storm [--kills N] [--seed S] [--commands NAME ...]
 
 Every kill hits the command itself, one of its workers, or its whole group, at an instant drawn from the time that it takes undisturbed.
 After each kill everything that was stored before is there, byte for byte; after a few of them the same command ends well, and what it
@@ -18,7 +18,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -173,18 +173,18 @@ class Storm:
         return "\n".join([*rows, total])
 
 
-def storm(kills: int, seed: int, root: Path) -> Storm:
+def storm(kills: int, seed: int, root: Path, commands: Sequence[Command] = COMMANDS) -> Storm:
     """Kill until every command had its share of the kills; next is the one that is furthest behind."""
     made = Storm(root, seed)
     made.do("preparing", lambda: prepare(root / "base"), root)
     print("prepared", flush=True)
-    weights = sum(command.weight for command in COMMANDS)
-    quota = {command.name: max(1, round(kills * command.weight / weights)) for command in COMMANDS}
-    for command in COMMANDS:
-        made.calm(command)
-        print(f"{command.name}: {made.seconds[command.name]:.1f} s undisturbed, {quota[command.name]} kills to come", flush=True)
-    while due := [command for command in COMMANDS if made.kills[command.name] < quota[command.name]]:
+    weights = sum(command.weight for command in commands)
+    quota = {command.name: max(1, round(kills * command.weight / weights)) for command in commands}
+    while due := [command for command in commands if made.kills[command.name] < quota[command.name]]:
         command = min(due, key=lambda each: made.kills[each.name] / quota[each.name])
+        if command.name not in made.seconds:
+            made.calm(command)
+            print(f"{command.name}: {made.seconds[command.name]:.1f} s undisturbed", flush=True)
         made.round(command, quota[command.name])
         print(f"{command.name}: {made.kills[command.name]} of {quota[command.name]}", flush=True)
     print(made.table(), flush=True)
@@ -195,7 +195,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--commands", nargs="+", choices=[command.name for command in COMMANDS])
     asked = parser.parse_args()
+    chosen = [command for command in COMMANDS if command.name in (asked.commands or [command.name])]
     with tempfile.TemporaryDirectory() as place:
-        storm(asked.kills, asked.seed, Path(place))
+        storm(asked.kills, asked.seed, Path(place), chosen)
     print("nothing was lost")
