@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,7 +33,7 @@ const driven = () => said.filter((message) => message.type === "input").map((mes
 """
 
 
-def page(steps: str) -> object:
+def page(steps: str) -> Any:
     """Run the page's script and then some steps; returns what these make of `result`."""
     assert NODE is not None
     script = f"{BROWSER}\n{PAGE.read_text()}\nlet result;\n{steps}\nconsole.log(JSON.stringify(result));"
@@ -71,7 +72,7 @@ def test_the_banner_says_late_for_a_while_and_names_a_speed() -> None:
     result = [at(0, undefined), at(1, "late"), at(2, "safety"), at(40, "alone")];
     result.push(byId("late").textContent);
     """
-    first, late, after, later, text = page(steps)  # type: ignore[misc]
+    first, late, after, later, text = page(steps)
     assert first[0]
     assert not late[0]
     assert late[1].startswith("Late: the assistant had not answered")

@@ -75,7 +75,12 @@ def headers(imported: Path, method: str) -> list[Any]:
     desk.come()
     frames: list[Frame] = []
     show = desk.show
-    desk.show = lambda frame: (frames.append(frame), show(frame))[1]  # type: ignore[method-assign]
+
+    def shown(frame: Frame) -> None:
+        frames.append(frame)
+        show(frame)
+
+    desk.show = shown  # type: ignore[method-assign]
     ((cell, node),) = session.blocks
     made = session.built(desk, cell, node, node.axes["method_config"])
     threading.Timer(0.2, desk.ask, (GO,)).start()
@@ -93,7 +98,7 @@ def test_the_page_is_told_late_and_alone(imported: Path, monkeypatch: pytest.Mon
 
 
 def timing(**changes: Any) -> Timing:
-    given = {
+    given: dict[str, Any] = {
         "label": "WASP", "period_ms": 80.0, "decisions": 250, "late_share": 0.016, "decision_ms": (20.0, 60.0), "input_ms": (70.0, 80.0),
         "round_trip_ms": (1.0, 2.0), "speed": 1.0, "recommended": 0.5, "pace": 1.0, "fired": 10, "fired_late_share": 0.0,
         "fired_ms": (60.0, 70.0),
