@@ -116,6 +116,10 @@ class Interrupted(WaspError):
     exit_code = 130
 
 
+LONGEST_NAME = 300
+"""Characters of a name that is compared with others, which takes as long as both are, multiplied."""
+
+
 def refusal(error: OSError) -> WaspError:
     """Turn what the system refused into an expected error."""
     reason = (error.strerror or str(error) or type(error).__name__).lower()
@@ -133,6 +137,8 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) 
     close = [f"'{other}'" for other in known if likeness[other] >= max(0.6, best - 0.03)][:4]
     if close:
         return "did you mean " + " or ".join(filter(None, (", ".join(close[:-1]), close[-1]))) + "?"
+    if len(name) > LONGEST_NAME:
+        return f"a name has at most {LONGEST_NAME} characters, this one has {len(name)}"
     return otherwise or "known: " + ", ".join(known)
 
 
@@ -142,6 +148,8 @@ def closeness(name: str, known: Iterable[str]) -> float:
 
 
 def _likeness(one: str, other: str) -> float:
+    if max(len(one), len(other)) > LONGEST_NAME:
+        return 0.0
     return difflib.SequenceMatcher(None, one.lower(), other.lower()).ratio()
 
 

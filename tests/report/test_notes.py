@@ -41,7 +41,7 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     cell = next(cell for cell in before.frame.cells if cell.identity in before.frame.judged)
     key, bytes_before = before.keys[cell.identity], stored(results)
     done = run_here(
-        "note", key, "it starts within a hazard", "--episode", "1", "--invalid", "--author", "Ada", "--results", results, columns=200
+        "note", key, "it starts within a <b>hazard</b>", "--episode", "1", "--invalid", "--author", "Ada", "--results", results, columns=200
     )
     assert done.exit_code == 0, done.output
     after = report_of(results)
@@ -67,8 +67,10 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
             (same,) = (each for each in after.frame.cells if each.identity == other.identity)
             assert {name: same.pooled[name] for name in ("return", "cost")} == {name: other.pooled[name] for name in ("return", "cost")}
     page = after.html()
-    assert "it starts within a hazard" in page
-    assert "it starts within a hazard" in after.markdown()
+    assert "it starts within a &lt;b&gt;hazard" in page
+    assert "<b>" not in page
+    assert "it starts within a &lt;b>hazard" in after.markdown()
+    assert "<b>" not in after.markdown()
     assert stored(results) == bytes_before
 
     # Taken back, everything is as it was.

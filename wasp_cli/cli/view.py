@@ -104,6 +104,7 @@ def note(
     from wasp_cli.errors import UsageError
     from wasp_cli.plan.recorded import keys_of
     from wasp_cli.report.notes import Note, add_note, one_line
+    from wasp_cli.store.bounds import require_size
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.layout import Layout
     from wasp_cli.store.tables import read_episodes
@@ -115,6 +116,7 @@ def note(
     if found.key is None or found.path.absolute().parent.parent != layout.kind("evaluate").absolute():
         raise UsageError(f"'{cell}' is no cell of '{results}'", "a note is of a cell in the store: name it by its label or its key")
     if episode is not None:
+        require_size(found.path)
         numbers = read_episodes([found.path])["episode"].to_pylist()
         if episode not in numbers:
             raise UsageError(f"there is no episode {episode}", f"this cell has the episodes {min(numbers)} to {max(numbers)}")

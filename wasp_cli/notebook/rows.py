@@ -13,6 +13,7 @@ import pyarrow as pa
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.notebook.cells import BRANCHES, ListedCell, table_of
+from wasp_cli.store.bounds import require_size
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import AGAIN
@@ -104,6 +105,7 @@ def episodes(layout: Layout, cell: ListedCell) -> pa.Table | None:
 
 
 def _own_episodes(path: Path, cell: ListedCell) -> pa.Table:
+    require_size(path)
     table = read_episodes([path])
     names = CellIdentity.__dataclass_fields__
     if table.num_rows and {name: table[name][0].as_py() for name in names} != asdict(cell.identity):
@@ -127,6 +129,7 @@ def branches(layout: Layout, cell: ListedCell) -> pa.Table | None:
     path = layout.within(layout.artifact(BRANCHES, cell.branches) / BRANCHES_FILE)
     if not path.is_file():
         return None
+    require_size(path)
     found = read_branches(path)
     if found.cell.identity != cell.identity:
         raise StoreError(f"{path} holds the branches of another cell than {cell.label}", AGAIN)

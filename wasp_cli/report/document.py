@@ -20,7 +20,7 @@ from wasp_cli.report.page.build import build_page
 from wasp_cli.report.page.films import Draw, TaskFilms, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
 from wasp_cli.report.render.files import RENDERERS, make_own, write_pages
-from wasp_cli.report.render.text import markdown, terminal
+from wasp_cli.report.render.text import markdown, markdown_text, terminal
 from wasp_cli.report.stats.frame import Frame, Missing
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import Trained, trained_markdown
@@ -127,9 +127,9 @@ class Report:
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
         """Render the whole report as one Markdown page."""
-        parts = [f"# Report: {self.name}\n", "".join(f"- {fact}\n" for fact in self.facts)]
+        parts = [f"# Report: {self.name}\n", "".join(f"- {markdown_text(fact)}\n" for fact in self.facts)]
         if self.missing:
-            lines = "".join(f"- {cell.label}: {cell.reason}\n" for cell in self.missing)
+            lines = "".join(f"- {markdown_text(f'{cell.label}: {cell.reason}')}\n" for cell in self.missing)
             parts.append(
                 f"## Missing cells\n\n{missing_words(self.frame)}. Their rows are marked, and nothing stands in for them.\n\n{lines}"
             )
@@ -139,7 +139,7 @@ class Report:
         parts += [f"![{CAPTIONS[Path(name).stem]}]({name})\n" for name in figures if name.endswith(".png")]
         parts += [markdown(table) for table in self.tables[self.shown :]]
         if self.notes:
-            lines = "".join(f"- {line}\n" for line in lines_of(self.notes))
+            lines = "".join(f"- {markdown_text(line)}\n" for line in lines_of(self.notes))
             parts.append(f"## Notes\n\n{lines}")
         if self.trained:
             parts.append(trained_markdown(self.trained))

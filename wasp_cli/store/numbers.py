@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from wasp_cli.store.bounds import MOST_EPISODES
 from wasp_cli.store.tables import LAST_NESTED, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds
 
 ALIKE = tuple(str(version).encode() for version in (LAST_NESTED, VERSION))
@@ -42,7 +43,11 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
     """
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            if (file.schema_arrow.metadata or {}).get(VERSION_KEY) not in ALIKE or file.num_row_groups != 1:
+            if (
+                (file.schema_arrow.metadata or {}).get(VERSION_KEY) not in ALIKE
+                or file.num_row_groups != 1
+                or file.metadata.num_rows > MOST_EPISODES
+            ):
                 return None
             table = file.read(columns=[*SHARED, *columns], use_threads=False)
     except (pa.ArrowException, OSError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):

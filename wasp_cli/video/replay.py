@@ -18,6 +18,7 @@ from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.report.explain.stored import Episode, read_episode, signal_of
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists
+from wasp_cli.store.bounds import require_size
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.plain import printable
@@ -136,6 +137,7 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     # Of a cell that is published in part, the episode is played alone.
     rounded = without_steps(cell.manifest)
     world_model, policies = (_model(layout, kind, upstream[kind], rounded=rounded) for kind in MODELS)
+    require_size(cell.path)
     recorded = _alone(cell, episode) if rounded else Recorded(**read_recorded(cell.path))
     # Cells of earlier versions were evaluated as one batch.
     size = cell.setting("settings", "side_by_side")

@@ -93,20 +93,17 @@ def _there(site: Site, cell: ListedCell) -> bool:
 
 
 def _reports(site: Site, folder: Path) -> dict[str, str]:
-    """Where the pages of reports are for a bundle: beside it where it lies in the results folder, else copied into it."""
-    found = {}
-    inside = folder.resolve().is_relative_to(site.layout.root.resolve())
+    """Where the pages of reports are for a bundle that lies in the results folder. One that lies elsewhere names them without an address.
+
+    They are not copied: whoever made the results wrote them, with whatever script.
+    """
+    found: dict[str, str] = {}
+    if not folder.resolve().is_relative_to(site.layout.root.resolve()):
+        return found
     for path in (each / "report.html" for each in runs.reports(site)):
         if not path.is_file() or path.is_symlink():
             continue
-        place = (
-            Path(os.path.relpath(path.resolve(), folder.resolve()))
-            if inside
-            else Path("-".join(path.parent.relative_to(site.layout.root).parts) + ".html")
-        )
-        if not inside:
-            shutil.copyfile(path, folder / place)
-        found[str(path)] = place.as_posix()
+        found[str(path)] = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -20,6 +21,11 @@ from wasp_cli.report.tables.table import Row, Table
 def markdown_row(cells: Iterable[object]) -> str:
     """Write a row of a Markdown table, each cell on one line; what would end a cell is escaped."""
     return "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
+
+
+def markdown_text(text: str) -> str:
+    """Write what somebody has written so that Markdown shows it as it is: no HTML, no link, no picture."""
+    return re.sub(r"([\\\[\]])", r"\\\1", text).replace("&", "&amp;").replace("<", "&lt;")
 
 
 def markdown(table: Table) -> str:

@@ -18,6 +18,7 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
 from wasp_cli.metrics.necessity import Necessity
 from wasp_cli.report.stats.kept import Kept, place_of, read_kept, stamp_of, write_kept
+from wasp_cli.store.bounds import require_size
 from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.parquet import AGAIN
 from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, read_episodes
@@ -201,7 +202,7 @@ def _read(cell: Wanted, known: Mapping[str, Kept]) -> Kept | Missing:
     if not cell.path.exists():
         return Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name)
     try:
-        with odd_tables_refused(cell.path):
+        with odd_tables_refused(cell.path, sizes=False):
             place, stamp = place_of(cell.path), stamp_of(cell.path)
             before = known.get(place)
             if before is not None and before.stamp == stamp and before.numbers.identity == cell.identity:
@@ -219,6 +220,7 @@ def _read(cell: Wanted, known: Mapping[str, Kept]) -> Kept | Missing:
 
 def _read_closely(path: Path) -> Numbers:
     """The rows of a cell of an older version; an error says what is wrong with a damaged one."""
+    require_size(path)
     try:
         table = read_episodes([path])
     except ValueError as error:  # its columns are not those of a cell
@@ -234,11 +236,18 @@ def _read_closely(path: Path) -> Numbers:
 
 
 @contextmanager
-def odd_tables_refused(path: Path) -> Iterator[None]:
-    """Raise StoreError inside the block also for what `store.tables` never writes, but a Parquet file may hold."""
+def odd_tables_refused(path: Path, *, sizes: bool = True) -> Iterator[None]:
+    """Raise StoreError inside the block also for what `store.tables` never writes, but a Parquet file may hold.
+
+    Args:
+        path: the table that is read.
+        sizes: whether the block may read all of it, so that it must not be too large.
+    """
     try:
         if not path.is_file():  # a pipe would hold the reader for ever
             raise StoreError(f"{path} is no plain file")
+        if sizes:
+            require_size(path)
         yield
     except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError) as error:
         what = " ".join(str(error).split())[:200]

@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from wasp_cli.errors import StoreError
+from wasp_cli.store.bounds import MOST_VALUES, values_of
 from wasp_cli.store.numbers import Numbers
 from wasp_cli.store.parquet import opened_table
 from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds
@@ -60,6 +61,8 @@ def read_kept(path: Path, columns: Sequence[str]) -> dict[str, Kept]:
     try:
         with opened_table(path, VERSION_KEY, VERSION, "the kept rows of a report") as file:
             if file.schema_arrow.names != list(columns):
+                return {}
+            if values_of(file.metadata) > MOST_VALUES:
                 return {}
             cells = json.loads(file.schema_arrow.metadata[CELLS_KEY])
             table = file.read().combine_chunks()
