@@ -235,7 +235,7 @@ READINGS = (
     ("wasp, as printed: discounts", "gamma_r", f"{DIFFERS}: no setting: Eq. 7-8 use the rewards' discount for costs too, and V_c "
      "behind the horizon was trained with `returns.gamma_c`"),
     ("wasp: step k", "k + 1", "no setting: reward and cost of an imagined step are read at the state that it arrives in"),
-    ("wasp: residuals", "[-2, 2]", "no setting: samples are cut where a residual to a command within ±1 stops to differ"),
+    ("wasp: residuals", "[-2, 2]", "no setting: samples are cut where a residual to a command within ±1 stops making a difference"),
 )  # fmt: skip
 """What section 4 leaves to the reader, and no field says."""
 
