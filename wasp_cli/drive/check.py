@@ -31,7 +31,7 @@ TOLERATED_FIRED = 0.1
 """The same of the decisions at which a gate fires: their 90th percentile is in time."""
 TOLERATED_PACE = 1.05
 """By how much the world may slow down."""
-BRIEF = 60
+BRIEF = 30
 """Decisions with which a session begins."""
 SPEEDS = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.1)
 """What is recommended."""
