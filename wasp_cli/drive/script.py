@@ -15,10 +15,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
 
 from wasp_cli import seeds
 from wasp_cli.drive.controls import KEYS
 from wasp_cli.drive.server import LONGEST, unpacked
+from wasp_cli.errors import WaspError
 from wasp_cli.tasks.frames import wrapped
 
 AHEAD, ASIDE = 1.0, 0.25
@@ -82,6 +84,9 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
         address: what `wasp drive` prints.
         driver: who presses keys.
         answers: of a form; None: consent, and the middle of every scale.
+
+    Raises:
+        WaspError: the connection was lost.
     """
     parts = urlsplit(address)
     frames, held, number = 0, [""], 0
@@ -120,6 +125,10 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
                     await send({"type": "answers", **given})
                 elif state["phase"] == "over":
                     return frames
+        except ConnectionClosed as error:
+            raise WaspError(
+                f"the scripted driver lost its connection after {frames} frames", "the machine may be too busy: try again with --speed 0.5"
+            ) from error
         finally:
             beating.cancel()
     return frames
