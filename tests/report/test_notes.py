@@ -77,9 +77,9 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     assert run_here("note", key, "", "-e", "1", "--valid", "--results", results, columns=200).exit_code == 0
     again = report_of(results)
     assert not any("left out" in fact for fact in again.facts)
-    assert "[invalid] it starts within a hazard" in page
-    assert "[invalid, taken back] it starts within a hazard" in again.html()
-    assert "[invalid, taken back] it starts within a hazard" in again.markdown()
+    assert "[invalid] it starts within a &lt;b&gt;hazard" in page
+    assert "[invalid, taken back] it starts within a &lt;b&gt;hazard" in again.html()
+    assert "\\[invalid, taken back\\] it starts within a &lt;b>hazard" in again.markdown()
     assert "[invalid]" not in run_here("report", results, "--no-films", "--no-trained", columns=200).output
     assert [each.pooled for each in again.frame.cells] == [pytest.approx(each.pooled, nan_ok=True) for each in before.frame.cells]
 

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from wasp_cli.run.heartbeat import boot_id
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.provenance import boot_id
 
 START = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
 

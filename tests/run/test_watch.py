@@ -13,10 +13,10 @@ import pytest
 from tests.run.recorded import START, at, dead_pid, key, planned, process, write_run
 from wasp_cli.errors import UnknownName
 from wasp_cli.plan.recorded import named_run, planned_runs, upstream_first
+from wasp_cli.run.heartbeat import boot_id
 from wasp_cli.run.watch import RunState, is_gone, moment, shown_runs, state_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.provenance import boot_id
 
 NODES = [
     planned(0, "a", "cached"),
@@ -157,7 +157,7 @@ def test_a_run_with_nothing_to_do_and_one_that_has_not_begun(layout: Layout) -> 
     write_run(layout, "20260501-120000-small-0001", [planned(1, "a", "cached")])
     write_run(layout, "20260501-130000-small-0002", NODES)
     later, earlier = (state_of(layout, run) for run in planned_runs(layout))
-    assert (earlier.state, earlier.total) == ("ended", 0)
+    assert (earlier.state, earlier.total, earlier.done, earlier.idle) == ("ended", 1, 1, True)
     assert (later.state, later.total) == ("not started", 5)
 
 

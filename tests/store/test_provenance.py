@@ -10,8 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 import wasp_cli
+from wasp_cli.run.heartbeat import boot_id
 from wasp_cli.store import provenance as module
-from wasp_cli.store.provenance import boot_id, cuda_devices, git_state, provenance
+from wasp_cli.store.provenance import cuda_devices, git_state, provenance
 
 
 def git(root: Path, *arguments: str) -> str:

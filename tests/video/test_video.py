@@ -15,7 +15,7 @@ from tests.cells import REPEAT, Evaluated, evaluated
 from tests.video.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.learning.rerun import Recorded
-from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.figures.style import PALETTE
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.camera.appearance import HasScene
@@ -244,7 +244,9 @@ def test_colours_that_mean_something_stay_among_many_others() -> None:
     for colour in MEANT:
         shown = Image.new("RGB", (4, 4), colour).quantize(palette=palette, dither=Image.Dither.NONE).convert("RGB")
         assert np.abs(np.asarray(shown).astype(int) - ImageColor.getrgb(colour)).max() <= 4
-    assert set(PALETTE) >= set(GATE_COLOURS.values()) | set(MEANT[:3])
+    greys = {colour for colour in MEANT if colour[1:3] == colour[3:5] == colour[5:]}  # nobody confuses these with a colour
+    assert set(PALETTE) | greys >= set(GATE_COLOURS.values()) | set(MEANT[:3])
+    assert greys & set(GATE_COLOURS.values()) == {GATE_COLOURS[GATE_LATE]}
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from types import TracebackType
 from wasp_cli.errors import ArtifactError
 from wasp_cli.run.job import NodeJob
 from wasp_cli.store.artifact import dumps, read_record, replace_file
-from wasp_cli.store.provenance import boot_id
 
 SECONDS = 1.0
 
@@ -93,3 +92,11 @@ def memory_mb() -> float:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def boot_id() -> str | None:
+    """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
+    except (OSError, ValueError):
+        return None

@@ -23,6 +23,7 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.recorded import order_of, run_ids
+from wasp_cli.run.heartbeat import boot_id
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
@@ -31,7 +32,6 @@ from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import append_line, read_plain
-from wasp_cli.store.provenance import boot_id
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
 """A cell and a part of a plan; its values have the types of its fields, whoever wrote it."""

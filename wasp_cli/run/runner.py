@@ -15,7 +15,7 @@ from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
-from wasp_cli.run.heartbeat import forget
+from wasp_cli.run.heartbeat import boot_id, forget
 from wasp_cli.run.interrupt import HINT, Stop, was_ended
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
@@ -24,7 +24,7 @@ from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unsee
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.provenance import boot_id, provenance
+from wasp_cli.store.provenance import provenance
 
 UNEXPLAINED = 5
 """Deaths of idle workers that a run lives with."""

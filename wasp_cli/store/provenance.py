@@ -90,14 +90,6 @@ def _hash_of_files(root: Path, names: list[str]) -> str | None:
     return digest.hexdigest()[:CHANGES_LENGTH]
 
 
-def boot_id() -> str | None:
-    """Name the time since this machine started, so that a process id can be told from an older one; None where unknown."""
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip() or None  # Linux only
-    except (OSError, ValueError):
-        return None
-
-
 def cuda_devices() -> list[str]:
     """Return the names of the CUDA devices that this process computes on; empty where it does not.
 
