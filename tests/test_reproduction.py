@@ -111,6 +111,26 @@ def test_a_film_of_a_published_cell_needs_nothing_but_the_checkout(tmp_path: Pat
     assert film.stat().st_size > 10_000
 
 
+def test_the_first_episodes_of_published_cells_are_those_of_the_whole_ones(tmp_path: Path) -> None:
+    spec, only = ROOT / "specs" / "table2.yaml", ("--select", "method=wasp,variant=no-case2")
+    done = run_here("run", spec, "--results", tmp_path / "r", "--limit", "10", *only, columns=200)
+    assert done.exit_code == 0, done.stderr
+    assert "0 computed" in done.stderr
+    run_here("run", spec, "--results", tmp_path / "r", *only, columns=200)
+    rows: dict[tuple[str, int], list[dict[str, object]]] = {}
+    for path in tmp_path.glob("r/store/evaluate/*/episodes.parquet"):
+        for row in pq.read_table(path).to_pylist():
+            rows.setdefault((row["variant"], row["episode"]), []).append(row)
+    assert len(rows) == 4 * 30
+    assert all(len(both) == 1 + (episode < 10) and both[0] == both[-1] for (_, episode), both in rows.items())
+
+
+def test_what_cuts_a_batch_is_computed(tmp_path: Path) -> None:
+    done = run_here("plan", ROOT / "specs" / "table2.yaml", "--results", tmp_path, "--limit", "7", columns=200)
+    assert "a cell is cut after whole batches of 10 (side_by_side)" in " ".join(done.output.split())
+    assert "nothing to compute" not in done.output
+
+
 def test_assistants_are_varied_over_the_published_models_without_training(tmp_path: Path) -> None:
     setting = ("--set", "wasp.tau_c=0.35", "--set", "seeds=[1]", "--json")
     done = run_here("plan", ROOT / "specs" / "table1.yaml", "--results", tmp_path, *setting, columns=200)

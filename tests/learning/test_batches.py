@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -16,6 +18,7 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.counterfactual import CounterfactualStage
 from wasp_cli.stages.heldout import HeldoutStage
 from wasp_cli.store.branches import BRANCHES_FILE
+from wasp_cli.store.cut import cut_cell
 from wasp_cli.store.tables import TIMING, read_steps, read_times, same_rows
 
 EAGER = {"vote": 0.0}
@@ -47,6 +50,18 @@ def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
     assert pq.read_table(whole.path, columns=names).equals(pq.read_table(resumed.path, columns=names))
     for e in range(kept):  # their times are those of the first time
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
+
+
+def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(
+    whole: Evaluated, inputs: Mapping[str, Path], tmp_path: Path
+) -> None:
+    fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=4, side_by_side=2)
+    copy = shutil.copytree(whole.path.parent, tmp_path / "cut")
+    summary = cut_cell(copy, 4)
+    assert same_rows(copy / "episodes.parquet", fewer.path)
+    assert read_steps(copy / "episodes.parquet").num_rows == read_steps(fewer.path).num_rows
+    means = {name: np.mean(pq.read_table(fewer.path)[name]) for name in ("return", "cost", "int_rate")}
+    assert summary == {"return": round(means["return"], 2), "cost": round(means["cost"], 1), "int": round(means["int_rate"], 3)}
 
 
 def counted(begun: list[int]) -> object:

@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from wasp_cli.errors import UsageError
+from wasp_cli.plan.first import first_episodes
 from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
@@ -70,7 +71,8 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
     if not offered:
         return replace(lay_out(spec, {} if recipes else None), notes=tuple(damaged))
     own = lay_out(spec, {})
-    usable, notes = _usable(own, offered, layout)
+    first, uncut = first_episodes(spec, own, offered)
+    usable, notes = _usable(own, [*offered, *first], layout)
     chosen = choose(own, usable)
     keys = {recipe: offer.key for recipe, offer in chosen.items()}
     moved = any(own.recipes.get(key) != recipe for recipe, key in keys.items())
@@ -80,7 +82,7 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
         for node in grid.nodes
         if (recipe := grid.recipes[node.key]) in chosen
     }
-    return replace(grid, reused=reused, notes=(*damaged, *notes))
+    return replace(grid, reused=reused, notes=(*damaged, *notes, *uncut))
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
@@ -98,7 +100,7 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
         if why is None:
             usable.append(offer)
         else:
-            notes.append(not_used(offer.kind, offer.key, why))
+            notes.append(not_used(offer.kind, offer.source_key, why))
     return usable, notes
 
 
@@ -212,9 +214,10 @@ def _nearest(own: Grid, node: Node, chosen: Mapping[str, Offer]) -> set[str]:
 
 def _code_of(node: Node, offer: Offer, *, current: bool) -> tuple[str, str]:
     """Which code computed a published result and in which precision it is, and what has changed since."""
+    first = "" if offer.episodes is None else f"the first {offer.episodes} episodes, "
     changes = moved_on(node, offer.manifest)
     precision = f", {words}" if (words := precision_of(offer.manifest)) else ""
     if not changes and current:
-        return f"published with this code{precision}", ""
+        return f"{first}published with this code{precision}", ""
     details = f"changed since: {few(changes)}" if changes else "its inputs were computed by another version"
-    return f"published by another version of this code{commit_of(offer.manifest)}{precision}", details
+    return f"{first}published by another version of this code{commit_of(offer.manifest)}{precision}", details

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName, UsageError
+from wasp_cli.plan.first import with_episodes
 from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
@@ -69,9 +70,7 @@ def limited(loaded: Loaded, episodes: int | None) -> Loaded:
     """Return the spec with so many episodes in each cell at most (or as it is). These are the first ones of the whole cell."""
     if episodes is None:
         return loaded
-    count = min(episodes, loaded.spec.episodes)
-    evaluate = loaded.spec.stage("evaluate").model_copy(update={"episodes": count})
-    return replace(loaded, spec=loaded.spec.model_copy(update={"episodes": count, "evaluate": evaluate}))
+    return replace(loaded, spec=with_episodes(loaded.spec, min(episodes, loaded.spec.episodes)))
 
 
 @dataclass(frozen=True)

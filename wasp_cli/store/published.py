@@ -26,6 +26,7 @@ from wasp_cli.store.artifact import (
     stored_keys,
     stored_kinds,
 )
+from wasp_cli.store.cut import CUT_FROM, cut_cell
 from wasp_cli.store.layout import MANIFESTS, Layout, is_key
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
@@ -51,6 +52,13 @@ class Offer:
     behind: Mapping[str, str]
     """By recipe, the key of everything that it was computed from."""
     manifest: Mapping[str, Any]
+    episodes: int | None = None
+    """Of a cell that is to be cut from a whole one: how many of its first episodes. `key` is then that of the cut one."""
+
+    @property
+    def source_key(self) -> str:
+        """Return the key of what is copied."""
+        return str(self.manifest["provenance"][CUT_FROM]) if self.episodes is not None else self.key
 
     @property
     def started_at(self) -> str:
@@ -129,13 +137,13 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
     if exists(layout, offer.kind, offer.key):
         return None
     try:
-        return corruption(offer.source, offer.kind, offer.key)
+        return corruption(offer.source, offer.kind, offer.source_key)
     except (ArtifactError, OSError, AttributeError) as error:  # it changes now, or names no digests
         return str(error)
 
 
 def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> bool:
-    """Copy a published artifact into the store; whether it was not there.
+    """Copy a published artifact into the store, or the first episodes of a cell; whether it was not there.
 
     Args:
         layout: the results folder.
@@ -143,7 +151,8 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
         waiting: asked while another process has the node.
 
     Raises:
-        ArtifactError: its files are not those of its manifest.
+        ArtifactError: its files are not those of its manifest, or have not the episodes.
+        StoreError: a cell that is cut is damaged.
         OSError: they cannot be read or written.
     """
     with held(layout.lock(offer.key), waiting):
@@ -151,9 +160,11 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
             return False
         staging = staging_folder(layout, offer.key)
         try:
-            copy_files(offer.source, offer.kind, offer.key, offer.manifest, staging)
-            provenance = {**offer.manifest["provenance"], FROM_PUBLISHED: True}
-            commit(layout, offer.kind, offer.key, staging, {**offer.manifest, "provenance": provenance})
+            copy_files(offer.source, offer.kind, offer.source_key, offer.manifest, staging)
+            manifest = {**offer.manifest, "provenance": {**offer.manifest["provenance"], FROM_PUBLISHED: True}}
+            if offer.episodes is not None:
+                manifest["summary"] = cut_cell(staging, offer.episodes)
+            commit(layout, offer.kind, offer.key, staging, manifest)
         except BaseException:
             discard(staging)
             raise
