@@ -19,7 +19,7 @@ def finished(results: Path) -> set[str]:
 
 
 def end(process: subprocess.Popen[str]) -> tuple[str, str]:
-    return process.communicate(timeout=30)
+    return process.communicate(timeout=120)
 
 
 @pytest.mark.parametrize(

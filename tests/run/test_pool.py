@@ -20,7 +20,7 @@ def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c() -> None:
         process = subprocess.Popen([sys.executable, "-c", MASK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert not set(SIGNALS) & signal.pthread_sigmask(signal.SIG_BLOCK, [])
     process.send_signal(signal.SIGINT)
-    out, errors = process.communicate(timeout=30)
+    out, errors = process.communicate(timeout=120)
     assert (process.returncode, errors) == (0, "")
     assert all(number.name in out for number in SIGNALS)
 
