@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -14,13 +15,15 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidMessage
 from websockets.sync.client import ClientConnection
 
 from tests.drive.test_server import driver, get, state
 from tests.view.conftest import viewed
+from wasp_cli.drive import script
 from wasp_cli.drive.desk import Desk
 from wasp_cli.drive.server import TOO_MUCH, Server
+from wasp_cli.errors import WaspError
 from wasp_cli.store.tables import read_episodes
 from wasp_cli.web import guard
 from wasp_cli.web.server import LocalServer
@@ -151,3 +154,22 @@ def test_a_session_outlives_more_half_sent_requests_than_it_has_descriptors(tmp_
     assert (process.returncode, "Traceback" in errors) == (0, False), errors[-3000:]
     (path,) = results.glob("store/evaluate/*/episodes.parquet")
     assert read_episodes([path]).num_rows == 1
+
+
+def test_a_scripted_driver_that_was_turned_away_connects_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+
+    async def refused(address: str, **_: object) -> str:
+        tried.append(address)
+        if len(tried) < 3:
+            raise InvalidMessage("did not receive a valid HTTP response")
+        return "a connection"
+
+    monkeypatch.setattr(script, "PAUSE", 0.01)
+    monkeypatch.setattr(script, "connect", refused)
+    assert asyncio.run(script.connected("http://127.0.0.1:1/?token=a")) == "a connection"
+    monkeypatch.setattr(script, "ATTEMPTS", 2)
+    tried.clear()
+    with pytest.raises(WaspError, match="cannot connect"):
+        asyncio.run(script.connected("http://127.0.0.1:1/?token=a"))
+    assert tried == ["ws://127.0.0.1:1/socket?token=a"] * 2

@@ -14,8 +14,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
-from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from wasp_cli import seeds
 from wasp_cli.drive.controls import KEYS
@@ -28,6 +28,8 @@ AHEAD, ASIDE = 1.0, 0.25
 LARGEST = 4_000_000
 """Bytes of what the server sends at most: the picture of the ground is the largest."""
 
+ATTEMPTS, PAUSE = 20, 0.5
+"""Times that it tries to connect, and seconds between them. A page tries for ever."""
 ARROWS = [key for key in KEYS if key.startswith("Arrow")]
 
 Driver = Callable[[Mapping[str, Any]], list[str]]
@@ -86,11 +88,10 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
         answers: of a form; None: consent, and the middle of every scale.
 
     Raises:
-        WaspError: the connection was lost.
+        WaspError: the connection was lost, or there is none.
     """
-    parts = urlsplit(address)
     frames, held, number = 0, [""], 0
-    async with connect(f"ws://{parts.netloc}/socket?{parts.query}", max_size=LARGEST, ping_interval=None, compression=None) as ws:
+    async with await connected(address) as ws:
 
         async def send(message: Mapping[str, Any]) -> None:
             text = json.dumps(message)
@@ -132,6 +133,19 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
         finally:
             beating.cancel()
     return frames
+
+
+async def connected(address: str) -> ClientConnection:
+    """Connect as a page does: again, where the server is too busy to answer or others take its places."""
+    parts = urlsplit(address)
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            return await connect(f"ws://{parts.netloc}/socket?{parts.query}", max_size=LARGEST, ping_interval=None, compression=None)
+        except (OSError, InvalidHandshake) as error:  # TimeoutError is an OSError
+            if attempt == ATTEMPTS:
+                raise WaspError(f"the scripted driver cannot connect: {error}", "the machine may be too busy: try again") from error
+            await asyncio.sleep(PAUSE)
+    raise AssertionError("there is a last attempt")
 
 
 def middling(form: Mapping[str, Any]) -> dict[str, Any]:
