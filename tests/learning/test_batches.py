@@ -18,7 +18,7 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.counterfactual import CounterfactualStage
 from wasp_cli.stages.heldout import HeldoutStage
 from wasp_cli.store.branches import BRANCHES_FILE
-from wasp_cli.store.cut import cut_cell
+from wasp_cli.store.slim import first_episodes
 from wasp_cli.store.tables import TIMING, read_steps, read_times, same_rows
 
 EAGER = {"vote": 0.0}
@@ -57,9 +57,8 @@ def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(
 ) -> None:
     fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=4, side_by_side=2)
     copy = shutil.copytree(whole.path.parent, tmp_path / "cut")
-    summary = cut_cell(copy, 4)
+    summary = first_episodes(copy, 4)
     assert same_rows(copy / "episodes.parquet", fewer.path)
-    assert read_steps(copy / "episodes.parquet").num_rows == read_steps(fewer.path).num_rows
     means = {name: np.mean(pq.read_table(fewer.path)[name]) for name in ("return", "cost", "int_rate")}
     assert summary == {"return": round(means["return"], 2), "cost": round(means["cost"], 1), "int": round(means["int_rate"], 3)}
 

@@ -124,6 +124,9 @@ def test_the_filter_s_masks_decide_what_gathered_rows_do(parts: Parts, monkeypat
     gathered = decide(parts, "filter", {}, tau)
     monkeypatch.setattr(safety_filter, "chosen", everything)
     same(decide(parts, "filter", {}, tau), gathered)
+    gates = torch.cat([d.record.gate for d in gathered if d.record is not None])
+    assert (gates == 0).any()
+    assert (gates > 0).any()
 
 
 def same(found: list[Decision], wanted: list[Decision]) -> None:

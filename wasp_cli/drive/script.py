@@ -30,6 +30,7 @@ LARGEST = 4_000_000
 
 ATTEMPTS, PAUSE = 20, 0.5
 """Times that it tries to connect, and seconds between them. A page tries for ever."""
+
 ARROWS = [key for key in KEYS if key.startswith("Arrow")]
 
 Driver = Callable[[Mapping[str, Any]], list[str]]
@@ -137,15 +138,15 @@ async def drive(address: str, driver: Driver = to_the_goal, answers: Callable[[M
 
 async def connected(address: str) -> ClientConnection:
     """Connect as a page does: again, where the server is too busy to answer or others take its places."""
-    parts = urlsplit(address)
-    for attempt in range(1, ATTEMPTS + 1):
+    parts, left = urlsplit(address), ATTEMPTS
+    while True:
         try:
             return await connect(f"ws://{parts.netloc}/socket?{parts.query}", max_size=LARGEST, ping_interval=None, compression=None)
         except (OSError, InvalidHandshake) as error:  # TimeoutError is an OSError
-            if attempt == ATTEMPTS:
+            left -= 1
+            if not left:
                 raise WaspError(f"the scripted driver cannot connect: {error}", "the machine may be too busy: try again") from error
-            await asyncio.sleep(PAUSE)
-    raise AssertionError("there is a last attempt")
+        await asyncio.sleep(PAUSE)
 
 
 def middling(form: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.keys import canonical, libraries
 from wasp_cli.plan.node import Node, sort_of
 from wasp_cli.store.artifact import read_manifest
-from wasp_cli.store.cut import CUT_FROM
 from wasp_cli.store.index import ArtifactIndex, Entry
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import precision_of
@@ -38,8 +37,8 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "who": who(str(manifest["kind"]), str(manifest["task"]), int(manifest["seed"]), axes),
         "sort": sort_of(manifest["kind"], manifest["task"], manifest["config"], axes),
         "signature": _digest([*differing, axes.get("method_config"), provenance.get("versions")]),
-        # What took rows over, or was cut, says nothing of how long its like takes.
-        **({} if "earlier" in provenance or CUT_FROM in provenance else {"seconds": float(provenance["seconds"])}),
+        # What took rows over says nothing of how long its like takes.
+        **({} if "earlier" in provenance else {"seconds": float(provenance["seconds"])}),
         "at": str(provenance.get("started_at", "")),
         **({"precision": precision} if (precision := precision_of(manifest)) else {}),
         **({"episodes": int(manifest["config"]["episodes"])} if "episodes" in manifest["config"] else {}),

@@ -8,25 +8,30 @@ matters: a critic goes with the world model whose latent states it was trained o
 versions of one recipe, neither directly nor through what it reads; but for held-out rows: parts are judged and thresholds set on them, and
 nothing is trained on them, so that they may be recorded again. A published result that nothing reads, such as the rows of a cell, is bound
 by nothing.
+
+Of a published cell with more episodes than are asked for, the first ones are taken (`--limit`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from wasp_cli.errors import UsageError
-from wasp_cli.plan.first import first_episodes
+from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, lay_out
+from wasp_cli.plan.keys import LENGTH
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import Offer, Reused, commit_of, not_used, offers, why_unusable
-from wasp_cli.store.slim import precision_of, without_steps
+from wasp_cli.store.published import EARLIER, Offer, Reused, commit_of, not_used, offers, why_unusable
+from wasp_cli.store.slim import STEPS_FILE, precision_of, without_steps
 
 NONE, PUBLISHED = "none", "published"
 """What may be reused; or the published folder of someone else."""
@@ -71,7 +76,7 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
     if not offered:
         return replace(lay_out(spec, {} if recipes else None), notes=tuple(damaged))
     own = lay_out(spec, {})
-    first, uncut = first_episodes(spec, own, offered)
+    first, uncut = _first_episodes(spec, own, offered)
     usable, notes = _usable(own, [*offered, *first], layout)
     chosen = choose(own, usable)
     keys = {recipe: offer.key for recipe, offer in chosen.items()}
@@ -83,6 +88,12 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
         if (recipe := grid.recipes[node.key]) in chosen
     }
     return replace(grid, reused=reused, notes=(*damaged, *notes, *uncut))
+
+
+def with_episodes(spec: Spec, episodes: int) -> Spec:
+    """Return a spec with so many episodes in each cell."""
+    evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
+    return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
@@ -102,6 +113,47 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
         else:
             notes.append(not_used(offer.kind, offer.source_key, why))
     return usable, notes
+
+
+def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer]) -> tuple[list[Offer], list[str]]:
+    """The first episodes of published cells that have more, and what a plan says where they cannot be taken.
+
+    Products of matrices may round by the number of rows, so that only whole batches of `side_by_side` episodes are those of a smaller cell.
+    """
+    episodes = spec.episodes
+    published: dict[str, list[Offer]] = {}
+    for offer in offered:
+        if offer.kind == "evaluate" and _episodes(offer) > episodes and STEPS_FILE in offer.manifest["files"]:
+            published.setdefault(offer.recipe, []).append(offer)
+    longer_ones: list[tuple[Node, Node, Offer]] = []
+    for length in sorted({_episodes(offer) for same in published.values() for offer in same}):
+        whole = lay_out(with_episodes(spec, length), {})
+        for (cell, node), (_, longer) in zip(own.cells, whole.cells, strict=True):
+            if cell.operator != PERSON:
+                longer_ones += [(node, longer, offer) for offer in published.get(whole.recipes[longer.key], ())]
+    if longer_ones and episodes % spec.side_by_side:
+        why = f"a cell is cut after whole batches of {spec.side_by_side} (side_by_side)"
+        return [], [f"the first {episodes} episodes of published cells are computed: {why}"]
+    return [_first_of(node, longer, offer, own.recipes[node.key]) for node, longer, offer in longer_ones], []
+
+
+def _episodes(offer: Offer) -> int:
+    config = offer.manifest.get("config")
+    count = config.get("episodes") if isinstance(config, dict) else None
+    return count if isinstance(count, int) else 0
+
+
+def _first_of(node: Node, longer: Node, offer: Offer, recipe: str) -> Offer:
+    """The offer of the first episodes of a published cell."""
+    episodes = int(node.config["episodes"])
+    # Under today's code it has the key that it would have been computed under; under other code, one that says what it was cut from.
+    key = node.key if offer.key == longer.key else hashlib.sha256(f"first {episodes} of {offer.key}".encode()).hexdigest()[:LENGTH]
+    provenance: dict[str, Any] = {**offer.manifest["provenance"], EARLIER: offer.key}
+    seconds = provenance.get("seconds")
+    if isinstance(seconds, int | float):
+        provenance["seconds"] = round(seconds * episodes / _episodes(offer), 3)
+    manifest = {**offer.manifest, "key": key, "config": dict(node.config), "recipe": recipe, "provenance": provenance}
+    return replace(offer, key=key, recipe=recipe, manifest=manifest, episodes=episodes)
 
 
 def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:

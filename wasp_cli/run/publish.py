@@ -34,7 +34,6 @@ from wasp_cli.store.artifact import (
     listed_files,
     read_manifest,
 )
-from wasp_cli.store.cut import CUT_FROM
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.published import BEHIND, RECIPE, copy_files
@@ -42,7 +41,7 @@ from wasp_cli.store.slim import HALF_INPUTS, SLIM, Slimming, slim
 
 PUBLIC = (
     "wasp", "git", "python", "versions", "platform", "processor", "cores", "memory_gb", "threads", "devices", "started_at", "seconds",
-    HALF_INPUTS, CUT_FROM,
+    HALF_INPUTS,
 )  # fmt: skip
 """What a published manifest keeps of its provenance. Left out are the host, the command, the run and the log."""
 SHORTEST = 4

@@ -14,10 +14,9 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UnknownName, UsageError
-from wasp_cli.plan.first import with_episodes
 from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.reuse import lay_out_over, with_episodes
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines

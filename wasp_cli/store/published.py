@@ -26,13 +26,15 @@ from wasp_cli.store.artifact import (
     stored_keys,
     stored_kinds,
 )
-from wasp_cli.store.cut import CUT_FROM, cut_cell
 from wasp_cli.store.layout import MANIFESTS, Layout, is_key
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
+from wasp_cli.store.slim import first_episodes
 
 RECIPE, BEHIND = "recipe", "behind"
 """What a published manifest has besides that of the store."""
+EARLIER = "earlier"
+"""In the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of its like."""
 FROM_PUBLISHED = "published"
 """Set in the provenance of an artifact that was brought into the store from the published layer."""
 
@@ -58,7 +60,7 @@ class Offer:
     @property
     def source_key(self) -> str:
         """Return the key of what is copied."""
-        return str(self.manifest["provenance"][CUT_FROM]) if self.episodes is not None else self.key
+        return str(self.manifest["provenance"][EARLIER]) if self.episodes is not None else self.key
 
     @property
     def started_at(self) -> str:
@@ -163,7 +165,7 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
             copy_files(offer.source, offer.kind, offer.source_key, offer.manifest, staging)
             manifest = {**offer.manifest, "provenance": {**offer.manifest["provenance"], FROM_PUBLISHED: True}}
             if offer.episodes is not None:
-                manifest["summary"] = cut_cell(staging, offer.episodes)
+                manifest["summary"] = first_episodes(staging, offer.episodes)
             commit(layout, offer.kind, offer.key, staging, manifest)
         except BaseException:
             discard(staging)

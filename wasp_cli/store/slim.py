@@ -105,6 +105,33 @@ def _halve(path: Path) -> bool:
     return any(value.dtype == np.float32 for value in tensors.values())
 
 
+def first_episodes(folder: Path, episodes: int) -> dict[str, float]:
+    """Keep the rows of the first episodes of a copied cell, and their steps; return its summary, as the stage gives it.
+
+    Args:
+        folder: the copy; its files are replaced.
+        episodes: that stay.
+
+    Raises:
+        ArtifactError: the cell does not have these episodes.
+        StoreError: a file cannot be written.
+    """
+    import numpy as np
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    from wasp_cli.store.tables import EPISODES_FILE, write_episodes
+
+    table = pq.read_table(folder / EPISODES_FILE)
+    kept = table.filter(pc.less(table["episode"], episodes)).combine_chunks()
+    if kept["episode"].to_pylist() != list(range(episodes)):
+        raise ArtifactError(f"'{folder / EPISODES_FILE}' does not have the first {episodes} episodes", "run with --reuse none")
+    write_episodes(kept, folder / EPISODES_FILE)
+    _cut(folder / STEPS_FILE, episodes)
+    shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
+    return {name: round(float(np.mean(kept[column])), digits) for name, (column, digits) in shown.items()}
+
+
 def _cut(path: Path, episodes: int) -> bool:
     """Keep the steps of the first `episodes`; whether others were there."""
     import pyarrow.compute as pc
