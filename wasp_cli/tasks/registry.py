@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from wasp_cli.errors import UnknownName, closeness
 from wasp_cli.registry import Registry, module_of
+from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
     from wasp_cli.tasks.foreign.examine import Facts
@@ -58,6 +59,9 @@ class TaskInfo(_Named):
     """Turns an action [A] into that of the mirrored episode, as rows [A][A], where the task works and is seen the same with left and right
     exchanged: every recorded episode is then another possible one. None where it does not, as on a track."""
 
+    motors: Motors = UNKNOWN
+    """Which commands are one and the same force."""
+
     def facts(self) -> dict[str, Any]:
         """Return what the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
         return _facts(self)
@@ -72,6 +76,7 @@ class ForeignInfo(_Named):
     options: ClassVar[Mapping[str, Any]] = {}
     mirror: ClassVar[Matrix | None] = None
     """Nothing is known of the symmetries of others' environments."""
+    motors: ClassVar[Motors] = UNKNOWN
 
     def __init__(self, name: str) -> None:
         gym_id = name.rpartition(":")[2]
@@ -148,19 +153,22 @@ class TaskRegistry(Registry[AnyTaskInfo]):
 _TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))
 """Of throttle and turn rate: nothing is left or right in Goal but the turning."""
 
+_WHEELS, _POINT = Motors((0.02, 0.02)), Motors((0.05, 1.0))
+"""Of the cars' left and right wheel; of the point robot's throttle and turn rate."""
+
 _GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
 
 TASKS: Registry[AnyTaskInfo] = TaskRegistry(
     "task",
     "wasp.tasks",
     (
-        TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", _RACE, 0.04, 500, 1, {"level": 1}),
-        TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", _FORMULA, 0.04, 1000, 1, {"level": 1}),
-        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}, _TURNING),
-        TaskInfo("race0", "Race0", "wasp/SafetyCarRace0-v0", _RACE, 0.04, 500, 1, {"level": 0}),
-        TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}),
-        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}, _TURNING),
-        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}, _TURNING),
+        TaskInfo("race1", "Race1", "wasp/SafetyCarRace1-v0", _RACE, 0.04, 500, 1, {"level": 1}, motors=_WHEELS),
+        TaskInfo("formula1", "FormulaOne1", "wasp/SafetyCarFormulaOne1-v0", _FORMULA, 0.04, 1000, 1, {"level": 1}, motors=_WHEELS),
+        TaskInfo("goal1", "Goal1", "wasp/SafetyPointGoal1-v0", _GOAL, 0.02, 1000, 7, {"level": 1}, _TURNING, _POINT),
+        TaskInfo("race0", "Race0", "wasp/SafetyCarRace0-v0", _RACE, 0.04, 500, 1, {"level": 0}, motors=_WHEELS),
+        TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}, motors=_WHEELS),
+        TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}, _TURNING, _POINT),
+        TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}, _TURNING, _POINT),
     ),
 )
 
