@@ -24,14 +24,20 @@ from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, bui
 B = 5
 EVERYONE = torch.ones(B, dtype=torch.bool)
 METHODS: dict[str, dict[str, Any]] = {
-    "wasp": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "gate_rollouts": 2, "finalists": 2, "horizon": 6},
+    "wasp": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2, "horizon": 6},
+    "printed": {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "rollouts": 2, "horizon": 6},
     "ida": {"vote": 0.0, "copilot": "diffusion"},
     "diffusion": {}, "saferl": {}, "filter": {"candidates": 8, "segment": 4, "rollouts": 2}, "human": {},
 }  # fmt: skip
-VARIANTS = ("full", "safety-only", "no-case2", "as-printed")
-CASES = [*((name, {}) for name in METHODS), *(("wasp", {"variant": variant}) for variant in VARIANTS)]
-ALSO = [("wasp", {"task_search": False, "safety_search": False}), ("wasp", {"probe_with": "both"}), ("wasp", {"probe_with": "random"})]
-NOWHERE = [*((method, changes, "laggy") for method, changes in (*CASES, *ALSO)), ("wasp", {}, "noisy"), ("wasp", {}, "reaction-time")]
+VARIANTS = ("safety-only", "no-case2", "no-rollout")
+CASES = [
+    *((name, {}) for name in METHODS), *((name, {"variant": variant}) for name in ("wasp", "printed") for variant in VARIANTS),
+    ("wasp", {"variant": "knows-operator"}),
+]  # fmt: skip
+NOWHERE = [
+    *((method, changes, "laggy") for method, changes in CASES),
+    ("printed", {}, "noisy"), ("wasp", {"variant": "knows-operator"}, "reaction-time"),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

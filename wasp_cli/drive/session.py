@@ -218,7 +218,7 @@ class Session:
         keep_memory()
         require_whole(self.layout, node_inputs(node))
         inputs = {name: self.layout.artifact(needed.kind, needed.key) for name, needed in node.needs.items()}
-        parts = load_parts(inputs, self.loaded.spec.returns, training_device())
+        parts = load_parts(inputs, self.loaded.spec.returns, training_device(), motors=TASKS[cell.task].motors)
         repeat, how = self.loaded.spec.action_repeat, self.how
         config = BlockConfig(cell.task, cell.method, method_config, repeat, how.speed, how.shown, how.threads)
         block = Block(config, parts, desk)

@@ -15,16 +15,19 @@ from wasp_cli.methods.base import Assistant, AssistantClass, Parts
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
+from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 
-def load_parts(inputs: Mapping[str, Path], returns: ReturnsConfig, device: torch.device | None = None) -> Parts:
+def load_parts(
+    inputs: Mapping[str, Path], returns: ReturnsConfig, device: torch.device | None = None, *, motors: Motors = UNKNOWN
+) -> Parts:
     """Load the frozen models of a training chain to a device (the CPU), and the calibrated thresholds where there are any."""
     thresholds: dict[str, float] = {}
     if "calibration" in inputs:
         thresholds = json.loads((inputs["calibration"] / "calibration.json").read_text())
     return Parts(
         load_world_model(inputs["world_model"]).to(device), load_skills(inputs["policies"]).to(device), inputs, thresholds,
-        returns.gamma_r, returns.gamma_c, returns.lam,
+        returns.gamma_r, returns.gamma_c, returns.lam, motors,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
+from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
     # Training drives the task with assistants too, and must not run again when decisions leave more behind.
@@ -85,6 +86,8 @@ class Parts:
     """Discount of costs per decision step."""
     lam: float
     """lambda of the TD-lambda returns (Eq. 8)."""
+    motors: Motors = UNKNOWN
+    """Of the robot: which commands are one and the same force."""
 
     @property
     def device(self) -> torch.device:

@@ -84,6 +84,15 @@ def _has(setting: Any, value: str) -> bool:
     return value in setting if isinstance(setting, Mapping) else bool(setting == value)
 
 
+_ABLATIONS: Mapping[str, str] = {
+    "full": "full",
+    "safety-only": "safety gate only",
+    "task-only": "task gate only",
+    "no-case2": "no Case II recovery",
+    "no-rollout": "no rollouts (H = 1)",
+}
+"""Of Table 2."""
+
 METHODS: Registry[MethodInfo] = Registry(
     "method",
     "wasp.methods",
@@ -132,25 +141,25 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.wasp.assistant:wasp",
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
-            needs_with=(
-                ("tau_c", "coverage", "coverage"),
-                ("witness", "head", "lookahead"),
-                ("witness", "both", "lookahead"),
-                ("operator_model", "cloned", "clone"),
-            ),
+            needs_with=(("tau_c", "coverage", "coverage"),),
             calibrated=True,
-            variants={
-                "full": "full",
-                "safety-only": "safety gate only",
-                "task-only": "task gate only",
-                "no-case2": "no Case II recovery",
-                "no-rollout": "no rollouts (H = 1)",
-                "as-printed": "as printed",
-            },
-            rows={"as-printed": "WASP (as printed)"},
-            own_thresholds=("no-rollout", "as-printed"),
-            rule="WASP corrects the command where its imagined cost exceeds τ_c, or else where a safe correction is expected to gain more "
-            "return than τ_r.",
+            variants={**_ABLATIONS, "knows-operator": "knows the operator"},
+            rows={"knows-operator": "WASP (knows the operator)"},
+            own_thresholds=("no-rollout",),
+            rule="WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe correction "
+            "is expected to gain more return than τ_r.",
+        ),
+        MethodInfo(
+            "printed",
+            "WASP (as printed)",
+            "wasp_cli.methods.wasp.printed:printed",
+            "wasp_cli.methods.configs:PrintedConfig",
+            ("critics",),
+            calibrated=True,
+            variants=_ABLATIONS,
+            own_thresholds=("no-rollout",),
+            rule="WASP as printed imagines the operator's own rule: it plans a residual where the imagined cost exceeds τ_c, or else where "
+            "the best of random plans gains more return than τ_r.",
         ),
         MethodInfo(
             "expert",

@@ -11,7 +11,8 @@ Document = Mapping[str, Any]
 
 # Planner of the feasibility study: a decision in 0.6 s on two cores; the models' defaults are the paper's sizes.
 _CPU: Document = {
-    "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64},
+    "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
+    "printed": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64},
 }
 
 # Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
@@ -48,9 +49,8 @@ _SMOKE: Document = {
     "counterfactual": {"window": 4, "most": 3},
     "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
-    "wasp": {
-        "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "gate_rollouts": 1, "finalists": 2,
-    },
+    "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1},
+    "printed": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "rollouts": 1},
 }  # fmt: skip
 
 # Minutes on two cores for one task with one seed: small, but every method has learned something. Where time is short,
@@ -78,7 +78,8 @@ _QUICK: Document = {
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
     "counterfactual": {"most": 30},
-    "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32},
+    "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
+    "printed": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32, "rollouts": 4},
 }  # fmt: skip
 
 # Sizes for a large GPU, and the planner's are the paper's. The world model trains, latents are filtered and assistants are evaluated on one
@@ -112,7 +113,8 @@ _PAPER: Document = {
     "ida_q": {"updates": 10_000},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000},
-    "wasp": {"rollouts": 5, "gate_rollouts": 8, "probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
+    "wasp": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
+    "printed": {"probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
 }
 
 PRESETS: Mapping[str, Document] = {"smoke": _SMOKE, "quick": _QUICK, "cpu": _CPU, "gpu": _GPU, "paper": _PAPER}

@@ -36,6 +36,7 @@ class CalibrationStage:
         from wasp_cli.models.base import Latent
         from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
         from wasp_cli.seeds import derive
+        from wasp_cli.tasks.registry import TASKS
 
         config = cast(CalibrationConfig, job.config)
         heldout = load_heldout(job.inputs["heldout"])
@@ -43,7 +44,7 @@ class CalibrationStage:
         cost_ahead = torch.from_numpy(sums_ahead(heldout.cost.numpy(), heldout.episode.numpy(), config.window))
         index = torch.linspace(0, total - 1, min(config.decisions, total)).round().long()
         chosen = Heldout(Latent(heldout.latent.h[index], heldout.latent.z[index]), *(field[index] for field in heldout[1:]))
-        parts = load_parts(job.inputs, job.settings["returns"])
+        parts = load_parts(job.inputs, job.settings["returns"], motors=TASKS[job.task].motors)
         assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
         statement: dict[str, Any] = {}
         if "coverage" in job.inputs:

@@ -33,11 +33,10 @@ class CloneStage:
         from wasp_cli.learning.closed_loop import Loop, run_episodes
         from wasp_cli.methods.base import Assistant
         from wasp_cli.methods.human import HumanOnly
-        from wasp_cli.methods.wasp.operator_model import imagined_operator
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
         from wasp_cli.models.world_model import load_world_model
-        from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, OperatorContext, build_operator
+        from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
         from wasp_cli.operators.cloned import ClonedOperator
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
@@ -72,8 +71,9 @@ class CloneStage:
         nothing = DrawnNoise(torch.zeros(0, config.heldout_episodes, 0))
         cloned = ClonedOperator(clone, skills.expert, seen.command.shape[1], nothing, config.heldout_episodes)
         models = {
-            name: lambda operator, a_h, name=name: imagined_operator(name, operator, a_h, skills.expert, cloned)
-            for name in ("cloned", "rule", "expert", "hold")
+            "cloned": lambda operator, a_h: cloned.after(a_h, nothing),
+            "rule": lambda operator, a_h: operator,
+            "expert": lambda operator, a_h: Operator(skills.expert, a_h.shape[1], nothing, len(a_h)),
         }
         told = Foreteller(models, config.draws, derive("clone-draws", job.task, job.seed, variant, value))
         quality = judged(told, drive("held out", config.heldout_episodes, told, TRAINING, 1.0 - TRAINING))

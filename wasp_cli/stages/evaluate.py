@@ -38,7 +38,7 @@ class EvaluateStage:
         config = cast(EvaluateConfig, job.config)
         method, variant, value = job.axes["method"], job.axes["variant"], job.axes["value"]
         device = training_device()
-        parts = load_parts(job.inputs, job.settings["returns"], device)
+        parts = load_parts(job.inputs, job.settings["returns"], device, motors=TASKS[job.task].motors)
         goals = config.success_goals or TASKS[job.task].success_goals
         batch: int = job.settings["side_by_side"]
         earlier = None if job.earlier is None else first_rows(job.earlier, batch)

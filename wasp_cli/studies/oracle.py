@@ -32,7 +32,7 @@ from wasp_cli.memory import keep_memory
 from wasp_cli.methods.base import Assistant
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.human import HumanOnly
-from wasp_cli.methods.wasp.assistant import WASP, effective
+from wasp_cli.methods.wasp.assistant import WASP
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.metrics.episode import WEIGHTS, EpisodeMetrics, episode_metrics, pool
 from wasp_cli.models.base import Latent
@@ -41,6 +41,7 @@ from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import EpisodeNoise, OperatorContext, Policy, build_operator
 from wasp_cli.tasks.base import Bools, Observation, VectorTask
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.registry import TASKS
 
 SIDE_BY_SIDE = 8
 """Episodes in a batch: with 64 candidates each, larger batches of the simulator are no faster."""
@@ -155,8 +156,8 @@ def _assistant(cell: Cell, config: WASPConfig | None, model: SimulatorModel) -> 
     if config is None:
         return HumanOnly()
     # lambda = 1: with no critics to mix in, a smaller one would only discount once more.
-    constants = effective(config), cell.gamma_r, cell.gamma_c
-    return WASP(config, Imagination(model, NoCritics(), *constants, lam=1.0, expert=_skill(cell.expert, 1.0)), {})
+    imagination = Imagination(model, NoCritics(), _skill(cell.expert, 1.0), cell.gamma_r, cell.gamma_c, lam=1.0)
+    return WASP(config, imagination, {}, TASKS[cell.task].motors)
 
 
 def _skill(folder: Path, fraction: float) -> Policy:

@@ -21,7 +21,7 @@ from wasp_cli.learning.configs.world import WorldModelConfig
 from wasp_cli.learning.world_model import build
 from wasp_cli.memory import keep_memory
 from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.wasp.assistant import WASP, effective
+from wasp_cli.methods.wasp.assistant import WASP
 from wasp_cli.methods.wasp.imagine import Imagination
 from wasp_cli.models.base import Latent
 from wasp_cli.models.critics import LatentCritics
@@ -35,7 +35,7 @@ NEVER = 1e9
 """A threshold that nothing exceeds."""
 ROOF_SHAPES = ((300, 256, 768), (300, 512, 512), (1024, 512, 512))
 """[M, K] x [K, N] of the plain products: the planner's own shapes; the fastest is the roof."""
-THRESHOLDS = {"gate": (NEVER, NEVER), "quiet": (NEVER, NEVER), "safety": (-NEVER, NEVER), "task": (NEVER, -NEVER)}
+THRESHOLDS = {"quiet": (NEVER, NEVER), "task": (NEVER, -NEVER), "safety": (-NEVER, NEVER)}
 """(tau_c, tau_r) under which each kind of decision comes about."""
 
 COLUMNS = (
@@ -45,8 +45,7 @@ COLUMNS = (
     Column("ratio", "time / products"),
 )
 MEANINGS = {
-    "gate": "nominal rollouts alone", "quiet": "both gates silent", "safety": "planner after the safety gate",
-    "task": "planner after the task gate, whose probe is its first iteration",
+    "quiet": "both gates silent", "task": "the expert's action after the task gate", "safety": "search after the safety gate",
 }  # fmt: skip
 TABLE1: Mapping[str, float] = {"race1": 0.15, "formula1": 0.20, "goal1": 0.25}
 """Intervention rates of WASP in Table 1 of the paper."""
@@ -124,8 +123,7 @@ class Setup:
         values = LatentCritics(model.feature_size, critics.hidden, critics.bins, critics.reach).requires_grad_(False)
         skills = Skills([1.0], model.feature_size, policies.hidden, ACTIONS).requires_grad_(False)
         context = OperatorContext(skill=skills.at, action_size=ACTIONS, decision_seconds=0.1)
-        constants = effective(wasp), returns.gamma_r, returns.gamma_c, returns.lam
-        self.imagination = Imagination(model, values, *constants, expert=skills.expert)
+        self.imagination = Imagination(model, values, skills.expert, returns.gamma_r, returns.gamma_c, returns.lam)
         self.operator: Operator = build_operator("laggy", 0.7, context, EpisodeNoise(list(range(batch))), batch)
         self.latent: Latent = model.initial(batch)
         self.a_h = self.operator.command(self.latent.features)
@@ -147,11 +145,7 @@ class Setup:
             assistant.tau_c, assistant.tau_r = THRESHOLDS[kind]
             assistant.decide(self.latent, self.a_h, self.operator)
 
-        def gate() -> None:
-            assistant.reset(everyone, seeds)
-            assistant.nominal(self.latent, self.a_h, self.operator)
-
-        return gate if kind == "gate" else decide
+        return decide
 
 
 def _bench(setup: Setup, batch: int, threads: int, repeats: int) -> Bench:

@@ -1,12 +1,11 @@
-"""Imagined rollouts of the composed behaviour (Eq. 13), summarised by TD-lambda returns.
+"""Imagined rollouts: what commands lead to when an operator of whom something is assumed goes on.
 
-Dimension letters: B decisions, N candidates, M rollouts, H horizon, L residual steps, A action, Z latent noise, K operator draws,
-R = B * N * M rows of one call to the model.
+B decisions, N candidates, M rollouts, H horizon, L residual steps, A actions, Z latent noise, K operator draws, R = B * N * M rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -14,15 +13,17 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
+from wasp_cli.methods.base import Parts
+from wasp_cli.methods.noise import Streams, as_gumbel
 from wasp_cli.models.base import Critics, Latent
+from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.packed import PackedModel
+from wasp_cli.models.weights import load_module
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import DrawnNoise, Operator, Policy
 
-ROUNDING = 1e-6
-"""A takeover's residual below this is none: the expert's own command, computed in another batch."""
+Compose = Callable[[int, Tensor], Tensor]
+"""Turns the step k and the operator's commands there [R, A] into actions [R, A]."""
 
 
 class Dynamics(Protocol):
@@ -42,6 +43,23 @@ class Dynamics(Protocol):
         ...
 
 
+class Situation(NamedTuple):
+    """Where an imagination starts: the filtered latents, the commands just issued, and who goes on."""
+
+    latent: Latent
+    """[B, .]"""
+    a_h: Tensor
+    """[B, A]"""
+    operator: Operator
+    """imagined from here on; it has just issued the commands"""
+    rows: Tensor
+    """[B] the operator's rows that these decisions belong to"""
+
+    def select(self, rows: Tensor) -> Situation:
+        """Select some of the decisions (indices [R])."""
+        return Situation(self.latent.rows(rows), self.a_h[rows], self.operator, self.rows[rows])
+
+
 class Draws(NamedTuple):
     """Randomness of M rollouts, made before the loop and shared by every candidate (common random numbers)."""
 
@@ -50,68 +68,94 @@ class Draws(NamedTuple):
     operator: Tensor
     """uniform [B, H, M, K]"""
 
+    @classmethod
+    def of(cls, streams: Streams, purpose: int, start: Situation, horizon: int, rollouts: int, noise_size: int) -> Draws:
+        """Draw for every decision from its own episode's stream of that purpose."""
+        shapes = (horizon, rollouts, noise_size), (horizon, rollouts, start.operator.draws)
+        latents, commands = streams.uniform(*shapes, purpose=purpose, rows=start.rows)
+        return cls(as_gumbel(latents), commands)
+
     def rows(self, index: Tensor) -> Draws:
-        """Select the draws of some of the decisions (indices or mask [R])."""
+        """Select the draws of some of the decisions (indices [R])."""
         return Draws(self.latent[index], self.operator[index])
 
     def first(self, rollouts: int) -> Draws:
         """Select the draws of the first rollouts."""
         return Draws(self.latent[:, :, :rollouts], self.operator[:, :, :rollouts])
 
-    def steps(self, horizon: int) -> Draws:
-        """Select the draws of the first imagined steps."""
-        return Draws(self.latent[:, :horizon], self.operator[:, :horizon])
 
+class Scored(NamedTuple):
+    """Residual sequences of B decisions, and the mean returns of their rollouts."""
 
-class Situation(NamedTuple):
-    """Where an imagination starts: the filtered latents, the commands just issued, and who issued them."""
-
-    latent: Latent
-    """[B, .]"""
-    a_h: Tensor
-    """[B, A]"""
-    operator: Operator
-    rows: Tensor
-    """[B] the operator's rows that these decisions belong to"""
-
-    def select(self, index: Tensor) -> Situation:
-        """Select some of the decisions (indices or mask [R])."""
-        return Situation(self.latent.rows(index), self.a_h[index], self.operator, self.rows[index])
-
-
-class Returns(NamedTuple):
-    """Mean imagined returns over M rollouts, and the effort of the residuals as executed."""
-
-    reward: Tensor
-    """G^(r) [B, N] (Eq. 10, 15)"""
-    cost: Tensor
-    """G^(c) [B, N] (Eq. 9, 14)"""
-    effort: Tensor
-    """sum_k ||delta_k||^2, after clipping unless `effort` says otherwise [B, N] (Eq. 11, 16, 17)"""
-
-
-class Rolled(NamedTuple):
-    """What became of N candidates in M rollouts of B decisions."""
-
-    returns: Returns
     residuals: Tensor
-    """[B, N, L, A] as they came about, a mean over the rollouts"""
-    issued: Tensor | None
-    """[B, N, M, K, A] the operator's first K commands; None where nobody asked for them"""
+    """[B, N, L, A]"""
+    reward: Tensor
+    """G^(r) [B, N]"""
+    cost: Tensor
+    """G^(c) [B, N]"""
+
+    def rows(self, index: Tensor) -> Scored:
+        """Select some of the decisions (indices [R])."""
+        return Scored(*(field[index] for field in self))
+
+    def take(self, index: Tensor) -> Scored:
+        """Select candidates of every decision (indices [B, K])."""
+        plans = index.view(*index.shape, 1, 1).expand(-1, -1, *self.residuals.shape[2:])
+        return Scored(self.residuals.gather(1, plans), self.reward.gather(1, index), self.cost.gather(1, index))
+
+    @classmethod
+    def joined(cls, batches: Sequence[Scored], along: int = 1) -> Scored:
+        """Join candidates of the same decisions, or (`along` 0) decisions."""
+        return cls(*(torch.cat(field, along) for field in zip(*batches, strict=True)))
+
+
+@dataclass(frozen=True)
+class Imagined:
+    """The arrived states k = 1..H of N candidates in M rollouts of B decisions; every signal is [H, B, N, M]."""
+
+    imagination: Imagination
+    arrived: Latent
+    shape: tuple[int, int, int]
+    """B, N, M"""
+
+    def reward(self) -> Tensor:
+        """Return r-hat of every step."""
+        return self._shaped(self.imagination.model.reward(self.arrived))
+
+    def cost(self) -> Tensor:
+        """Return c-hat of every step: the probability of a cost."""
+        return self._shaped(self.imagination.model.cost(self.arrived))
+
+    def continues(self) -> Tensor:
+        """Return the probability that the episode goes on after every step."""
+        return self._shaped(self.imagination.model.continues(self.arrived))
+
+    def value_r(self) -> Tensor:
+        """Return V_r of every arrived state."""
+        return self._shaped(self.imagination.critics.value_r(self.arrived))
+
+    def value_c(self) -> Tensor:
+        """Return V_c of every arrived state."""
+        return self._shaped(self.imagination.critics.value_c(self.arrived))
+
+    def _shaped(self, signal: Tensor) -> Tensor:
+        return signal.view(-1, *self.shape)
 
 
 @dataclass(frozen=True)
 class Imagination:
-    """The frozen models and constants of every imagined return."""
+    """The frozen models of every imagined return."""
 
     model: Dynamics
     critics: Critics
-    config: WASPConfig
+    expert: Policy
+    """the nominal expert, features [R, F] to commands [R, A]"""
     gamma_r: float
+    """discount of rewards, at which V_r was trained"""
     gamma_c: float
+    """discount of costs, at which V_c was trained"""
     lam: float
-    expert: Policy | None = None
-    """The nominal expert on features [R, F], whose takeovers are candidates; None where there is none."""
+    """lambda of Eq. 8"""
     pack: bool = True
     """Whether a `SafetyWorldModel` takes its steps packed (`models.packed`); without it by its own `imagine`: the reference."""
 
@@ -120,146 +164,58 @@ class Imagination:
         """The packed steps of the model; None where it takes its own."""
         return PackedModel(self.model) if self.pack and isinstance(self.model, SafetyWorldModel) else None
 
-    def returns(self, start: Situation, residuals: Tensor, draws: Draws, share: Tensor | None = None, *, alone: int = 0) -> Returns:
-        """Roll every candidate out and summarise it (Eq. 7-8, 13).
+    def roll(self, start: Situation, candidates: int, compose: Compose, draws: Draws) -> Imagined:
+        """Imagine N candidates of B decisions in M rollouts each.
 
         Args:
             start: B decisions.
-            residuals: [B, N, L, A].
-            draws: of M rollouts, shared by the N candidates.
-            share: [B, N, L, 2] how much of a command the expert takes over, and how much of it is braked away, in the loop of every
-                rollout; the residuals of such steps are not read. None: there is no such candidate.
-            alone: so many of the first candidates are the operator alone, whatever their residuals. For the others zero residuals are a
-                held command where `composition` is `hold`.
+            candidates: N.
+            compose: says what is executed at step k when the operator commands [R, A]; at k = 0 these are the commands just issued. Rows
+                are ordered by decision, candidate, rollout. What it returns is cut at the bounds.
+            draws: of the M rollouts, met by every candidate.
         """
-        return self.rolled(start, residuals, draws, share, alone=alone).returns
-
-    def rolled(
-        self,
-        start: Situation,
-        residuals: Tensor,
-        draws: Draws,
-        share: Tensor | None = None,
-        *,
-        alone: int = 0,
-        index: Tensor | None = None,
-        heard: int = 0,
-    ) -> Rolled:
-        """Return what `returns` does, with what became of residuals and commands on the way.
-
-        Args:
-            start, residuals, draws, share, alone: as in `returns`.
-            index: which of the draws' rollouts each candidate meets, [N, M]; None: every candidate meets all of them.
-            heard: so many commands of the operator are kept.
-        """
-        batch, candidates, steps, actions = residuals.shape
-        horizon = draws.latent.shape[1]
-        if index is None:
-            index = torch.arange(draws.latent.shape[2], device=residuals.device).expand(candidates, -1)
-        rollouts = index.shape[1]
-        shape = (batch, candidates, rollouts)
+        batch, horizon, rollouts = draws.latent.shape[:3]
         copies = candidates * rollouts
-        delta = _over_rollouts(residuals, rollouts)  # [R, L, A]
-        part = None if share is None else _over_rollouts(share, rollouts)  # [R, L, 2]
-        rows = draws.latent.shape[2] * torch.arange(batch, device=index.device)
-        met = (rows.unsqueeze(1) + index.flatten()).flatten()  # [R] of the B * M draws
-        operator = start.operator.fork(start.rows, copies, DrawnNoise(_by_step(draws.operator)[:, met]))
+        operator = start.operator.fork(start.rows, copies, DrawnNoise(_met(draws.operator, candidates)))
         packed = self.packed
-        room = None if packed is None else packed.room(horizon, len(delta))
-        noise = _by_step(draws.latent if packed is None else packed.chances(draws.latent))  # [H, B * M, Z]
-        now = start.a_h.repeat_interleave(copies, 0)  # [R, A]
-        effort = delta.new_zeros(len(delta))
-        found: list[Tensor] = []
-        issued: list[Tensor] = []
-        seen: list[Latent] = []
+        noise = _met(draws.latent if packed is None else packed.chances(draws.latent), candidates)  # [H, R, Z]
+        room = None if packed is None else packed.room(horizon, batch * copies)
+        steps: list[Latent] = []
+        command = start.a_h.repeat_interleave(copies, 0)
         latent, alike = start.latent, copies  # copies of a row are alike until their actions differ
         for k in range(horizon):
-            features = latent.features if k or part is not None else delta
-            command = now if k == 0 else operator.command(features)
-            if k < heard:
-                issued.append(command.clamp(-1, 1))
-            action = command
-            if k < steps:
-                base = self._base(now, command, shape, alone)
-                wanted = base + delta[:, k]
-                if part is not None:
-                    wanted = self._taken_over(features, alike, base, wanted, part[:, k])
-                action = wanted.clamp(-1, 1)
-                effort = effort + ((action if self.config.effort == "clipped" else wanted) - base).square().sum(-1)
-                found.append(action - base)
-            drawn = noise[k].index_select(0, met)  # [R, Z]
+            if k:
+                command = operator.command(latent.features)
+            action = compose(k, command).clamp(-1, 1)
             if packed is not None and room is not None:
-                latent = packed.imagine(latent, action, drawn, room.step(k), alike)
+                latent = packed.imagine(latent, action, noise[k], room.step(k), alike)
             else:
-                latent = self.model.imagine(latent.expand_rows(alike) if alike > 1 else latent, action, drawn)
-                seen.append(latent)
+                latent = self.model.imagine(latent.expand_rows(alike) if alike > 1 else latent, action, noise[k])
+                steps.append(latent)
             alike = 1
-        # Every head runs once, on all steps.
-        arrived = Latent(*(torch.stack(part) for part in zip(*seen, strict=True))) if room is None else room
-        keep = self.model.continues(arrived) if self.config.continuation else None
-        gamma_r, gamma_c = self.discounts
-        reward = self._summary(self.model.reward(arrived), self.critics.value_r, self.config.bootstrap_reward, gamma_r, arrived, keep)
-        cost = self._summary(self.model.cost(arrived), self.critics.value_c, self.config.bootstrap_cost, gamma_c, arrived, keep)
-        returns = Returns(*(field.view(shape).mean(-1) for field in (reward, cost, effort)))
-        commands = torch.stack(issued, 1).view(*shape, heard, actions) if heard else None
-        if part is None:
-            return Rolled(returns, residuals, commands)
-        realised = torch.stack(found, 1).view(*shape, steps, actions).mean(2)
-        realised = torch.where(realised.abs() < ROUNDING, 0.0, realised)
-        return Rolled(returns, torch.where(closed_loop(share), realised, residuals), commands)
-
-    def nominal(self, start: Situation, draws: Draws) -> Returns:
-        """Roll out the operator alone (Eq. 9-10). Fields are [B]."""
-        batch, actions = start.a_h.shape
-        nothing = start.a_h.new_zeros(batch, 1, self.config.residual_steps, actions)
-        return Returns(*(field.squeeze(1) for field in self.returns(start, nothing, draws, alone=1)))
-
-    @property
-    def discounts(self) -> tuple[float, float]:
-        """Return gamma of rewards and of costs."""
-        two = {"two": (self.gamma_r, self.gamma_c), "reward": (self.gamma_r, self.gamma_r), "cost": (self.gamma_c, self.gamma_c)}
-        return two[self.config.discounts]
-
-    def _base(self, now: Tensor, command: Tensor, shape: tuple[int, ...], alone: int) -> Tensor:
-        """Return the commands [R, A] that residuals are added to: those of the moment, or the held one of Eq. 13 as printed."""
-        if self.config.composition == "per_step":
-            return command
-        if not alone:
-            return now
-        # Eq. 9-10 know no correction: without one nothing holds the first command.
-        first = torch.arange(shape[1], device=now.device).view(1, -1, 1).expand(shape).reshape(-1, 1) < alone
-        return torch.where(first, command, now)
-
-    def _taken_over(self, features: Tensor, alike: int, base: Tensor, open_loop: Tensor, part: Tensor) -> Tensor:
-        """Return the actions [R, A] of candidates of which some are taken over in this step: part [R, 2], features [R / alike, F]."""
-        if self.expert is None:
-            raise ValueError("takeovers need the nominal expert")
-        expert = self.expert(features)
-        if alike > 1:
-            expert = expert.repeat_interleave(alike, 0)
-        taken = base + part[:, :1] * (expert - base) - part[:, 1:] * base
-        return torch.where((part > 0).any(-1, keepdim=True), taken, open_loop)
-
-    def _summary(
-        self, signal: Tensor, value: Callable[[Latent], Tensor], bootstrap: bool, gamma: float, arrived: Latent, keep: Tensor | None
-    ) -> Tensor:
-        """Summarise a signal [H, R] at the arrived latents as a return [R]: Eq. 8 in full, or the discounted sum over H alone."""
-        if bootstrap:
-            return td_lambda(signal, value(arrived), gamma, self.lam, keep)
-        return discounted_sum(signal, gamma, keep)
+        arrived = Latent(*(torch.stack(part) for part in zip(*steps, strict=True))) if room is None else room
+        return Imagined(self, arrived, (batch, candidates, rollouts))
 
 
-def closed_loop(share: Tensor | None) -> Tensor:
-    """Return which steps of candidates [B, N, L, 2] are taken over: bool [B, N, L, 1]."""
-    assert share is not None
-    return (share > 0).any(-1, keepdim=True)
+def imagination_of(parts: Parts) -> Imagination:
+    """Return the imagination over the trained world model, critics and expert."""
+    critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors").to(parts.device)
+    return Imagination(parts.world_model, critics, parts.skills.expert, parts.gamma_r, parts.gamma_c, parts.lam)
 
 
-def _over_rollouts(plans: Tensor, rollouts: int) -> Tensor:
-    """Repeat [B, N, L, K] as [B * N * M, L, K]."""
+def corrected(residuals: Tensor, draws: Draws) -> Compose:
+    """Return what adds residuals [B, N, L, A] to the next L commands: a_{t+k}^H + delta_{t+k}."""
+    delta = over_rollouts(residuals, draws.latent.shape[2])
+    return lambda k, command: command + delta[:, k] if k < delta.shape[1] else command
+
+
+def over_rollouts(plans: Tensor, rollouts: int) -> Tensor:
+    """Repeat candidates [B, N, L, A] for every rollout, as [R, L, A]."""
     return plans.unsqueeze(2).expand(-1, -1, rollouts, -1, -1).reshape(-1, *plans.shape[2:])
 
 
-def _by_step(draws: Tensor) -> Tensor:
-    """Order draws [B, H, M, K] as [H, B * M, K]."""
-    return draws.transpose(0, 1).flatten(1, 2)
+def _met(draws: Tensor, candidates: int) -> Tensor:
+    """Let each candidate meet draws [B, H, M, K]: as [H, R, K]."""
+    batch, horizon, rollouts, size = draws.shape
+    met = draws.transpose(0, 1).unsqueeze(2).expand(-1, -1, candidates, -1, -1)
+    return met.reshape(horizon, batch * candidates * rollouts, size)

@@ -1,74 +1,71 @@
-"""What a decision of WASP comes to while it is made: commands that stand until a plan is carried out. B decisions, L residual steps."""
+"""What a decision comes to: commands that stand until a plan is carried out. B decisions, L residual steps, I iterations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.record import Planned, Record, blank_record
-from wasp_cli.methods.wasp.planner import Plan
+from wasp_cli.methods.base import Decision
+from wasp_cli.methods.record import Planned, blank_record
+from wasp_cli.tasks.motors import Motors
 
 
-@dataclass
+class Plan(NamedTuple):
+    """The selected residual sequences of R decisions, and how the search went."""
+
+    residuals: Tensor
+    """[R, L, A]"""
+    cost: Tensor
+    """[R] predicted cost return"""
+    reward: Tensor
+    """[R] predicted reward return"""
+    alone_cost: Tensor
+    """[R] of the command without a correction, on the same rollouts"""
+    alone_reward: Tensor
+    """[R]"""
+    safe: Tensor
+    """[R, I] |F_s| of every iteration (Eq. 14); CUT_OFF for those that were left out, -1 where nothing was searched"""
+    case2: Tensor
+    """[R, I] whether it was fewer than N_f"""
+
+
 class Outcome:
     """Of B decisions, whichever of them are corrected."""
 
-    a_h: Tensor
-    """[B, A] the commands"""
-    action: Tensor
-    """[B, A] to be executed"""
-    plan: Tensor
-    """[B, L, A] carried out; zeros where none is"""
-    warm: Tensor
-    """bool [B] one is"""
-    recovering: Tensor
-    """bool [B] it is no safe one, but the safest there was"""
-    planned: Planned
-    record: Record
-
-    @classmethod
-    def standing(cls, a_h: Tensor, config: WASPConfig) -> Outcome:
+    def __init__(self, a_h: Tensor, motors: Motors, iterations: int, steps: int) -> None:
         """Begin with commands a_h [B, A] that stand."""
-        batch, actions = a_h.shape
-        nothing = torch.zeros(batch, dtype=torch.bool, device=a_h.device)
-        plan = torch.zeros(batch, config.residual_steps, actions, device=a_h.device)
-        planned = Planned.nothing(batch, config.iterations, config.residual_steps, actions, a_h.device)
-        return cls(a_h, a_h.clone(), plan, nothing, nothing.clone(), planned, blank_record(batch, device=a_h.device))
+        self.a_h, self.motors, self.action = a_h, motors, a_h.clone()
+        self.record = blank_record(len(a_h), device=a_h.device)
+        self.planned = Planned.nothing(len(a_h), iterations, steps, a_h.shape[1], a_h.device)
 
-    def carry_out(self, rows: Tensor, gated: Tensor, gate: Tensor | int, made: Plan) -> None:
-        """Execute the first residual of plans (Eq. 18), and note them.
+    def saw(self, rows: Tensor, g_cost: Tensor, g_return: Tensor, delta_g: Tensor) -> None:
+        """Note what the gates read [R] at some `rows` (indices [R])."""
+        for field, value in zip((self.record.g_cost, self.record.g_return, self.record.delta_g), (g_cost, g_return, delta_g), strict=True):
+            field[rows] = value.to(field.dtype)
+
+    def carry_out(self, rows: Tensor, gated: Tensor, gate: Tensor, made: Plan) -> None:
+        """Execute the first residual of plans (Eq. 18) by the least action of its force, and note them.
 
         Args:
             rows: decisions (indices [R]) that the plans are of.
             gated: bool [R] whether a gate fired there; the plans of the others count for nothing.
-            gate: which one, int8 [R] or one for all.
+            gate: int8 [R] which one.
             made: the plans.
         """
 
-        def note(field: Tensor, value: Tensor | float) -> None:
+        def note(field: Tensor, value: Tensor) -> None:
             kept = field[rows]
-            mask = gated.view(-1, *([1] * (kept.dim() - 1)))
-            field[rows] = torch.where(mask, value, kept).to(field.dtype)
+            field[rows] = torch.where(gated.view(-1, *([1] * (kept.dim() - 1))), value, kept).to(field.dtype)
 
-        note(self.action, (self.a_h[rows] + made.residuals[:, 0]).clamp(-1, 1))
+        command = self.a_h[rows]
+        note(self.action, self.motors.least(command, (command + made.residuals[:, 0]).clamp(-1, 1)))
         note(self.record.gate, gate)
-        note(self.plan, made.residuals)
-        note(self.warm, True)
-        note(self.recovering, ~made.found_safe)
-        found = (
-            made.residuals, made.safe, made.case2, made.predicted.cost, made.predicted.reward, made.alone.cost, made.alone.reward,
-        )  # fmt: skip
+        found = made.residuals, made.safe, made.case2, made.cost, made.reward, made.alone_cost, made.alone_reward
         for field, value in zip(self.planned, found, strict=True):
             note(field, value)
 
-    def among(self, rows: Tensor, a_h: Tensor, config: WASPConfig) -> Outcome:
-        """Return the same among all commands a_h [C, A], of which these are some `rows` (indices [B]); the others stand."""
-        whole = Outcome.standing(a_h, config)
-        every = (whole.action, whole.plan, whole.warm, whole.recovering, *whole.planned, *whole.record)
-        own = (self.action, self.plan, self.warm, self.recovering, *self.planned, *self.record)
-        for field, value in zip(every, own, strict=True):
-            field[rows] = value.to(field.dtype)
-        return whole
+    def decision(self) -> Decision:
+        """Return what is decided."""
+        return Decision(self.action, self.record, self.planned)

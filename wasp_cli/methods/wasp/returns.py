@@ -41,3 +41,8 @@ def discounted_sum(signal: Tensor, gamma: float, keep: Tensor | None = None) -> 
     for k in range(len(signal) - 2, -1, -1):
         future = torch.addcmul(signal[k], onward[k], future)
     return future
+
+
+def quantile(values: Tensor, q: float) -> float:
+    """Return a quantile of values [K]; NaN of nothing."""
+    return float(torch.quantile(values, q)) if len(values) else float("nan")
