@@ -15,11 +15,11 @@ from scene_worlds import PointWorld
 from torch import Tensor
 
 from wasp_cli.methods.base import Assistant
-from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.configs import PrintedConfig
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.methods.noise import gumbel, uniform
-from wasp_cli.methods.wasp.assistant import WASP, effective
 from wasp_cli.methods.wasp.imagine import Imagination
+from wasp_cli.methods.wasp.printed import Printed
 from wasp_cli.metrics.episode import GATE_NONE, INTERVENED
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import DrawnNoise, Operator
@@ -34,21 +34,19 @@ TAU_C, TAU_R = 0.3, 0.5
 """Thresholds of the gates: 0.3 costly steps within the horizon, and a gain of 5 cm of way."""
 
 
-def settings(variant: str = "full", **changes: object) -> WASPConfig:
-    """WASP's configuration in these scenes: its defaults but for the thresholds, which belong to a world, and the search."""
-    searched = {"takeover_shares": (), "probe_with": "random", "task_search": True, "safety_search": True, "alpha": 0.1}  # no expert here
-    here = {"tau_c": TAU_C, "tau_r": TAU_R, **searched}
-    return WASPConfig.model_validate({"variant": variant, **here, **changes})
+def settings(variant: str = "full", **changes: object) -> PrintedConfig:
+    """WASP as printed in these scenes: its defaults but for the thresholds, which belong to a world."""
+    return PrintedConfig.model_validate({"variant": variant, "tau_c": TAU_C, "tau_r": TAU_R, "rollouts": 1, **changes})
 
 
-def imagination(world: PointWorld, config: WASPConfig) -> Imagination:
+def imagination(world: PointWorld) -> Imagination:
     """Imagined returns in a world that is known exactly."""
-    return Imagination(world, NoCritics(), effective(config), GAMMA_R, GAMMA_C, LAM)
+    return Imagination(world, NoCritics(), lambda features: features.new_zeros(len(features), world.action_size), GAMMA_R, GAMMA_C, LAM)
 
 
-def assistant(world: PointWorld, config: WASPConfig | None) -> Assistant:
-    """WASP over a world that it knows; Human-only without a configuration."""
-    return HumanOnly() if config is None else WASP(config, imagination(world, config), {})
+def assistant(world: PointWorld, config: PrintedConfig | None) -> Assistant:
+    """WASP as printed over a world that it knows; Human-only without a configuration."""
+    return HumanOnly() if config is None else Printed(config, imagination(world), {})
 
 
 class Drive(NamedTuple):
@@ -114,7 +112,7 @@ Watch = Callable[[Latent, Tensor, Operator], None]
 
 @torch.inference_mode()
 def drive(
-    world: PointWorld, operator: Operator, config: WASPConfig | None, steps: int, *,
+    world: PointWorld, operator: Operator, config: PrintedConfig | None, steps: int, *,
     start: Latent | None = None, seed: int = 0, watch: Watch | None = None,
 ) -> Drive:  # fmt: skip
     """The closed loop in a world that is its own truth, for all rows of an operator side by side.

@@ -86,10 +86,11 @@ class Printed:
 
         # Task-aware intervention function: active where Delta G_t > tau_r.
         delta_g = torch.full_like(nominal.reward[:, 0], torch.nan)
-        rows = chosen(~active) if config.variant != "safety-only" else chosen(torch.zeros_like(active))
+        silent = torch.zeros_like(active) if config.variant == "safety-only" else ~active
+        rows = chosen(silent)
         if len(rows):
             gain = self.gain(start.select(rows), nominal.rows(rows), draws.rows(rows), streams)
-            delta_g[rows] = torch.where(active[rows], torch.nan, gain)
+            delta_g[rows] = torch.where(silent[rows], gain, torch.nan)
         gate = torch.where(active, GATE_SAFETY, GATE_TASK).to(torch.int8)
         outcome.saw(here, nominal.cost[:, 0], nominal.reward[:, 0], delta_g)
 
