@@ -41,6 +41,7 @@ from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import EpisodeNoise, OperatorContext, Policy, build_operator
 from wasp_cli.tasks.base import Bools, Observation, VectorTask
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.registry import TASKS
 
 SIDE_BY_SIDE = 8
 """Episodes in a batch: with 64 candidates each, larger batches of the simulator are no faster."""
@@ -148,7 +149,8 @@ def _batch(cell: Cell, config: WASPConfig | None, episodes: range, threads: int,
     layouts = [seeds.layout_seed(cell.task, cell.seed, e) for e in episodes]
     own = [seeds.method_seed(cell.task, cell.variant, cell.seed, e, "wasp") for e in episodes]
     loop = run_episodes(task, cast(SafetyWorldModel, model), operator, _assistant(cell, config, model), layouts, own, progress=progress)
-    return [episode_metrics(trajectory, cell.success_goals, cell.safe_cost) for trajectory in trajectories(loop)[0]]
+    force = TASKS[cell.task].motors.force
+    return [episode_metrics(trajectory, cell.success_goals, cell.safe_cost, force) for trajectory in trajectories(loop)[0]]
 
 
 def _assistant(cell: Cell, config: WASPConfig | None, model: SimulatorModel) -> Assistant:
