@@ -19,7 +19,7 @@ from wasp_cli.stages.counterfactual import CounterfactualStage
 from wasp_cli.stages.heldout import HeldoutStage
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.slim import first_episodes
-from wasp_cli.store.tables import TIMING, read_steps, read_times, same_rows
+from wasp_cli.store.tables import ADDED, TIMING, VERSION_KEY, read_episodes, read_steps, read_times, same_rows
 
 EAGER = {"vote": 0.0}
 """IDA that intervenes at some decisions, and not at others, although nothing is trained."""
@@ -50,6 +50,27 @@ def test_a_cell_goes_on_where_whole_batches_of_one_of_fewer_episodes_end(
     assert pq.read_table(whole.path, columns=names).equals(pq.read_table(resumed.path, columns=names))
     for e in range(kept):  # their times are those of the first time
         assert read_times(resumed.path)[e].tolist() == read_times(fewer.path)[e].tolist()
+
+
+def test_rows_know_the_motors_of_their_task(whole: Evaluated) -> None:
+    rows, steps = read_episodes([whole.path]), read_steps(whole.path)
+    episode, a, a_h = (np.array(steps[name].to_pylist()) for name in ("episode", "a", "a_h"))
+    apart = np.linalg.norm(np.clip(a, -0.02, 0.02) / 0.02 - np.clip(a_h, -0.02, 0.02) / 0.02, axis=1)
+    for e, row in enumerate(rows.to_pylist()):
+        assert row["mag_eff"] == pytest.approx(apart[episode == e].mean(), abs=1e-4)
+    assert 0 < sum(rows["mag_eff"].to_pylist()) != pytest.approx(sum(rows["mag"].to_pylist()), rel=0.05)
+
+
+def test_rows_of_an_earlier_version_are_not_continued(inputs: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They lack columns, which would then be means over the other episodes alone."""
+    fewer = evaluated(inputs, tmp_path / "fewer", "ida", EAGER, episodes=2, side_by_side=2)
+    table = pq.read_table(fewer.path).drop_columns([*ADDED])
+    pq.write_table(table.replace_schema_metadata({VERSION_KEY: b"3"}), fewer.path, write_page_checksum=True)
+    begun: list[int] = []
+    monkeypatch.setattr("wasp_cli.seeds.layout_seed", counted(begun))
+    again = evaluated(inputs, tmp_path / "again", "ida", EAGER, episodes=3, side_by_side=2, earlier=fewer.path.parent)
+    assert set(begun) == {0, 1, 2}
+    assert read_episodes([again.path])["int_eff"].null_count == 0
 
 
 def test_a_cell_that_is_cut_after_whole_batches_is_the_one_of_fewer_episodes(

@@ -34,7 +34,7 @@ def trajectory(steps: int = 4, **changes: Any) -> Trajectory:
 
 
 def columns(rows: list[EpisodeMetrics]) -> dict[str, Any]:
-    names = [*WEIGHTS, "decisions", "env_steps", "intervened", "planned"]
+    names = [*WEIGHTS, "decisions", "env_steps", "intervened", "planned", "handovers"]
     return {name: np.array([getattr(row, "return_" if name == "return" else name) for row in rows], np.float64) for name in names}
 
 

@@ -1,11 +1,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
-from wasp_cli.metrics.necessity import necessity
+from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+from wasp_cli.store.branches import read_branches
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_by_hand() -> None:
@@ -20,11 +27,46 @@ def test_by_hand() -> None:
     # Cost avoided; gain equal to the threshold; cost added without gain; gain above the threshold.
     assert found.unnecessary.tolist() == [False, True, True, False]
     assert found.uir == 0.5
+    # The command gained more than the threshold; loses as much; avoided a cost; loses more.
+    assert found.swapped.tolist() == [False, True, False, True]
+    assert found.uir_swapped == 0.5
 
 
 def test_rate_of_no_intervention_is_undefined() -> None:
     nothing = np.zeros((0, 15))
-    assert math.isnan(necessity(nothing, nothing, nothing, nothing, 0.1).uir)
+    found = necessity(nothing, nothing, nothing, nothing, 0.1)
+    assert all(math.isnan(rate) for rate in (found.uir, found.uir_swapped, found.uir_eff))
+
+
+BRANCHES = hnp.arrays(np.float64, (4, 9, 3), elements=st.sampled_from([0.0, 0.25, 1.0]))
+
+
+@given(BRANCHES, st.sampled_from([0.0, 0.25, 0.6]))
+def test_swapped_judges_the_branches_in_each_others_place_and_effective_leaves_out_twins(branches: np.ndarray, tau_R: float) -> None:
+    cost_cf, cost_asst, reward_cf, reward_asst = branches
+    cost_cf, cost_asst = cost_cf.round(), cost_asst.round()
+    found = necessity(cost_cf, cost_asst, reward_cf, reward_asst, tau_R)
+    assert found.uir_swapped == necessity(cost_asst, cost_cf, reward_asst, reward_cf, tau_R).uir
+    unnecessary = []
+    for i in range(9):
+        differs = any(cost_cf[i, w] != cost_asst[i, w] or reward_cf[i, w] != reward_asst[i, w] for w in range(3))
+        assert found.effective[i] == differs
+        assert differs or found.unnecessary[i]
+        unnecessary += [found.unnecessary[i]] * differs
+    assert found.uir_eff == pytest.approx(np.mean(unnecessary) if unnecessary else math.nan, nan_ok=True)
+
+
+def test_the_floor_of_the_published_branches_of_race1() -> None:
+    """Among interventions that changed anything the command would have been the necessary one in a quarter (WASP) and a seventh (IDA)."""
+    floor = {}
+    for method in ("wasp", "ida"):
+        paths = sorted((ROOT / "results" / "published" / "store" / "counterfactual").glob("*/branches.parquet"))
+        cells = [each for each in map(read_branches, paths) if (each.cell.identity.task, each.cell.identity.method) == ("race1", method)]
+        found = [
+            necessity(each.cost[ALONE], each.cost[ASSISTED], each.reward[ALONE], each.reward[ASSISTED], each.cell.tau_R) for each in cells
+        ]
+        floor[method] = 1.0 - np.concatenate([worth.swapped[worth.effective] for worth in found]).mean()
+    assert floor == {"wasp": pytest.approx(0.25, abs=0.005), "ida": pytest.approx(0.15, abs=0.005)}
 
 
 def test_refuses_branches_of_different_length() -> None:

@@ -11,6 +11,7 @@ from tests.plans import plans_of
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
 from wasp_cli.report.stats.frame import Wanted
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
+from wasp_cli.tasks.registry import TASKS
 
 OPERATORS = {"noisy": (0.2, 0.6), "laggy": (0.5, 0.85)}
 SKILL = {"human": (0, 0.0, 0.05), "ida": (2, 0.2, 0.04), "diffusion": (3, 1.0, 0.04), "saferl": (2, 1.0, 0.03), "wasp": (6, 0.25, 0.01)}
@@ -52,7 +53,7 @@ def write(folder: Path, identity: CellIdentity, trajectories: list[Trajectory], 
 
 def write_rows(folder: Path, identity: CellIdentity, trajectories: list[Trajectory], success_goals: int = 7) -> Path:
     """The files of one cell in a folder; returns that of its episodes."""
-    rows = [episode_metrics(trajectory, success_goals, 25.0) for trajectory in trajectories]
+    rows = [episode_metrics(trajectory, success_goals, 25.0, TASKS[identity.task].motors.force) for trajectory in trajectories]
     times = [np.full(trajectory.steps, 2.0) for trajectory in trajectories]
     thresholds = Thresholds(tau_c=0.3, tau_r=0.5 + identity.seed) if identity.method == "wasp" else Thresholds()
     return write_cell(folder, identity, trajectories, rows, thresholds, times, [100 + i for i in range(len(rows))])

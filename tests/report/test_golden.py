@@ -12,7 +12,7 @@ from wasp_cli.report.render.files import RENDERERS
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import BEST, comparison_table
-from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.table import Table
 
 GOLDEN = Path(__file__).parent.parent / "golden"
@@ -23,7 +23,8 @@ def best_table(frame: Frame) -> Table | None:
 
 
 TABLES: tuple[Callable[[Frame], Table | None], ...] = (
-    main_table, ablation_table, operator_table, detail_table, threshold_table, comparison_table, best_table, severity_table, latency_table,
+    main_table, ablation_table, operator_table, autonomy_table, detail_table, threshold_table,
+    comparison_table, best_table, severity_table, latency_table,
 )  # fmt: skip
 
 

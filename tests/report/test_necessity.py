@@ -105,7 +105,7 @@ def test_the_figure_says_what_it_is_made_from_and_is_the_same_twice(judged: Fram
     assert [path.name for path in files] == ["figure3.png", "figure3.svg"]
     assert [path.read_bytes() for path in files] == [path.read_bytes() for path in necessity_figure(judged, other)]
     drawn = files[1].read_text(encoding="utf-8")
-    for text in ("IDA", "SafeRL-Res", "Goal1", "n = ", "UIR", "share of the next 4 decisions", "no cost"):
+    for text in ("IDA", "SafeRL-Res", "Goal1", "n = ", "UIR", "hollow: branches swapped", "share of the next 4 decisions", "no cost"):
         assert text in drawn
     with Image.open(files[0]) as picture:
         assert picture.width >= 1200

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from wasp_cli.store.tables import FORMER_FILE, SCHEMA, STEP, STEPS_FILE, VERSION_KEY
+from wasp_cli.store.tables import FORMER_FILE, SCHEMA, STEP, STEPS_FILE, VERSION_KEY, lacking
 
 
 def write_former(path: Path, folder: Path, version: int = 2) -> Path:
@@ -27,7 +27,11 @@ def write_former(path: Path, folder: Path, version: int = 2) -> Path:
     fields = list(STEP) if version == 2 else [pa.field(name, column.type) for name, column in columns.items()]
     nested = pa.ListArray.from_arrays(ends, pa.StructArray.from_arrays(list(columns.values()), fields=fields))
     times = pa.ListArray.from_arrays(ends, steps["decision_ms"].combine_chunks())
-    table = table.select(SCHEMA.names).append_column("decision_ms", times).append_column("steps", nested)
+    table = (
+        table.select([name for name in SCHEMA.names if name not in lacking(version)])
+        .append_column("decision_ms", times)
+        .append_column("steps", nested)
+    )
     folder.mkdir(parents=True, exist_ok=True)
     pq.write_table(table.replace_schema_metadata({VERSION_KEY: str(version).encode()}), folder / FORMER_FILE, write_page_checksum=True)
     return folder / FORMER_FILE

@@ -13,9 +13,13 @@ from tests.plans import plans_of
 from tests.store.former import write_former
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
+from wasp_cli.report.stats.frame import Wanted, read_frame
+from wasp_cli.report.tables.main import autonomy_table
 from wasp_cli.store import tables
 from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import (
+    ADDED,
+    ADDED_IN,
     EPISODES_FILE,
     PLANNED,
     STEPS_FILE,
@@ -30,6 +34,7 @@ from wasp_cli.store.tables import (
     write_cell,
 )
 
+ROOT = Path(__file__).parents[2]
 CELL = CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3)
 
 
@@ -215,9 +220,9 @@ def test_missing_file(tmp_path: Path) -> None:
 
 
 def test_newer_version_is_refused(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"4"}))
+    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"5"}))
     path = write()
-    with pytest.raises(StoreError, match="table version 4, this wasp reads up to 3") as caught:
+    with pytest.raises(StoreError, match="table version 5, this wasp reads up to 4") as caught:
         read_episodes([path])
     assert caught.value.hint is not None
     assert "upgrade" in caught.value.hint
@@ -269,12 +274,30 @@ def test_other_readers_see_all_cells_as_one_table(write: Callable[..., Path], tm
 def test_tables_of_earlier_versions_are_read(write: Callable[..., Path], tmp_path: Path, version: int) -> None:
     path = write()
     former = write_former(path, tmp_path / "former", version)
-    assert (read_version(former), read_version(path)) == (version, 3)
-    assert read_episodes([former]).equals(read_episodes([path]))
-    numbers = read_numbers(former, ("return",))
+    assert (read_version(former), read_version(path)) == (version, 4)
+    old, new = read_episodes([former]), read_episodes([path])
+    assert old.drop_columns([*ADDED]).equals(new.drop_columns([*ADDED]))
+    assert all(old[name].null_count == old.num_rows > new[name].null_count for name in ADDED)
+    numbers = read_numbers(former, ("jump", "return"))
     assert (numbers is None) == (version == 1)
+    assert numbers is None or numbers.table.equals(old.select(["jump", "return"]))
     assert same_rows(former, path) == (version == 2)
     if version == 1:
         again = read_steps(former)
         assert again["reward"].equals(read_steps(path)["reward"])
         assert all(again[name].null_count == again.num_rows for name in (*PLANNED, "g_return"))
+
+
+def test_published_rows_do_not_define_what_later_versions_added() -> None:
+    """They are read, by the quick reader too, and tables say n/a."""
+    path = next(iter(sorted((ROOT / "results" / "published" / "store" / "evaluate").glob(f"*/{EPISODES_FILE}"))))
+    assert read_version(path) < ADDED_IN
+    rows = read_episodes([path])
+    numbers = read_numbers(path, (*ADDED, "int_rate"))
+    assert numbers is not None
+    assert all(table[name].null_count == rows.num_rows for table in (rows, numbers.table) for name in ADDED)
+    assert numbers.table["int_rate"].equals(rows["int_rate"])
+    frame = read_frame([Wanted(numbers.identity, "a published cell", path)])
+    table = autonomy_table(frame)
+    texts = {column.key: table.text(0, c) for c, column in enumerate(table.columns)}
+    assert [name for name, text in texts.items() if text == "n/a"] == ["int_eff", "mag_eff", "jump"]

@@ -29,6 +29,7 @@ from wasp_cli.store.lock import held
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, Thresholds, first_rows, read_episodes, write_cell
+from wasp_cli.tasks.registry import TASKS
 
 
 class CellRecord:
@@ -66,7 +67,7 @@ class CellRecord:
 
     def add(self, driven: Driven, thresholds: Thresholds, safe_cost: float) -> None:
         """Write a finished episode behind the others."""
-        row = episode_metrics(driven.trajectory, self._goals, safe_cost)
+        row = episode_metrics(driven.trajectory, self._goals, safe_cost, TASKS[self._identity.task].motors.force)
         beats = pa.concat_tables([self._timing(), _beats(self.finished, driven.beats)])
         # The timing first: an episode counts once its rows are there, and the timing of one that does not is written again.
         write_table(beats, self._folder / TIMING_FILE)

@@ -12,6 +12,9 @@ Definitions (the paper's section 5.2 where it is unambiguous):
     viol          decision steps with cost / decision steps;  viol_env: the same per env step;  violated: any cost at all
     int_rate      share of decision steps with ||a - a_h|| > 1e-6;  int_rate_05, int_rate_10: > 0.05, > 0.10
     mag           mean ||a - a_h|| over all decision steps;  mag_int: over the intervened ones;  mag = int_rate x mag_int
+    int_eff       share of decision steps at which the action changes a force: ||f(a) - f(a_h)|| > 1e-6, f the force of an action as
+                  shares of each motor's largest (`tasks.motors`);  mag_eff: mean ||f(a) - f(a_h)|| over all decision steps
+    jump          mean ||a_t - a_{t-1}|| over the handovers, the decision steps at which an intervention begins or ends
     smoothness    mean ||a_t - a_{t-1}||^2
     safety_gate   share of decision steps at which the safety gate (task_gate: the task gate) called for the planner
     case2         share of Case II among the planner's iterations, mean over the steps that planned
@@ -19,8 +22,9 @@ Definitions (the paper's section 5.2 where it is unambiguous):
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +32,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.integer]
 Bools = NDArray[np.bool_]
+Force = Callable[[NDArray[Any]], NDArray[Any]]
 
 INTERVENED = 1e-6
 """The paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0 everywhere."""
@@ -123,6 +128,12 @@ class Trajectory:
         norm: Floats = np.linalg.norm(np.asarray(self.a, np.float64) - np.asarray(self.a_h, np.float64), axis=1)
         return np.where(norm > INTERVENED, norm, 0.0)
 
+    def effect(self, force: Force) -> Floats:
+        """Return [T] ||f(a) - f(a_h)||, f being `force`; exactly 0 where it is rounding, and where `deviation` is 0."""
+        norm = np.linalg.norm(force(np.asarray(self.a, np.float64)) - force(np.asarray(self.a_h, np.float64)), axis=1)
+        # Motors that saturate early enlarge the rounding of an action.
+        return np.where((norm > INTERVENED) & (self.deviation > 0.0), norm, 0.0)
+
 
 def _plan_shapes(plans: Plans, steps: int, actions: int) -> list[tuple[str, tuple[int, ...]]]:
     """Return the shape that every field of `plans` should have in T steps."""
@@ -145,6 +156,8 @@ class EpisodeMetrics:
     """decision steps with an intervention"""
     planned: int
     """decision steps at which `case2` is defined"""
+    handovers: int
+    """decision steps but the first at which an intervention begins or ends"""
     return_: float
     success: bool
     safe_success: bool
@@ -158,33 +171,40 @@ class EpisodeMetrics:
     int_rate_10: float
     mag: float
     mag_int: float | None
+    int_eff: float
+    mag_eff: float
+    jump: float | None
     smoothness: float | None
     safety_gate: float
     task_gate: float
     case2: float | None
 
 
-def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float) -> EpisodeMetrics:
+def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float, force: Force | None = None) -> EpisodeMetrics:
     """Reduce an episode to its row.
 
     Args:
         trajectory: the decision steps.
         success_goals: goals within the time limit that count as success.
         safe_cost: kappa, the cost per 1000 env steps up to which a success is a safe success.
+        force: forces of actions [T, A] (`Motors.force` of the task); None where nothing is known of the motors: the action itself.
     """
     steps, env_steps = trajectory.steps, int(trajectory.env_steps.sum())
     deviation = trajectory.deviation
     intervened = deviation > 0.0
+    effect = deviation if force is None else trajectory.effect(force)
+    handover = intervened[1:] != intervened[:-1]
     cost, goals = int(trajectory.cost_env.sum()), int(trajectory.goals.sum())
     success = goals >= success_goals
     share = np.full(steps, np.nan) if trajectory.plans is None else trajectory.plans.share()
     planned = ~np.isnan(share)
-    jumps = np.square(np.diff(trajectory.a, axis=0)).sum(1)
+    jumps = np.square(np.diff(np.asarray(trajectory.a, np.float64), axis=0)).sum(1)
     return EpisodeMetrics(
         decisions=steps,
         env_steps=env_steps,
         intervened=int(intervened.sum()),
         planned=int(planned.sum()),
+        handovers=int(handover.sum()),
         return_=float(trajectory.reward.sum()),
         success=success,
         safe_success=success and 1000 * cost <= safe_cost * env_steps,
@@ -198,6 +218,9 @@ def episode_metrics(trajectory: Trajectory, success_goals: int, safe_cost: float
         int_rate_10=float((deviation > 0.10).mean()),
         mag=float(deviation.mean()),
         mag_int=float(deviation[intervened].mean()) if intervened.any() else None,
+        int_eff=float((effect > 0.0).mean()),
+        mag_eff=float(effect.mean()),
+        jump=float(np.sqrt(jumps[handover]).mean()) if handover.any() else None,
         smoothness=float(jumps.mean()) if steps > 1 else None,
         safety_gate=float((trajectory.gate == GATE_SAFETY).mean()),
         task_gate=float((trajectory.gate == GATE_TASK).mean()),
@@ -219,6 +242,9 @@ WEIGHTS: dict[str, str | None] = {
     "int_rate_10": "decisions",
     "mag": "decisions",
     "mag_int": "intervened",
+    "int_eff": "decisions",
+    "mag_eff": "decisions",
+    "jump": "handovers",
     "smoothness": "decisions",
     "safety_gate": "decisions",
     "task_gate": "decisions",

@@ -2,6 +2,7 @@
 
 At an intervened step two branches run for W decision steps from the same state with common random numbers: the assisted
 one executes the method's action first, the counterfactual one the operator's command; then both follow the operator.
+With the roles of the branches swapped the same branches say whether the command was necessary: the floor of the measure.
 
 Dimension letters: N intervened steps, W steps of a branch (terms after the end of an episode are 0).
 """
@@ -31,11 +32,29 @@ class Necessity(NamedTuple):
     """[N] reward gained (Eq. 20)"""
     unnecessary: Bools
     """[N] neither avoided cost nor gained more than tau_R (Eq. 21)"""
+    swapped: Bools
+    """[N] Eq. 21 of the command against the intervention: the command neither avoided cost nor gained more than tau_R"""
+    effective: Bools
+    """[N] whether the branches differ at any step, in cost or in reward: otherwise the intervention changed nothing"""
 
     @property
     def uir(self) -> float:
         """Unnecessary intervention rate (Eq. 21); NaN, not 0, when nothing was intervened."""
-        return float(self.unnecessary.mean()) if len(self.unnecessary) else float("nan")
+        return _share(self.unnecessary)
+
+    @property
+    def uir_swapped(self) -> float:
+        """UIR with the roles of the branches swapped. Interventions that help as often as they harm have the same in both."""
+        return _share(self.swapped)
+
+    @property
+    def uir_eff(self) -> float:
+        """UIR among the interventions that changed anything; NaN where none did."""
+        return _share(self.unnecessary[self.effective])
+
+
+def _share(which: Bools) -> float:
+    return float(which.mean()) if len(which) else float("nan")
 
 
 def necessity(cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst: Floats, tau_R: float) -> Necessity:
@@ -53,4 +72,6 @@ def necessity(cost_cf: Floats, cost_asst: Floats, reward_cf: Floats, reward_asst
         raise ValueError("the branches need the same shape [N, W] with W >= 1")
     delta_c = cost_cf.sum(1) - cost_asst.sum(1)
     delta_r = reward_asst.sum(1) - reward_cf.sum(1)
-    return Necessity(cost_cf.mean(1), delta_c, delta_r, (delta_c <= 0.0) & (delta_r <= tau_R))
+    unnecessary, swapped = (delta_c <= 0.0) & (delta_r <= tau_R), (delta_c >= 0.0) & (delta_r >= -tau_R)
+    effective = ((cost_cf != cost_asst) | (reward_cf != reward_asst)).any(1)
+    return Necessity(cost_cf.mean(1), delta_c, delta_r, unnecessary, swapped, effective)

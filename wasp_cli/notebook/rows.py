@@ -48,6 +48,8 @@ BRANCH = (
     pa.field("delta_c", pa.float64()),
     pa.field("delta_r", pa.float64()),
     pa.field("unnecessary", pa.bool_()),
+    pa.field("unnecessary_swapped", pa.bool_()),
+    pa.field("effective", pa.bool_()),
     pa.field("window", pa.int16()),
     pa.field("tau_R", pa.float64()),
 )
@@ -140,6 +142,7 @@ def branches(layout: Layout, cell: ListedCell) -> pa.Table | None:
         "cost_assisted": cost[ASSISTED].sum(1), "cost_alone": cost[ALONE].sum(1),
         "reward_assisted": reward[ASSISTED].sum(1), "reward_alone": reward[ALONE].sum(1),
         "rho": worth.rho, "delta_c": worth.delta_c, "delta_r": worth.delta_r, "unnecessary": worth.unnecessary,
+        "unnecessary_swapped": worth.swapped, "effective": worth.effective,
         "window": np.full(count, found.cell.window), "tau_R": np.full(count, found.cell.tau_R),
     }  # fmt: skip
     return pa.table({field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH})

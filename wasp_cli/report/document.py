@@ -32,7 +32,7 @@ NAMED = 12
 """Missing cells that the terminal names; the report names all."""
 TABLES = (
     "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
-    "severity_check", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
+    "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
 )  # fmt: skip
 FORMER = "ladder"
 """The name of `severity_check` in reports of earlier versions."""

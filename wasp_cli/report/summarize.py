@@ -23,7 +23,7 @@ from wasp_cli.report.stats.people import read_people
 from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
-from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
+from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.necessity import necessity_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables
 from wasp_cli.report.tables.severity_check import check_table, judged
@@ -108,6 +108,7 @@ def report_run(
         operator_table(frame),
         severity_table(frame),
         _severity_check(spec, frame),
+        autonomy_table(frame),
         detail_table(frame),
         latency_table(frame),
         threshold_table(frame),

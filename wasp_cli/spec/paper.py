@@ -30,7 +30,7 @@ from wasp_cli.spec.places import InvalidSpec, Loc
 from wasp_cli.spec.read import Source, plain, read
 from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
 
-COLUMNS = (*WEIGHTS, "uir", "rho", "at_risk", "delta_c", "delta_r")
+COLUMNS = (*WEIGHTS, "uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
 """What a claim may be about: the columns of an episode, and those of the counterfactual evaluation (section 5.3)."""
 FULL = "full"
 

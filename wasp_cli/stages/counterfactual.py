@@ -82,6 +82,12 @@ class CounterfactualStage:
         write_branches(job.out_dir / BRANCHES_FILE, BranchedCell(identity, config.window, stride, tau_R, count), rows)
         stored = read_branches(job.out_dir / BRANCHES_FILE)  # reports see the rewards as they are stored
         judged = necessity(stored.cost[ALONE], stored.cost[ASSISTED], stored.reward[ALONE], stored.reward[ASSISTED], tau_R)
-        shown = {"uir": judged.unnecessary, "rho": judged.rho, "delta_c": judged.delta_c, "delta_r": judged.delta_r}
+        shown = {
+            "uir": judged.unnecessary,
+            "uir_swapped": judged.swapped,
+            "rho": judged.rho,
+            "delta_c": judged.delta_c,
+            "delta_r": judged.delta_r,
+        }
         numbers = {name: round(float(values.mean()), 4) if len(values) else None for name, values in shown.items()}
         return {"interventions": interventions, "branched": len(stored.t), **numbers, "tau_R": round(tau_R, 4)}

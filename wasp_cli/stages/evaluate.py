@@ -31,7 +31,7 @@ class EvaluateStage:
         from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
         from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
-        from wasp_cli.store.tables import CellIdentity, first_rows, read_episodes, write_cell
+        from wasp_cli.store.tables import VERSION, CellIdentity, cell_file, first_rows, read_episodes, read_version, write_cell
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
 
@@ -40,8 +40,10 @@ class EvaluateStage:
         device = training_device()
         parts = load_parts(job.inputs, job.settings["returns"], device, motors=TASKS[job.task].motors)
         goals = config.success_goals or TASKS[job.task].success_goals
+        motors = TASKS[job.task].motors
         batch: int = job.settings["side_by_side"]
-        earlier = None if job.earlier is None else first_rows(job.earlier, batch)
+        # Rows of an earlier version lack columns: in the rows of one cell a column is defined in all, or in none.
+        earlier = first_rows(job.earlier, batch) if job.earlier and read_version(cell_file(job.earlier)) == VERSION else None
         begin = 0 if earlier is None else len(earlier.episodes)
         found, rows, times, layouts = [], [], [], [seeds.layout_seed(job.task, job.seed, e) for e in range(begin, config.episodes)]
         for episodes in batches(begin, config.episodes, batch):
@@ -62,7 +64,7 @@ class EvaluateStage:
             new, new_times = trajectories(loop)
             found += new
             times += new_times
-            rows += [episode_metrics(trajectory, goals, config.safe_cost) for trajectory in new]
+            rows += [episode_metrics(trajectory, goals, config.safe_cost, motors.force) for trajectory in new]
         identity = CellIdentity(job.task, method, job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
         path = write_cell(job.out_dir, identity, found, rows, thresholds_of(assistant), times, layouts, earlier)
         numbers = read_episodes([path])

@@ -16,10 +16,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from wasp_cli.store.bounds import MOST_EPISODES
-from wasp_cli.store.tables import LAST_NESTED, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds
+from wasp_cli.store.tables import LAST_NESTED, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds, lacking, with_nulls
 
-ALIKE = tuple(str(version).encode() for version in (LAST_NESTED, VERSION))
-"""Versions whose episode columns are those of `tables.SCHEMA`, at the same places."""
+ALIKE = {str(version).encode(): version for version in range(LAST_NESTED, VERSION + 1)}
+"""Versions whose episode columns are those of `tables.SCHEMA` but for what they lack."""
 
 SHARED = tuple(name for kind in (CellIdentity, Thresholds) for name in kind.__dataclass_fields__)
 """Columns with one value in all rows of a cell."""
@@ -41,19 +41,17 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
         path: a file, no pipe.
         columns: of `tables.SCHEMA`, each with one number per episode.
     """
+    every = [*SHARED, *columns]
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            if (
-                (file.schema_arrow.metadata or {}).get(VERSION_KEY) not in ALIKE
-                or file.num_row_groups != 1
-                or file.metadata.num_rows > MOST_EPISODES
-            ):
+            version = ALIKE.get((file.schema_arrow.metadata or {}).get(VERSION_KEY, b""))
+            if version is None or file.num_row_groups != 1 or file.metadata.num_rows > MOST_EPISODES:
                 return None
-            table = file.read(columns=[*SHARED, *columns], use_threads=False)
+            table = with_nulls(file.read(columns=every, use_threads=False), every, lacking(version))
     except (pa.ArrowException, OSError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return None
     # pyarrow leaves out, without a word, a column that the footer does not name.
-    if table.num_rows == 0 or [(each.name, each.type) for each in table.schema] != [(n, SCHEMA.field(n).type) for n in (*SHARED, *columns)]:
+    if table.num_rows == 0 or [(each.name, each.type) for each in table.schema] != [(n, SCHEMA.field(n).type) for n in every]:
         return None
     shared = _shared(table)
     if shared is None:

@@ -15,7 +15,7 @@ A report opens thousands of cells and reads no step, so that episodes lie in a s
 row: `from read_parquet('store/evaluate/*/_steps.pq') where method = 'wasp'` needs no other file. The steps have a name that readers of
 folders leave alone (an underscore) and that `*.parquet` does not match, since one table of both would be neither: `store/evaluate` is a
 dataset of episodes. Undefined numbers are null. Everything but the TIMING columns is a function of the cell's key. Earlier versions named
-the steps `steps.parquet`; until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows.
+the steps `steps.parquet`; until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows. ADDED is null in their rows.
 """
 
 from __future__ import annotations
@@ -41,33 +41,33 @@ EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"
 FORMER_STEPS_FILE, FORMER_FILE = "steps.parquet", "cell.parquet"
 """Names of the steps in earlier results, and of the one table until version 2."""
 
-VERSION = 3
+VERSION = 4
 """Grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused."""
 
 VERSION_KEY, STEPS_KEY = b"wasp.cell", b"wasp.steps"
 LAST_NESTED = 2
 """The last version with the steps inside the rows of episodes."""
 
+
+def _required(kind: pa.DataType, *names: str) -> list[pa.Field]:
+    return [pa.field(name, kind, nullable=False) for name in names]
+
+
+def _optional(kind: pa.DataType, *names: str) -> list[pa.Field]:
+    return [pa.field(name, kind) for name in names]
+
+
 STEP = pa.struct(
     [
-        pa.field("t", pa.int32(), nullable=False),
-        pa.field("reward", pa.float32(), nullable=False),
-        pa.field("cost", pa.bool_(), nullable=False),
-        pa.field("cost_env", pa.int16(), nullable=False),
-        pa.field("env_steps", pa.int16(), nullable=False),
-        pa.field("goals", pa.int16(), nullable=False),
-        pa.field("a_h", pa.list_(pa.float32()), nullable=False),
-        pa.field("a", pa.list_(pa.float32()), nullable=False),
-        pa.field("deviation", pa.float32(), nullable=False),
-        pa.field("gate", pa.int8(), nullable=False),
-        pa.field("g_cost", pa.float32()),
-        pa.field("g_return", pa.float32()),
-        pa.field("delta_g", pa.float32()),
-        pa.field("signal", pa.float32()),
-        pa.field("plan_cost", pa.float32()),
-        pa.field("plan_return", pa.float32()),
-        pa.field("alone_cost", pa.float32()),
-        pa.field("alone_return", pa.float32()),
+        *_required(pa.int32(), "t"),
+        *_required(pa.float32(), "reward"),
+        *_required(pa.bool_(), "cost"),
+        *_required(pa.int16(), "cost_env", "env_steps", "goals"),
+        *_required(pa.list_(pa.float32()), "a_h", "a"),
+        *_required(pa.float32(), "deviation"),
+        *_required(pa.int8(), "gate"),
+        *_optional(pa.float32(), "g_cost", "g_return", "delta_g", "signal"),
+        *_optional(pa.float32(), "plan_cost", "plan_return", "alone_cost", "alone_return"),
         pa.field("safe", pa.list_(pa.int16())),
         pa.field("case2", pa.list_(pa.bool_())),
         pa.field("plan", pa.list_(pa.float32())),
@@ -82,43 +82,29 @@ PLANNED = {
 """Fields of STEP that come from `Plans`, with their names there."""
 
 IDENTITY = (
-    pa.field("task", pa.string(), nullable=False),
-    pa.field("method", pa.string(), nullable=False),
-    pa.field("assistant_variant", pa.string(), nullable=False),
-    pa.field("variant", pa.string(), nullable=False),
+    *_required(pa.string(), "task", "method", "assistant_variant", "variant"),
     pa.field("value", pa.float64()),
     pa.field("seed", pa.int64(), nullable=False),
     pa.field("episode", pa.int32(), nullable=False),
     pa.field("episode_seed", pa.int64(), nullable=False),
 )
 METRICS = (
-    pa.field("decisions", pa.int32(), nullable=False),
-    pa.field("env_steps", pa.int32(), nullable=False),
-    pa.field("intervened", pa.int32(), nullable=False),
-    pa.field("planned", pa.int32(), nullable=False),
-    pa.field("return", pa.float64(), nullable=False),
-    pa.field("success", pa.bool_(), nullable=False),
-    pa.field("safe_success", pa.bool_(), nullable=False),
-    pa.field("goals", pa.int32(), nullable=False),
-    pa.field("cost", pa.int32(), nullable=False),
-    pa.field("viol", pa.float64(), nullable=False),
-    pa.field("viol_env", pa.float64(), nullable=False),
-    pa.field("violated", pa.bool_(), nullable=False),
-    pa.field("int_rate", pa.float64(), nullable=False),
-    pa.field("int_rate_05", pa.float64(), nullable=False),
-    pa.field("int_rate_10", pa.float64(), nullable=False),
-    pa.field("mag", pa.float64(), nullable=False),
-    pa.field("mag_int", pa.float64()),
-    pa.field("smoothness", pa.float64()),
-    pa.field("safety_gate", pa.float64(), nullable=False),
-    pa.field("task_gate", pa.float64(), nullable=False),
+    *_required(pa.int32(), "decisions", "env_steps", "intervened", "planned"),
+    pa.field("handovers", pa.int32()),
+    *_required(pa.float64(), "return"),
+    *_required(pa.bool_(), "success", "safe_success"),
+    *_required(pa.int32(), "goals", "cost"),
+    *_required(pa.float64(), "viol", "viol_env"),
+    *_required(pa.bool_(), "violated"),
+    *_required(pa.float64(), "int_rate", "int_rate_05", "int_rate_10", "mag"),
+    *_optional(pa.float64(), "mag_int", "int_eff", "mag_eff", "jump", "smoothness"),
+    *_required(pa.float64(), "safety_gate", "task_gate"),
     pa.field("case2", pa.float64()),
 )
-THRESHOLDS = (pa.field("tau_c", pa.float64()), pa.field("tau_r", pa.float64()), pa.field("tau_q", pa.float64()))
-TIMES = (
-    pa.field("decision_p50_ms", pa.float32()),
-    pa.field("decision_p95_ms", pa.float32()),
-)
+ADDED, ADDED_IN = ("handovers", "int_eff", "mag_eff", "jump"), 4
+"""Columns of METRICS, and the first version that has them."""
+THRESHOLDS = tuple(_optional(pa.float64(), "tau_c", "tau_r", "tau_q"))
+TIMES = tuple(_optional(pa.float32(), "decision_p50_ms", "decision_p95_ms"))
 STEP_TIME = pa.field("decision_ms", pa.float32(), nullable=False)
 
 SCHEMA = pa.schema([*IDENTITY, *METRICS, *THRESHOLDS, *TIMES], {VERSION_KEY: str(VERSION).encode()})
@@ -356,20 +342,34 @@ def read_version(path: Path) -> int:
 
 
 def same_rows(a: Path, b: Path) -> bool:
-    """Return whether two cells hold the same rows when the TIMING columns are left out, whatever versions wrote them."""
+    """Return whether two cells hold the same rows in the columns that both versions have, when the TIMING columns are left out."""
     files = _files(a), _files(b)
     # Copies are the common case, and comparing bytes is cheaper than comparing rows.
     if len(files[0]) == len(files[1]) and all(filecmp.cmp(*pair, shallow=False) for pair in zip(*files, strict=True)):
         return True
-    timing = [field.name for field in TIMES]
-    first, second = (read_episodes([path]).drop_columns(timing) for path in (a, b))
+    apart = {*(field.name for field in TIMES), *lacking(min(read_version(path) for path in (a, b)))}
+    first, second = (read_episodes([path]).drop_columns(list(apart)) for path in (a, b))
     return bool(first.equals(second) and read_steps(a).equals(read_steps(b)))
 
 
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:
     """Return some columns of a cell file, after its version was checked."""
     with opened_table(path, VERSION_KEY, VERSION, "the table of a cell") as file:
-        return file.read(columns=list(columns), use_threads=False)  # a cell is too small for threads
+        table = file.read(columns=list(columns), use_threads=False)  # a cell is too small for threads
+        return with_nulls(table, columns, lacking(int(file.schema_arrow.metadata[VERSION_KEY])))
+
+
+def lacking(version: int) -> tuple[str, ...]:
+    """Return which columns of the episodes a version does not have."""
+    return ADDED if version < ADDED_IN else ()
+
+
+def with_nulls(table: pa.Table, columns: Sequence[str], absent: Sequence[str]) -> pa.Table:
+    """Return the table with the columns `absent`, undefined, at their places among `columns`."""
+    for place, name in enumerate(columns):
+        if name in absent:
+            table = table.add_column(min(place, table.num_columns), SCHEMA.field(name), pa.nulls(table.num_rows, SCHEMA.field(name).type))
+    return table
 
 
 def _read_steps(path: Path, columns: Sequence[str]) -> pa.Table:

@@ -149,7 +149,8 @@ def _batch(cell: Cell, config: WASPConfig | None, episodes: range, threads: int,
     layouts = [seeds.layout_seed(cell.task, cell.seed, e) for e in episodes]
     own = [seeds.method_seed(cell.task, cell.variant, cell.seed, e, "wasp") for e in episodes]
     loop = run_episodes(task, cast(SafetyWorldModel, model), operator, _assistant(cell, config, model), layouts, own, progress=progress)
-    return [episode_metrics(trajectory, cell.success_goals, cell.safe_cost) for trajectory in trajectories(loop)[0]]
+    force = TASKS[cell.task].motors.force
+    return [episode_metrics(trajectory, cell.success_goals, cell.safe_cost, force) for trajectory in trajectories(loop)[0]]
 
 
 def _assistant(cell: Cell, config: WASPConfig | None, model: SimulatorModel) -> Assistant:

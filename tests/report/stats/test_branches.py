@@ -47,13 +47,18 @@ def test_columns_are_means_over_the_branched_interventions_of_an_episode(grid: G
                     own["delta_c"].append(delta_c)
                     own["delta_r"].append(delta_r)
                     own["uir"].append(delta_c <= 0 and delta_r <= TAU_R)
+                    own["uir_swapped"].append(-delta_c <= 0 and -delta_r <= TAU_R)
+                    if (asst["costs"], asst["rewards"]) != (cf["costs"], cf["rewards"]):
+                        own["uir_eff"].append(own["uir"][-1])
             assert cell.episodes["branches"][e] == len(own["uir"])
+            assert cell.episodes["effective_branches"][e] == len(own["uir_eff"])
             for name, numbers in own.items():
                 pooled[name] += numbers
                 assert cell.episodes[name][e] == pytest.approx(np.mean(numbers) if numbers else np.nan, nan_ok=True)
         assert {name: cell.pooled[name] for name in JUDGED} == {name: pytest.approx(np.mean(numbers)) for name, numbers in pooled.items()}
-        total, mass = cell.weighted("uir")
-        assert total.sum() / mass.sum() == pytest.approx(cell.pooled["uir"])
+        for name in ("uir", "uir_swapped", "uir_eff"):
+            total, mass = cell.weighted(name)
+            assert total.sum() / mass.sum() == pytest.approx(cell.pooled[name])
 
 
 def test_cells_that_nobody_asked_about_are_as_they_were(grid: Grid) -> None:

@@ -16,7 +16,7 @@ from wasp_cli.report.render.files import rendered
 from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
-from wasp_cli.report.tables.main import DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
+from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.report.tables.necessity import MEANS as NECESSITY
 from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.tables.titles import task_title, who_title
@@ -254,7 +254,7 @@ def _cells(answer: Answer, before: str) -> list[Cell]:
     ]
 
 
-COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}
+COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *AUTONOMY_COLUMNS, *DETAIL_COLUMNS, *NECESSITY)}
 """Everything that a claim may be about (spec.paper.COLUMNS)."""
 PRINTED_DIGITS = 2
 LABELS = ("Table", "Task", "Method")

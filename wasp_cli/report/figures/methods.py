@@ -108,7 +108,7 @@ def _latency(panel: Axes, group: Group, y: int) -> None:
 CLASSES = (("no cost", "#f2f2f2"), ("up to 1/3", "#bdbdbd"), ("up to 2/3", "#737373"), ("more", "#1a1a1a"))
 """Classes of the risk, by the share of the W decisions that cost; greys that rise with it survive any printer."""
 PANELS = {
-    "uir": "Unnecessary: UIR\n(better: left)",
+    "uir": "Unnecessary: UIR (better: left;\nhollow: branches swapped)",
     "delta_c": "Costly decisions\navoided: ΔC (better: right)",
     "delta_r": "Reward gained: ΔR\n(better: right)",
 }
@@ -139,7 +139,7 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
             _risk_panel(risk, frame, own)
             risk.set_title(task_title(task), loc="left", fontweight="bold")
             for panel, key in zip(others, PANELS, strict=True):
-                _points(panel, own, columns[key])
+                _points(panel, own, columns[key], columns["uir_swapped"] if key == "uir" else None)
         for panel, text in zip(
             panels[-1], ("Share of the interventions by the risk ρ\nof the command alone", *PANELS.values()), strict=True
         ):
@@ -177,8 +177,8 @@ def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
     panel.tick_params(axis="y", length=0)
 
 
-def _points(panel: Axes, own: Sequence[Group], column: Column) -> None:
-    """A mark per method with its interval."""
+def _points(panel: Axes, own: Sequence[Group], column: Column, beside: Column | None) -> None:
+    """A mark per method with its interval, and a hollow one for the column `beside`."""
     for y, group in enumerate(own):
         value = estimated(group, column)
         if value.mean is None:
@@ -186,6 +186,9 @@ def _points(panel: Axes, own: Sequence[Group], column: Column) -> None:
         colour, marker = style_of(group.method, group.assistant_variant)
         if value.interval is not None:
             panel.plot([value.interval.low, value.interval.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
+        other = estimated(group, beside).mean if beside else None
+        if other is not None:
+            panel.plot(other, y, marker, markersize=7, markerfacecolor="none", markeredgecolor=colour)
         panel.plot(value.mean, y, marker, color=colour, markersize=8, markeredgecolor="white")
     if column.key == "uir":
         panel.set_xlim(-0.05, 1.05)  # so that a mark at an end is whole

@@ -86,11 +86,16 @@ def plain(number: float | None) -> str | float:
 
 
 def terminal(table: Table, width: int = 120) -> Group:
-    """Render for a console of `width` characters; best values are bold, second best underlined. What does not fit is left out."""
+    """Render for a console of `width` characters; best values are bold, second best underlined.
+
+    What does not fit is left out: spreads, then optional columns from the last one on, then brackets.
+    """
     notes = list(table.notes)
     every = tuple(range(len(table.columns)))
     needed = tuple(c for c in every if not table.columns[c].optional)
-    attempts = ((every, True, True), (every, False, True), (needed, False, True), (needed, False, False))
+    spare = [c for c in every if table.columns[c].optional]
+    fewer = (tuple(c for c in every if c in needed or c in spare[:kept]) for kept in range(len(spare), -1, -1))
+    attempts = ((every, True, True), *((shown, False, True) for shown in fewer), (needed, False, False))
     for attempt in attempts:
         rich, least = _rich(table, width, *attempt)
         if least <= width:

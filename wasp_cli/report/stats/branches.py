@@ -15,16 +15,13 @@ import numpy as np
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, Necessity, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL
-from wasp_cli.report.stats.frame import CellNumbers, Floats, Frame, Judged, Missing, Wanted, absence, odd_tables_refused
+from wasp_cli.report.stats.frame import WEIGHT_OF, CellNumbers, Floats, Frame, Judged, Missing, Wanted, absence, odd_tables_refused
 from wasp_cli.store.branches import Branches, read_branches
 from wasp_cli.store.tables import CellIdentity
 
-WEIGHT = "branches"
-"""The column of how many decisions of an episode were branched; it weighs the others."""
-
 
 def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
-    """Return the frame with `frame.JUDGED` and their weight `branches` as columns of the cells that have branches.
+    """Return the frame with `frame.JUDGED` and their weights as columns of the cells that have branches.
 
     An episode's number is the mean over its branched interventions, undefined where there are none; so is that of a cell. The cells that
     have rows, and not the branches that they should have, are named in `unbranched`.
@@ -76,20 +73,25 @@ def worth_of(stored: Branches) -> Judged:
 
 
 def _with_columns(cell: CellNumbers, judged: Judged) -> CellNumbers:
-    count = np.bincount(judged.episode, minlength=cell.count).astype(np.float64)
-    columns = {WEIGHT: count}
+    columns: dict[str, Floats] = {}
     pooled: dict[str, float] = {}
-    for name, values in numbers_of(judged.worth).items():
-        total = np.bincount(judged.episode, values, cell.count)
-        columns[name] = np.divide(total, count, out=np.full(cell.count, np.nan), where=count > 0)
+    for name, every in numbers_of(judged.worth).items():
+        defined = ~np.isnan(every)
+        episode, values = judged.episode[defined], every[defined]
+        count = np.bincount(episode, minlength=cell.count).astype(np.float64)
+        total = np.bincount(episode, values, cell.count)
+        columns |= {name: np.divide(total, count, out=np.full(cell.count, np.nan), where=count > 0), str(WEIGHT_OF[name]): count}
         pooled[name] = float(values.mean()) if len(values) else float("nan")
     return replace(cell, episodes={**cell.episodes, **columns}, pooled={**cell.pooled, **pooled})
 
 
 def numbers_of(worth: Necessity) -> dict[str, Floats]:
-    """Return [N] per column: one number for each branched intervention."""
+    """Return [N] per column: one number for each branched intervention, NaN where it does not count."""
+    unnecessary = worth.unnecessary.astype(np.float64)
     return {
-        "uir": worth.unnecessary.astype(np.float64),
+        "uir": unnecessary,
+        "uir_swapped": worth.swapped.astype(np.float64),
+        "uir_eff": np.where(worth.effective, unnecessary, np.nan),
         "rho": worth.rho,
         "at_risk": (worth.rho > 0.0).astype(np.float64),
         "delta_c": worth.delta_c,

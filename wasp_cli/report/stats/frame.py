@@ -21,11 +21,11 @@ from wasp_cli.report.stats.kept import Kept, place_of, read_kept, stamp_of, writ
 from wasp_cli.store.bounds import require_size
 from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.parquet import AGAIN
-from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, read_episodes
+from wasp_cli.store.tables import SCHEMA, CellIdentity, Thresholds, lacking, read_episodes, read_version
 
 Floats = NDArray[np.float64]
 
-POOLING = ("decisions", "env_steps", "intervened", "planned")
+POOLING = ("decisions", "env_steps", "intervened", "planned", "handovers")
 """Columns that weigh others (metrics.episode.WEIGHTS)."""
 
 TIMES = ("decision_p50_ms", "decision_p95_ms")
@@ -42,10 +42,13 @@ TOGETHER = 50
 LEAST_GAIN = 50
 """Cells that have to be read anew before their rows are kept."""
 
-JUDGED = ("uir", "rho", "at_risk", "delta_c", "delta_r")
+JUDGED = ("uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, in the cells that have one (`report.stats.branches`)."""
 
-WEIGHT_OF: dict[str, str | None] = {**WEIGHTS, "smoothness": "jumps", **dict.fromkeys(JUDGED, "branches")}
+BRANCHES, EFFECTIVE = "branches", "effective_branches"
+"""Columns of how many decisions of an episode were branched, and of how many of these the branches differ."""
+
+WEIGHT_OF: dict[str, str | None] = {**WEIGHTS, "smoothness": "jumps", **dict.fromkeys(JUDGED, BRANCHES), "uir_eff": EFFECTIVE}
 """The columns that are means over episodes, each with the column that weighs it; None is one weight per episode."""
 
 
@@ -225,7 +228,7 @@ def _read_closely(path: Path) -> Numbers:
         table = read_episodes([path])
     except ValueError as error:  # its columns are not those of a cell
         there = pq.read_schema(path).names
-        absent = ", ".join(name for name in SCHEMA.names if name not in there)
+        absent = ", ".join(name for name in SCHEMA.names if name not in (*there, *lacking(read_version(path))))
         raise StoreError(f"{path} is damaged: {f'it has no column {absent}' if absent else error}", AGAIN) from error
     if table.num_rows == 0:
         raise StoreError(f"{path} has no episodes")

@@ -83,7 +83,8 @@ def _without(judged: Judged, out: Collection[int]) -> Judged:
     order = {old: new for new, old in enumerate(sorted(set(range(int(judged.episode.max(initial=-1)) + 1)) - set(out)))}
     episode = np.array([order[int(each)] for each in judged.episode[rest]], np.int64)
     old = judged.worth
-    worth = Necessity(old.rho[rest], old.delta_c[rest], old.delta_r[rest], old.unnecessary[rest])
+    of_branches = (old.rho[rest], old.delta_c[rest], old.delta_r[rest])
+    worth = Necessity(*of_branches, old.unnecessary[rest], old.swapped[rest], old.effective[rest])
     return replace(judged, worth=worth, episode=episode)
 
 

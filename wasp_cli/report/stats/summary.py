@@ -14,10 +14,10 @@ import numpy as np
 
 from wasp_cli.metrics.episode import WEIGHTS
 from wasp_cli.report.stats.frame import CellNumbers, Floats
-from wasp_cli.store.tables import CellIdentity
+from wasp_cli.store.tables import ADDED, CellIdentity
 
-HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2"}
-"""Columns of an episode that say what happened and what was corrected, not why."""
+HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
+"""Columns of an episode that say what happened and what was corrected, not why; without those that only rows of late versions have."""
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,12 @@ PAPER_COLUMNS = (
     Column("mag", "Mag.", "down"),
 )
 MORE_COLUMNS = (
+    Column("int_eff", "Int. eff.", "down", optional=True),
+    Column("mag_eff", "Mag. eff.", "down", optional=True),
     Column("mag_int", "Mag.|int", "down", optional=True),
     Column("decision_p50_ms", "ms", digits=1, spread=False, optional=True, least=True),
 )
-AUTONOMY = frozenset({"int_rate", "mag", "mag_int"})
+AUTONOMY = frozenset({"int_rate", "mag", "mag_int", "int_eff", "mag_eff"})
 """Columns in which a method that never acts is not the best, only absent."""
 
 LABELS = ("Task", "Method")
@@ -48,6 +50,8 @@ MEANINGS = (
     "A row is the mean of its cells (operator variants x severities).",
     "Mag. is the mean deviation over all decision steps, Mag.|int over the intervened ones. ms is the median wall time "
     "per decision; the episodes of a cell are decided side by side.",
+    "Int. eff. and Mag. eff. are of the forces: an action beyond what its motor can do is the same as one at its limit. Rows of earlier "
+    "versions do not have them.",
 )
 REFERENCE_NOTE = "Expert is the unimpaired operator without assistance, for reference; it is never marked best."
 
@@ -148,11 +152,15 @@ DETAIL_COLUMNS = (
     Column("viol_env", "Viol./env step", "down", digits=3, spread=False),
     Column("int_rate_05", "Int. > 0.05", spread=False),
     Column("int_rate_10", "Int. > 0.10", spread=False),
-    Column("smoothness", "Jump²", digits=3, spread=False),
+    Column("smoothness", "Change²", digits=3, spread=False),
     Column("safety_gate", "Safety gate", digits=3, spread=False),
     Column("task_gate", "Task gate", digits=3, spread=False),
     Column("case2", "Case II", digits=3, spread=False),
     Column("decision_p95_ms", "p95 ms", digits=1, spread=False),
+)
+AUTONOMY_COLUMNS = (
+    *(column for key in ("int_rate", "int_eff", "mag", "mag_eff") for column in (*PAPER_COLUMNS, *MORE_COLUMNS) if column.key == key),
+    Column("jump", "Jump", "down"),
 )
 COST_COLUMNS = (Column("cost_median", "Cost, median", digits=1), Column("cost_worst", "Cost, worst", digits=0))
 LATENCY_COLUMNS = tuple(
@@ -176,9 +184,24 @@ def detail_table(frame: Frame) -> Table:
         rows.append(Row(labels_of(group), (*spread, *values(group, DETAIL_COLUMNS))))
     meanings = (
         "Median and worst are over all episodes of a row: a mean cost is often carried by few of them.",
-        "Jump² is the mean squared change between two executed actions. Case II is its share of the planner's iterations.",
+        "Change² is the mean squared change between two executed actions. Case II is its share of the planner's iterations.",
     )
     return Table("details", "Further metrics", LABELS, COST_COLUMNS + DETAIL_COLUMNS, tuple(rows), meanings=meanings)
+
+
+def autonomy_table(frame: Frame) -> Table:
+    """Tabulate per task and method how often and how far the operator is corrected, as commanded and in force, and how abruptly."""
+    columns = tuple(replace(column, optional=False) for column in AUTONOMY_COLUMNS)
+    rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
+    meanings = (
+        "Int. is the share of the decisions at which the executed action is not the command, Mag. the mean norm of the difference over all "
+        "decisions. Int. eff. and Mag. eff. are the same of the forces, as shares of each motor's largest: where a motor saturates, two "
+        "actions are one force. Of a task whose motors are unknown they are those of the actions.",
+        "Jump is the mean norm of the change between two executed actions where an intervention begins or ends.",
+        "Rows of earlier versions have neither forces nor jumps.",
+    )
+    notes = (spread_note(frame.cells), *missing_notes(frame))
+    return Table("autonomy", "What is left to the operator", LABELS, columns, tuple(rows), notes, meanings)
 
 
 def latency_table(frame: Frame) -> Table | None:

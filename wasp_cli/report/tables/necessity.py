@@ -23,6 +23,8 @@ MEANS = (
     Column("delta_c", "ΔC", "up", signed=True),
     Column("delta_r", "ΔR", "up", digits=3, signed=True),
     Column("uir", "UIR", "down"),
+    Column("uir_swapped", "UIR swapped", optional=True),
+    Column("uir_eff", "UIR eff.", "down", optional=True),
 )
 FEW = 30
 """Branched interventions below which a note warns."""
@@ -31,6 +33,8 @@ MEANINGS = (
     "the method's action first, and with the operator's command first; then the operator drives alone in both.",
     "ρ is the mean cost per decision without the intervention (Eq. 19), ΔC the costly decisions that it avoided, ΔR the reward that it "
     "gained (Eq. 20). UIR is the share of the interventions that avoided no cost and gained no more than τ_R (Eq. 21).",
+    "UIR swapped asks the same of the command, with the branches in each other's place: interventions that help as often as they harm have "
+    "the same in both. UIR eff. leaves out interventions whose branches are alike in every step: they changed nothing.",
     "One action is tested, not the assistance as a whole: the branch with the intervention goes on without any further one.",
 )
 
