@@ -130,6 +130,10 @@ class PrintedConfig(Config):
         return self
 
 
+class GuardedIDAConfig(IDAConfig, WASPConfig):
+    """IDA with the least correction, and WASP's safety gate behind it: the settings of both."""
+
+
 def _check_sizes(config: WASPConfig | PrintedConfig) -> None:
     if config.residual_steps > config.horizon:
         raise ValueError(f"residual_steps ({config.residual_steps}) is longer than horizon ({config.horizon})")

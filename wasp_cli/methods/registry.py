@@ -84,6 +84,7 @@ def _has(setting: Any, value: str) -> bool:
     return value in setting if isinstance(setting, Mapping) else bool(setting == value)
 
 
+_VOTE = Signal("vote", "on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1 (all do)", "vote")
 _ABLATIONS: Mapping[str, str] = {
     "full": "full",
     "safety-only": "safety gate only",
@@ -115,9 +116,7 @@ METHODS: Registry[MethodInfo] = Registry(
             calibrated=True,
             rule="IDA replaces the command by its copilot's action (the expert's, unless the spec says otherwise) where an ensemble of Q "
             "functions votes for it.",
-            signal=Signal(
-                "vote", "on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1 (all do)", "vote"
-            ),
+            signal=_VOTE,
         ),
         MethodInfo(
             "diffusion",
@@ -160,6 +159,43 @@ METHODS: Registry[MethodInfo] = Registry(
             own_thresholds=("no-rollout",),
             rule="WASP as printed imagines the operator's own rule: it plans a residual where the imagined cost exceeds τ_c, or else where "
             "the best of random plans gains more return than τ_r.",
+        ),
+        MethodInfo(
+            "ida-guarded",
+            "IDA + safety gate",
+            "wasp_cli.methods.guarded:GuardedIDA",
+            "wasp_cli.methods.configs:GuardedIDAConfig",
+            ("ida_q", "critics"),
+            calibrated=True,
+            rule="IDA decides about the task; where the expert behind its action is imagined to cost more than τ_c, WASP's safety gate "
+            "corrects it.",
+            signal=_VOTE,
+        ),
+        MethodInfo(
+            "ida-least",
+            "IDA, least correction",
+            "wasp_cli.methods.least:LeastIDA",
+            "wasp_cli.methods.configs:IDAConfig",
+            ("ida_q",),
+            calibrated=True,
+            rule="IDA, but of all actions with the force of its copilot's the one closest to the command is executed.",
+            signal=_VOTE,
+        ),
+        MethodInfo(
+            "diffusion-least",
+            "Diffusion, least correction",
+            "wasp_cli.methods.least:diffusion",
+            "wasp_cli.methods.configs:DiffusionConfig",
+            ("denoiser",),
+            rule="Diffusion, but of all actions with the force of its own the one closest to the command is executed.",
+        ),
+        MethodInfo(
+            "saferl-least",
+            "SafeRL-Res, least correction",
+            "wasp_cli.methods.least:saferl",
+            "wasp_cli.methods.configs:SafeRLConfig",
+            ("residual",),
+            rule="SafeRL-Res, but of all actions with the force of its own the one closest to the command is executed.",
         ),
         MethodInfo(
             "expert",

@@ -12,6 +12,7 @@ Document = Mapping[str, Any]
 # Planner of the feasibility study: a decision in 0.6 s on two cores; the models' defaults are the paper's sizes.
 _CPU: Document = {
     "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
+    "ida-guarded": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
     "printed": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64},
 }
 
@@ -47,9 +48,11 @@ _SMOKE: Document = {
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
     "calibration": {"decisions": 20},
     "counterfactual": {"window": 4, "most": 3},
-    "ida": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
+    "ida": {"vote": 0.0, "quantile": 0.5},
+    "ida-least": {"vote": 0.0, "quantile": 0.5},  # an untrained ensemble must act too
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
     "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1},
+    "ida-guarded": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1, "vote": 0.0, "quantile": 0.5},
     "printed": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "rollouts": 1},
 }  # fmt: skip
 
@@ -79,6 +82,7 @@ _QUICK: Document = {
     "calibration": {"decisions": 300},
     "counterfactual": {"most": 30},
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
+    "ida-guarded": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
     "printed": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32, "rollouts": 4},
 }  # fmt: skip
 
@@ -114,6 +118,7 @@ _PAPER: Document = {
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000},
     "wasp": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
+    "ida-guarded": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
     "printed": {"probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
 }
 
