@@ -134,8 +134,6 @@ METHODS: Registry[MethodInfo] = Registry(
             ("critics",),
             needs_with=(
                 ("tau_c", "coverage", "coverage"),
-                ("witness", "head", "lookahead"),
-                ("witness", "both", "lookahead"),
                 ("operator_model", "cloned", "clone"),
             ),
             calibrated=True,

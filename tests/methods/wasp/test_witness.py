@@ -23,8 +23,6 @@ from wasp_cli.models.base import Latent
 from wasp_cli.models.lookahead import LookAhead
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.operators.laggy import LaggyOperator
-from wasp_cli.plan.grid import lay_out
-from wasp_cli.spec.model import validate
 
 SMALL: dict[str, Any] = {
     "horizon": 4, "residual_steps": 2, "candidates": 6, "elites": 2, "feasible": 2, "iterations": 1, "probe": 6, "gate_rollouts": 4,
@@ -159,14 +157,3 @@ def test_a_look_ahead_that_does_not_fit_is_refused(tmp_path: Path, changes: dict
     folder = tiny_artifacts(tmp_path)["lookahead"]
     with pytest.raises(WaspError, match=message):
         load_witness(WASPConfig(**{**SMALL, "witness": "both", **changes}), folder)
-
-
-@pytest.mark.parametrize("witness", ["sum", "head", "both"])
-def test_the_stage_is_needed_where_a_witness_asks_for_it(witness: str) -> None:
-    document = {
-        "name": "x", "preset": "smoke", "tasks": ["goal1"], "methods": ["wasp"], "seeds": [0], "operators": {"laggy": {"some": 0.7}},
-        "rounds": 2, "wasp": {"witness": witness},
-    }  # fmt: skip
-    nodes = lay_out(validate(document)).nodes
-    reading = {node.kind for node in nodes if "lookahead" in node.needs}
-    assert reading == (set() if witness == "sum" else {"calibration", "evaluate", "rollouts"})
