@@ -8,7 +8,6 @@ import torch
 
 from tests.learning.recordings import MIRROR, ROWS, TINY, recording
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build
