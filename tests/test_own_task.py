@@ -21,7 +21,6 @@ PAGE = ROOT / "docs" / "own_task.md"
 SETTINGS = (
     "preset=smoke",
     "episodes=2",
-    "rounds=1",
     "expert.interactions=400",
     "expert.envs=4",
     "expert.evaluation_episodes=2",

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "docs" / "examples" / "wasp_example"
 PAGE = ROOT / "docs" / "extending.md"
 SMALL = (
-    "preset=smoke", "rounds=1", "episodes=2", "stages=[]", "operators={sluggish: {moderate: 0.8}}", "expert.interactions=1000",
+    "preset=smoke", "episodes=2", "stages=[]", "operators={sluggish: {moderate: 0.8}}", "expert.interactions=1000",
     "careful.limit=0.02",
 )  # fmt: skip
 """Everything runs, nothing is learned; an untrained network warns of any command, so that the assistant acts."""

@@ -32,7 +32,7 @@ def document_of(seeds: int) -> dict[str, Any]:
     """Training once, and three cells for each seed."""
     operators = {"noisy": {"mild": 0.2, "moderate": 0.4, "severe": 0.6}}
     return {
-        "name": "many", "preset": "smoke", "rounds": 1, "tasks": ["goal1"], "methods": ["human"], "operators": operators,
+        "name": "many", "preset": "smoke", "tasks": ["goal1"], "methods": ["human"], "operators": operators,
         "seeds": list(range(seeds)), "training_seed": 0, "stages": [],
     }  # fmt: skip
 
@@ -117,7 +117,6 @@ def test_two_workers_do_nearly_twice_as_much_as_one(benchmark: Any, fakes: Fakes
 GRID = """
 name: grid
 preset: smoke
-rounds: 1
 tasks: [goal1, race1]
 methods: [human, ida, wasp, expert]
 operators: {noisy: {mild: 0.2}, laggy: {moderate: 0.7}}

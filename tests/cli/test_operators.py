@@ -24,7 +24,6 @@ __all__ = ["fakes"]
 SPEC = """\
 name: little
 preset: smoke
-rounds: 1
 tasks: [goal1, race1]
 methods: [ida, human, wasp]
 variants: [full, safety-only]

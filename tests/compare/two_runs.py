@@ -23,7 +23,6 @@ from wasp_cli.store.tables import CellIdentity
 SPEC: Mapping[str, Any] = {
     "name": "tiny",
     "preset": "smoke",
-    "rounds": 1,
     "tasks": ["goal1"],
     "methods": ["human", "wasp"],
     "operators": {"noisy": {"mild": 0.2}, "laggy": {"mild": 0.5}},

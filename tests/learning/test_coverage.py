@@ -189,7 +189,6 @@ def test_too_few_costly_episodes_are_refused(chain: Mapping[str, Path], tmp_path
 
 
 def test_without_a_calibration_a_guaranteed_threshold_falls_back(chain: Mapping[str, Path]) -> None:
-    """As a further round of data has it."""
     inputs = {kind: folder for kind, folder in chain.items() if kind != "calibration"}
     config = WASPConfig(**SMALL, tau_c=Coverage()).model_dump(mode="json")
     assistant: Any = build_assistant("wasp", config, load_parts(inputs, ReturnsConfig()))

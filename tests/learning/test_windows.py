@@ -8,7 +8,6 @@ import torch
 
 from tests.learning.recordings import MIRROR, ROWS, TINY, recording
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.windows import Context, Windows
 from wasp_cli.learning.world_model import build
@@ -59,20 +58,6 @@ def test_a_sequence_goes_on_from_what_was_inferred_before_it() -> None:
     assert torch.equal(batch.first, window.batch.first)
     assert torch.equal(before.h, torch.arange(4.0).reshape(1, 4))
     assert torch.equal(before.z, z[:, 0])
-
-
-def test_a_later_training_goes_on_from_what_the_earlier_one_inferred() -> None:
-    data = recording((30, 30))
-    torch.manual_seed(0)
-    model = build(TINY, 2)
-    latents = encode(model, data, lambda share, text: None)
-    context, window = Context(60, 16, 3), Windows(data, np.arange(60), 5, 0.0).sample(8, generator(0))
-    context.fill(latents)
-    batch, before = context.enter(window, 4)
-    assert torch.equal(batch.first, window.batch.first), "every row has a past"
-    wanted = latents.at((window.rows[:, 0] - 1).clamp(min=0))
-    torch.testing.assert_close(before.h, wanted.h, atol=1e-3, rtol=1e-2)  # remembered in half precision
-    assert torch.equal(before.z, wanted.z)
 
 
 def test_what_followed_is_looked_up_to_the_end_of_the_episode() -> None:

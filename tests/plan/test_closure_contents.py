@@ -47,9 +47,9 @@ PPO = "learning.lagrangian learning.vec_env"
 BRANCHES = "store store.branches store.parquet store.recorded store.tables metrics metrics.episode metrics.necessity metrics.windows"
 
 SECTIONS = {
-    "recorded": "expert dataset rollouts",
+    "recorded": "expert dataset",
     "world": "world_model latents diagnostics",
-    "latent": "policies critics lookahead gate_signals clone",
+    "latent": "policies critics clone",
     "baselines": "ida_q denoiser residual",
     "judged": "heldout coverage calibration evaluate counterfactual",
 }
@@ -72,20 +72,6 @@ MAY_HAVE = {
     "critics": (
         f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values "
         "metrics metrics.ranking"
-    ),
-    "lookahead": (
-        f"{WORLD} {LATENTS} models.ensemble models.lookahead learning.lookahead metrics metrics.ranking metrics.reliability stages.finite"
-    ),
-    "gate_signals": (
-        f"{DRIVING} {LATENTS} {CRITICS} {IMAGINATION} {OPERATORS_BY_NAME} learning.critics "
-        "learning.gate_signals learning.gate_signals_judge "
-        "learning.critic_quality learning.recorded_values methods.configs methods.noise methods.wasp.imagine methods.wasp.witness "
-        "models.ensemble models.lookahead "
-        "metrics metrics.ranking metrics.windows stages.finite"
-    ),
-    "rollouts": (
-        f"{DRIVING} {WASP} {CRITICS} {IMAGINATION} {OPERATORS_BY_NAME} models.clone models.ensemble models.lookahead "
-        "learning.contents learning.dataset learning.rollouts learning.shards"
     ),
     "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
@@ -115,7 +101,7 @@ MAY_HAVE = {
 def closures() -> dict[str, frozenset[str]]:
     """By node kind, every module in the closure of one, over all tasks, methods, their variants, and operators."""
     document = {
-        "name": "all", "preset": "smoke", "rounds": 2, "tasks": list(TASKS), "methods": list(METHODS), "seeds": [0],
+        "name": "all", "preset": "smoke", "tasks": list(TASKS), "methods": list(METHODS), "seeds": [0],
         "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS}, "wasp": {"operator_model": "cloned"},
     }  # fmt: skip
     found: dict[str, frozenset[str]] = {}

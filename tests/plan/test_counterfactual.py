@@ -64,11 +64,6 @@ def test_a_node_reads_the_cell_that_it_is_about_and_the_chain_of_its_models() ->
     assert node.key not in {part_node.key for _, part_node in laid_out.parts}
 
 
-def test_a_later_round_is_branched_with_its_own_models() -> None:
-    node = by_label(judged(rounds=2))["goal1 s0 counterfactual wasp noisy=0.2"]
-    assert {needed.axes.get("round") for needed in node.needs.values()} == {2}
-
-
 def test_its_own_section_moves_its_keys_alone_and_the_cell_moves_its_own() -> None:
     branches = set(branch_labels(judged()))
     assert len(branches) == 2 * 2 * 3

@@ -34,7 +34,7 @@ def forget() -> None:
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Mapping[str, str]]]:
     """Copies the package, changes every module of a room in the copy, and plans: the key of every node by its label."""
-    spec = load(ROOT / "specs" / "smoke.yaml", ["rounds=1"]).spec
+    spec = load(ROOT / "specs" / "smoke.yaml").spec
 
     def plan(*rooms: str) -> dict[str, str]:
         package = tmp_path_factory.mktemp("copy") / "wasp_cli"

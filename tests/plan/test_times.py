@@ -91,14 +91,6 @@ def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch
     assert of("policies") == pytest.approx(before["policies"] / 2)
 
 
-def test_a_later_round_of_the_world_model_has_updates_of_its_own(tmp_path: Path) -> None:
-    plan = planned("worldmodel.yaml", tmp_path, "tasks=[goal1]", "rounds=2")
-    first, later = (node for node in plan.to_run() if node.kind == "world_model")
-    ratio = later.config["later_updates"] / later.config["updates"]
-    assert ratio < 1
-    assert plan.seconds[later.sort] == pytest.approx(ratio * plan.seconds[first.sort])
-
-
 def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do() -> None:
     full, printed = ({"method": "wasp", "method_config": {"variant": variant}} for variant in ("full", "as-printed"))
     cells = [manifest("evaluate", seconds, full, episodes=10) for seconds in (100.0, 120.0, 900.0)]
@@ -107,7 +99,7 @@ def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do() -> None:
     cells += [
         part,
         manifest("evaluate", 50.0, printed, episodes=10),
-        manifest("world_model", 30.0, {"round": 2}, updates=40, later_updates=10),
+        manifest("world_model", 30.0, {}, updates=10),
     ]
     found = times.figures_of([("cpu", each) for each in cells])
     assert found["seconds"] == {"cpu": {"evaluate goal1 wasp": 12.0, "evaluate goal1 wasp/as-printed": 5.0, "world_model goal1": 3.0}}

@@ -150,11 +150,11 @@ def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, t
 def test_artifacts_are_found_under_the_name_by_which_a_stage_reads_them(tmp_path: Path) -> None:
     layout = Layout(tmp_path)
     record = {"task": "goal1", "seed": 0, "axes": {}, "summary": {}, "provenance": {}}
-    write_record(layout.manifest("rollouts", key("rollouts", 0)), {**record, "upstream": {}, "axes": {"round": 2, "method": "wasp"}})
-    names = {"upstream": {"dataset": key("rollouts", 0)}, "upstream_kinds": {"dataset": "rollouts"}}
-    write_record(layout.manifest("critics", key("critics", 0)), {**record, **names, "axes": {"round": 2}})
+    write_record(layout.manifest("dataset", key("dataset", 0)), {**record, "upstream": {}, "axes": {"method": "wasp"}})
+    names = {"upstream": {"recorded": key("dataset", 0)}, "upstream_kinds": {"recorded": "dataset"}}
+    write_record(layout.manifest("critics", key("critics", 0)), {**record, **names})
     found, damaged = trained_artifacts(layout, [("critics", key("critics", 0))])
-    assert [artifact.stage for artifact in found] == ["rollouts of WASP, round 2", "critics, round 2"]
+    assert [artifact.stage for artifact in found] == ["dataset of WASP", "critics"]
     assert not damaged
 
 

@@ -95,7 +95,6 @@ def _fake(kind: str) -> type[Fake]:
         "settings": real.settings,
         "needs": real.needs,
         "config": real.config,
-        "previous": getattr(real, "previous", False),
     }
     return type(f"Fake_{kind}", (Fake,), body)
 

@@ -30,7 +30,6 @@ ROOT = Path(__file__).resolve().parents[2]
 SMALL = """
 name: small
 preset: smoke
-rounds: 1
 tasks: [goal1]
 methods: [human, ida, wasp, expert]
 operators:

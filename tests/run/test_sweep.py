@@ -64,15 +64,6 @@ def test_what_must_be_trained_for_each_value_is_told(
     assert sum(" world_model" in line for line in executions) == 2
 
 
-def test_wasp_drives_in_later_rounds_so_that_its_settings_train_again(
-    fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    swept(small_spec, tmp_path / "results", "wasp.tau_c=0.3,1", settings=("rounds=2",))
-    assert "; trained for each: rollouts, world_model, " in capsys.readouterr().err
-    # The first round is shared, the second is not.
-    assert sum(" world_model" in line for line in fakes.executions()) == 2 + 2 * 2
-
-
 def test_a_value_that_fails_leaves_the_others(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     fakes.set(behave={"'ratio': 0.4": "refuse"})
     done = swept(small_spec, tmp_path / "results")
@@ -114,7 +105,7 @@ def test_every_value_is_a_run_that_reports_find(fakes: Fakes, small_spec: Path, 
     ("vary", "methods", "settings", "message"),
     [
         ("diffusion.ratio=0.2,0.4", ("ida", "wasp"), (), "'diffusion.ratio' changes no cell of ida, wasp"),
-        ("gate_signals.episodes=1,2", (), (), "'gate_signals.episodes' changes no cell of human, ida, wasp, expert"),
+        ("coverage.episodes=1,2", (), (), "'coverage.episodes' changes no cell of human, ida, wasp, expert"),
         ("critics.updates=1,2", (), ("methods=[]",), "there is nothing to compare"),
     ],
 )

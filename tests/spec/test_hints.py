@@ -36,7 +36,7 @@ from wasp_cli.tasks.registry import TASKS
         ("wasp: {rollouts: '3.5'}\n", None),
         ("wasp: {rollouts: 3.5}\n", None),
         ("expert: {hidden: 64}\n", "write [64]"),
-        ("gate_signals: {gammas: 0.9}\n", "write [0.9]"),
+        ("policies: {hidden: 9}\n", "write [9]"),
         ("residual: {operators: {noisy: 0.3}}\n", "write [0.3]"),
         ("residual: {operators: {nosiy: [0.3]}}\n", "did you mean 'noisy'?"),
     ],

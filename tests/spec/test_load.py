@@ -146,9 +146,8 @@ def test_mistakes_have_a_place_and_a_suggestion(addition: str, place: tuple[int,
         ("[human, wasp]", "[human]\nstages: [expert, evaluate]", (5, 18),
          "'evaluate' runs for a method", "list its method under `methods`"),
         ("[human, wasp]", "[human]\nstages: [calibration]", (5, 10), "'calibration' runs for a method", "list its method under `methods`"),
-        ("[human, wasp]", "[human]\nstages: [rollouts]", (5, 10), "'rollouts' begins a further round", "set their number with `rounds`"),
-        ("[human, wasp]", "[human]\nrounds: 0", (5, 9), "should be greater than or equal to 1, not 0", None),
-        ("[human, wasp]", "[human]\nrounds: two", (5, 9), "should be an integer, not 'two'", None),
+        ("[human, wasp]", "[human]\nside_by_side: 0", (5, 15), "should be greater than or equal to 1, not 0", None),
+        ("[human, wasp]", "[human]\nside_by_side: two", (5, 15), "should be an integer, not 'two'", None),
         ("[human, wasp]", "[human]\nstages: [expert, expert]", (5, 9), "'expert' is listed twice", None),
         ("[human, wasp]", "[human]\nstages: expert", (5, 9), "should be a list, not 'expert'", "write [expert]"),
         ("[human, wasp]", "[human]\nvariants: [no-case2]", (5, 12), "unknown variant of the listed methods 'no-case2'", "known: full"),
@@ -176,15 +175,8 @@ def test_all_problems_come_at_once_in_file_order() -> None:
     assert [at(problem) for problem in problems(text)] == [(3, 9), (6, 17), (7, 8), (8, 1), (9, 15)]
 
 
-def test_rounds_come_from_the_preset_unless_the_file_has_them() -> None:
-    wanted = {"smoke": 2, "quick": 1, "cpu": 1, "gpu": 1, "paper": 1}
-    assert {preset: read(GOOD.replace("preset: smoke", f"preset: {preset}")).spec.rounds for preset in wanted} == wanted
-    assert read(GOOD + "rounds: 3\n").spec.rounds == 3
-
-
-@pytest.mark.parametrize("section", ["residual", "rollouts"])
-def test_stages_mix_known_operators_at_known_values(section: str) -> None:
-    text = GOOD + f"{section}: {{operators: {{nosy: [0.1], noisy: [2], limited-skill: [0.3]}}}}\n"
+def test_stages_mix_known_operators_at_known_values() -> None:
+    text = GOOD + "residual: {operators: {nosy: [0.1], noisy: [2], limited-skill: [0.3]}}\n"
     assert [problem.message.split(",")[0] for problem in problems(text)] == [
         "unknown operator variant 'nosy'",
         "should lie between 0 and 1 (probability of a uniform action)",

@@ -24,7 +24,6 @@ LABEL = "goal1 s0 human noisy=0.2"
 SPEC = {
     "name": "tiny",
     "preset": "smoke",
-    "rounds": 1,
     "tasks": ["goal1"],
     "methods": ["human"],
     "operators": {"noisy": {"mild": 0.2}},

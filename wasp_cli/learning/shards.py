@@ -82,8 +82,8 @@ class Recording(NamedTuple):
     def held_out(self, share: float) -> NDArray[np.bool_]:
         """Return the mask [N] of the episodes that no training sees: at a share of 0.1 those numbered 9, 19, 29, ...
 
-        By number and not by place, so that an episode stays on its side when later rounds append others, and these are held out
-        too. Where there are too few episodes for that, it is the last one.
+        By number and not by place, so that an episode stays on its side when others are appended. Where there are too few
+        episodes for that, it is the last one.
         """
         period = held_out_period(share)
         chosen: NDArray[np.bool_] = self.episode % period == period - 1

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import gumbel
 from wasp_cli.learning.shards import Recording
 from wasp_cli.models.base import Latent
@@ -158,11 +157,6 @@ class Context:
         self.h[window.memory] = latent.h.detach().to(torch.float16)
         self.z[window.memory] = latent.z.detach().unflatten(-1, (variables, -1)).argmax(-1).to(torch.uint8)
         self.known[window.memory] = True
-
-    def fill(self, latents: Latents) -> None:
-        """Begin with what an earlier training infers at every row; of mirror images nothing is known."""
-        rows = len(latents.h)
-        self.h[:rows], self.z[:rows], self.known[:rows] = latents.h.to(self.h), latents.z.to(self.z), True
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the state for a checkpoint; `load` takes them back."""

@@ -66,7 +66,6 @@ def train(
     readout: Readout | None = None,
     mirror: NDArray[np.float32] | None = None,
     privileged_mirror: Mirror | None = None,
-    before: Latents | None = None,
 ) -> tuple[dict[str, list[float]], int]:
     """Minimise Eq. 6 on those rows of a recording, on the model's device; goes on from its own checkpoint in `work`.
 
@@ -82,7 +81,6 @@ def train(
         readout: head of the loss on the privileged vector, trained along, where `config.privileged` gives that loss a weight.
         mirror: [A, A], what an action becomes in a mirror, where sequences may be seen in one.
         privileged_mirror: what a privileged vector becomes there, where that is known.
-        before: what the model inferred at every row of the recording, where it has been trained before.
 
     Returns:
         The loss curves by term and that of the gradient norm, a value per 20 updates; and the number of updates that were left out.
@@ -98,8 +96,6 @@ def train(
     source = generator(seed, device)
     context = Context(len(recording.first) * (1 if mirror is None else 2), config.deter, config.variables, device)
     fresh: dict[str, Any] = {"update": 0, "skipped": 0, "curves": {name: [] for name in [*weights, "gradient_norm"]}}
-    if before is not None:
-        context.fill(before)
     counters = restore_training(work, whole, optimizer, source, context) or fresh
     windows = Windows(recording, rows, config.length, config.cost_windows, device, mirror)
     compute = torch.compile(model.losses) if config.compile else model.losses

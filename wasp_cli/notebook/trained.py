@@ -44,7 +44,6 @@ def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[st
         "kind": [part.kind for part in found],
         "task": [part.task for part in found],
         "seed": [part.seed for part in found],
-        "round": [part.round for part in found],
         "seconds": [part.seconds for part in found],
         "folder": [str(layout.artifact(part.kind, part.key)) for part in found],
     }

@@ -1,4 +1,4 @@
-"""An operator that is a different variant in every episode: what SafeRL-Res trains with, and what a further round of data meets."""
+"""An operator that is a different variant in every episode: what SafeRL-Res trains with, and what coverage is measured on."""
 
 from __future__ import annotations
 

@@ -30,8 +30,6 @@ COUNTERFACTUAL = "counterfactual"
 """The stage that runs for every cell whose method may intervene."""
 OPERATOR_CLONE = "operator_clone"
 """The name under which a node reads the clone of the person who drives in it."""
-ROLLOUTS, ASSISTANT = "rollouts", "wasp"
-"""The stage that begins every round after the first, and the method that it runs."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +64,7 @@ class Grid:
     @property
     def parts(self) -> list[tuple[Part, Node]]:
         """What is trained, needed parts first."""
-        return [
-            (Part(node.task, node.kind, node.seed, round_of(node)), node)
-            for node in self.nodes
-            if STAGES[node.kind].unit in ("chain", "round")
-        ]
+        return [(Part(node.task, node.kind, node.seed), node) for node in self.nodes if STAGES[node.kind].unit == "chain"]
 
 
 def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
@@ -90,7 +84,7 @@ def _lay_out(spec: Spec, builder: _Builder) -> Grid:
     severities = sum(len(values) for values in spec.operators.values())
     per_seed = sum(len(spec.variants_of(method)) for method in spec.methods) * max(severities, 1)
     trained = [kind for kind in spec.stages if STAGES[kind].unit == "chain"]
-    named = tuple(builder.training(kind, task, seed, spec.rounds) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), trained))
+    named = tuple(builder.training(kind, task, seed) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), trained))
     judged = [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes] if COUNTERFACTUAL in spec.stages else []
     branched = tuple([(cell, builder.branches(cell, node)) for cell, node in judged])
     nodes = with_upstream([*(node for _, node in cells), *named, *(node for _, node in branched)])
@@ -163,11 +157,7 @@ class _Assisted:
 
 
 class _Builder:
-    """Builds nodes of one spec; what cells share is built once.
-
-    The first round is the chain without any: its nodes carry no round, so that their keys are the same however many follow. Each
-    further round begins with rollouts, which complete the dataset for everything that is trained after them.
-    """
+    """Builds nodes of one spec; what cells share is built once."""
 
     def __init__(self, spec: Spec, reuse: Mapping[str, str] | None = None) -> None:
         self.spec = spec
@@ -179,7 +169,6 @@ class _Builder:
         self.settings_text = cache(lambda kind: canonical(self.settings(kind)))
         self.method_config = cache(lambda method, variant, task: spec.method(method, variant, task).model_dump(mode="json"))
         self.training = cache(self._training)
-        self.rollouts = cache(self._rollouts)
         self.calibration = cache(self._calibration)
         self.operator_stage = cache(self._operator_stage)
         self.assisted = cache(self._assisted)
@@ -188,7 +177,7 @@ class _Builder:
     def evaluation(self, cell: Cell) -> Node:
         """Return the node that computes a cell, from the training chain of its seed."""
         shared: _Assisted = self.assisted(cell.task, self.spec.chain_seed(cell.seed), cell.method, cell.assistant)
-        axes = _round_axis(self.spec.rounds) | {
+        axes = {
             "method": cell.method,
             "method_config": shared.config,
             "variant": cell.operator,
@@ -199,19 +188,19 @@ class _Builder:
         roots = (*shared.roots, *_roots(_operator_targets([cell.operator])))
         needs, upstream = shared.needs, shared.upstream
         if shared.of_operator or cell.operator == CLONED:
-            chain, rounds = self.spec.chain_seed(cell.seed), self.spec.rounds
-            needs = {**needs, **self._of_operator(shared.of_operator, cell.task, chain, rounds, cell.operator, cell.value)}
-            needs |= self._cloned_person(cell.task, chain, rounds, cell.operator, cell.value)
+            chain = self.spec.chain_seed(cell.seed)
+            needs = {**needs, **self._of_operator(shared.of_operator, cell.task, chain, cell.operator, cell.value)}
+            needs |= self._cloned_person(cell.task, chain, cell.operator, cell.value)
             upstream = self._upstream(needs)
         return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), (text, upstream, shared.sort))
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
         """Return the node that branches the interventions of an evaluated cell."""
         chain = self.spec.chain_seed(cell.seed)
-        needs = self._inputs(COUNTERFACTUAL, cell.task, chain, self.spec.rounds) | {evaluation.kind: evaluation}
+        needs = self._inputs(COUNTERFACTUAL, cell.task, chain) | {evaluation.kind: evaluation}
         # A person cannot be asked again: in the branches the clone goes on.
         driver = CLONED if cell.operator == PERSON else cell.operator
-        needs |= self._cloned_person(cell.task, chain, self.spec.rounds, driver, cell.value)
+        needs |= self._cloned_person(cell.task, chain, driver, cell.value)
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
         # The assistant is not asked again: its code is in the key through the evaluation alone.
         return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, _roots(_operator_targets([cell.operator])), label)
@@ -220,73 +209,50 @@ class _Builder:
         info = METHODS[method]
         config = self.method_config(method, assistant, task)
         further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
-        needs = self._inputs("evaluate", task, chain, self.spec.rounds, further)
+        needs = self._inputs("evaluate", task, chain, further)
         if info.calibrated:
             variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(task, chain, method, variant)
-        axes = _round_axis(self.spec.rounds) | {"method": method, "method_config": config}
+        axes = {"method": method, "method_config": config}
         sort = sort_of("evaluate", task, self.config("evaluate", task), axes)
         return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort, of_operator)
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
-        number = self.spec.rounds
         config = self.method_config(method, variant, task)
-        axes = _round_axis(number) | {"method": method, "method_config": config} | _plugins({method: info.target})
+        axes = {"method": method, "method_config": config} | _plugins({method: info.target})
         further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
-        needs = self._inputs("calibration", task, seed, number, further)
+        needs = self._inputs("calibration", task, seed, further)
         # The held-out episodes are the unimpaired operator's.
-        needs |= self._of_operator(of_operator, task, seed, number, UNIMPAIRED, None)
+        needs |= self._of_operator(of_operator, task, seed, UNIMPAIRED, None)
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
-        return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), _in_round(f"calibration {name}", number))
+        return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), f"calibration {name}")
 
-    def _training(self, kind: str, task: str, seed: int, number: int) -> Node:
-        if number > 1 and not STAGES[kind].every_round:
-            return self.training(kind, task, seed, 1)
+    def _training(self, kind: str, task: str, seed: int) -> Node:
         operators = self._operators(kind, task)
-        axes = _round_axis(number) | _plugins({kind: STAGES[kind].target} | operators)
-        needs = self._inputs(kind, task, seed, number)
-        if number > 1 and getattr(stage_class(kind), "previous", False):
-            needs["previous"] = self.training(kind, task, seed, number - 1)
-        return self._node(kind, task, seed, axes, needs, _roots(operators), _in_round(kind, number))
+        axes = _plugins({kind: STAGES[kind].target} | operators)
+        needs = self._inputs(kind, task, seed)
+        return self._node(kind, task, seed, axes, needs, _roots(operators), kind)
 
-    def _rollouts(self, task: str, seed: int, number: int) -> Node:
-        operators = self._operators(ROLLOUTS, task)
-        config = self.method_config(ASSISTANT, CALIBRATED_VARIANT, task)
-        axes = _round_axis(number) | {"method": ASSISTANT, "method_config": config}
-        axes |= _plugins(operators)
-        further, of_operator = _split(METHODS[ASSISTANT].needs_of(config))
-        needs = self._inputs(ROLLOUTS, task, seed, number - 1, further)
-        # Each episode has another operator: where the rule is not to be known, all of them are taken for the unimpaired one.
-        needs |= self._of_operator(of_operator, task, seed, number - 1, UNIMPAIRED, None)
-        roots = (module_of(METHODS[ASSISTANT].target), *_roots(operators))
-        return self._node(ROLLOUTS, task, seed, axes, needs, roots, _in_round(ROLLOUTS, number))
+    def _of_operator(self, kinds: Iterable[str], task: str, seed: int, operator: str, value: float | None) -> dict[str, Node]:
+        return {kind: self.operator_stage(kind, task, seed, operator, value) for kind in kinds}
 
-    def _of_operator(self, kinds: Iterable[str], task: str, seed: int, number: int, operator: str, value: float | None) -> dict[str, Node]:
-        return {kind: self.operator_stage(kind, task, seed, number, operator, value) for kind in kinds}
-
-    def _operator_stage(self, kind: str, task: str, seed: int, number: int, operator: str, value: float | None) -> Node:
+    def _operator_stage(self, kind: str, task: str, seed: int, operator: str, value: float | None) -> Node:
         targets = _operator_targets([operator])
-        axes = _round_axis(number) | {"variant": operator, "value": value} | _plugins(targets)
+        axes = {"variant": operator, "value": value} | _plugins(targets)
         label = f"{kind} {_driver(operator, value)}"
-        needs = self._inputs(kind, task, seed, number) | self._cloned_person(task, seed, number, operator, value)
-        return self._node(kind, task, seed, axes, needs, _roots(targets), _in_round(label, number))
+        needs = self._inputs(kind, task, seed) | self._cloned_person(task, seed, operator, value)
+        return self._node(kind, task, seed, axes, needs, _roots(targets), label)
 
-    def _cloned_person(self, task: str, seed: int, number: int, operator: str, value: float | None) -> dict[str, Node]:
+    def _cloned_person(self, task: str, seed: int, operator: str, value: float | None) -> dict[str, Node]:
         """The clone of a participant, where it drives; it is made by `wasp clone`, not by a run."""
         if operator != CLONED:
             return {}
-        return {OPERATOR_CLONE: self.operator_stage("clone", task, seed, number, PERSON, value)}
+        return {OPERATOR_CLONE: self.operator_stage("clone", task, seed, PERSON, value)}
 
-    def _inputs(self, kind: str, task: str, seed: int, number: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
+    def _inputs(self, kind: str, task: str, seed: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
         needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))
-        return {name: self._source(name, task, seed, number) for name in needed}
-
-    def _source(self, name: str, task: str, seed: int, number: int) -> Node:
-        """What the stages of a round read under a name."""
-        if name == "dataset" and number > 1:
-            return self.rollouts(task, seed, number)
-        return self.training(name, task, seed, number)
+        return {name: self.training(name, task, seed) for name in needed}
 
     def _operators(self, kind: str, task: str) -> dict[str, str]:
         """A stage that mixes operators finds them by the names in its section."""
@@ -362,19 +328,6 @@ def _cell_label(cell: Cell) -> str:
 
 def _driver(operator: str, value: float | None) -> str:
     return "unimpaired" if value is None else f"{operator}={value:g}"
-
-
-def round_of(node: Node) -> int:
-    """Return the round that a node belongs to."""
-    return int(node.axes.get("round", 1))
-
-
-def _round_axis(number: int) -> dict[str, Any]:
-    return {"round": number} if number > 1 else {}
-
-
-def _in_round(label: str, number: int) -> str:
-    return f"{label}, round {number}" if number > 1 else label
 
 
 def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:

@@ -43,16 +43,15 @@ _FIELDS = tuple(field.name for field in fields(Cell))
 
 @dataclass(frozen=True, order=True, slots=True)
 class Part:
-    """What one training stage leaves for a task, a seed and a round."""
+    """What one training stage leaves for a task and a seed."""
 
     task: str
     kind: str
     seed: int
     """The seed of the training chain."""
-    round: int = 1
 
     def __str__(self) -> str:
-        return f"{self.task} s{self.seed} {self.kind}" + (f", round {self.round}" if self.round > 1 else "")
+        return f"{self.task} s{self.seed} {self.kind}"
 
     def as_json(self) -> dict[str, Any]:
         """Return this as plain values, for the plan of a run."""
@@ -67,7 +66,7 @@ class Node:
     task: str
     seed: int
     axes: Mapping[str, Any]
-    """What else identifies it: method, method_config, operator variant, value (evaluate, calibration), and the round after the first."""
+    """What else identifies it: method, method_config, operator variant, value (evaluate, calibration)."""
     config: Mapping[str, Any]
     """The section of its stage, resolved, as JSON values."""
     settings: Mapping[str, Any]
@@ -80,7 +79,7 @@ class Node:
     label: str
     """For people: `goal1 s0 world_model`."""
     sort: str
-    """Nodes of a sort take about as long: the same stage, task, method and round at the same sizes, whatever the seed and the operator."""
+    """Nodes of a sort take about as long: the same stage, task and method at the same sizes, whatever the seed and the operator."""
 
     def __hash__(self) -> int:
         return hash(self.key)

@@ -46,11 +46,11 @@ def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
-    """Return the identity of a node without its configuration: who assists whom, where, with which seed, in which round."""
+    """Return the identity of a node without its configuration: who assists whom, where, with which seed."""
     method = axes.get("method_config")
     variant = method.get("variant") if isinstance(method, Mapping) else None
     # By hand: this is asked of every node of a grid.
-    return f"{kind} {task} {seed} {axes.get('round')} {axes.get('method')} {variant} {axes.get('variant')} {axes.get('value')!r}"
+    return f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('variant')} {axes.get('value')!r}"
 
 
 def who_is(node: Node) -> str:

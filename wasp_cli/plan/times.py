@@ -1,7 +1,7 @@
 """Seconds of nodes that this machine has not computed yet: measured on another one, and scaled by the speed of this one.
 
 The figures are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size. `wasp bench times RESULTS` makes
-them. A later round is taken for a first one, but for the size of its world model. A variant that nobody measured is taken for its method,
+them. A variant that nobody measured is taken for its method,
 and a method that nobody measured for WASP, the slowest.
 """
 
@@ -21,14 +21,12 @@ FIGURES = Path(__file__).parent / "times.json"
 SLICES, SLICE_SECONDS = 25, 0.01
 SIZE = 65_536
 SIZES = {
-    "expert": "interactions", "dataset": "steps", "rollouts": "steps", "world_model": "updates", "residual": "interactions",
+    "expert": "interactions", "dataset": "steps", "world_model": "updates", "residual": "interactions",
     "evaluate": "episodes",
 }  # fmt: skip
 """By stage the setting that its time grows with."""
 SLOWEST = "wasp"
 """The method that stands for one that nobody measured."""
-LATER = {"world_model": "later_updates"}
-"""The same where a later round has another one."""
 
 
 def figure_of(kind: str, task: str, axes: Mapping[str, Any]) -> str:
@@ -82,11 +80,11 @@ def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, flo
     known: Mapping[str, float] = figures["seconds"].get(preset, {})
     times: dict[str, list[float]] = {}
     for node, seconds in near:
-        times.setdefault(figure_of(node.kind, node.task, node.axes), []).append(seconds / _size(node.kind, node.config, node.axes))
+        times.setdefault(figure_of(node.kind, node.task, node.axes), []).append(seconds / _size(node.kind, node.config))
     elsewhere: dict[str, float] = {}
     found: dict[str, float] = {}
     for node in nodes:
-        size = _size(node.kind, node.config, node.axes)
+        size = _size(node.kind, node.config)
         for name in figures_like(node.kind, node.task, node.axes):
             if name in times:
                 found[node.sort] = median(times[name]) * size
@@ -109,15 +107,14 @@ def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, 
     for preset, manifest in manifests:
         kind, axes, provenance = manifest["kind"], manifest["axes"], manifest["provenance"]
         if "earlier" not in provenance:  # what took rows over says nothing of its like
-            seconds = float(provenance["seconds"]) / _size(kind, manifest["config"], axes)
+            seconds = float(provenance["seconds"]) / _size(kind, manifest["config"])
             times.setdefault(preset, {}).setdefault(figure_of(kind, manifest["task"], axes), []).append(seconds)
     seconds_of = {preset: {name: _short(median(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
     return {"speed": _short(speed()), "seconds": seconds_of}
 
 
-def _size(kind: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> int:
-    sizes = {**SIZES, **LATER} if "round" in axes else SIZES
-    return int(config.get(sizes.get(kind, ""), 1))
+def _size(kind: str, config: Mapping[str, Any]) -> int:
+    return int(config.get(SIZES.get(kind, ""), 1))
 
 
 def _short(number: float) -> float:

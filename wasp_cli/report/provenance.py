@@ -16,7 +16,7 @@ from wasp_cli.config import DIFFERS, assumptions
 from wasp_cli.errors import ArtifactError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.closure import changed_since
-from wasp_cli.plan.grid import ASSISTANT, ROLLOUTS, stage_class
+from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.plan.recorded import run_ids
@@ -256,18 +256,15 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
             need(kind)
     for kind in spec.stages:
         need(kind)
-    if spec.rounds > 1:
-        need(ROLLOUTS)
-    assistants = {*spec.methods, *([ASSISTANT] if spec.rounds > 1 else [])}
     found: list[Assumption] = []
     for name, value, why in [*assumptions(spec), *_of_single_tasks(spec)]:
         section = name.partition(".")[0] if "." in name else ""
-        idle = section not in kinds if section in STAGES else section in METHODS and section not in assistants
+        idle = section not in kinds if section in STAGES else section in METHODS and section not in spec.methods
         if not idle:
             found.append((name, value, why))
     if "world_model" in kinds:
         found.append(POSTERIOR)
-    if "wasp" in assistants:
+    if "wasp" in spec.methods:
         found += READINGS
     return sorted(found, key=lambda one: not one[2].startswith(DIFFERS))
 

@@ -83,8 +83,8 @@ def report_run(
     if gone:
         published.append(absent_fact(gone))
         # Of a stage that is there for other seeds the absent part stays: a mean over some of the seeds has to say so.
-        told = {(part.task, part.kind, part.round) for part, _ in parts if part not in gone}
-        parts = [(part, key) for part, key in parts if (part.task, part.kind, part.round) in told]
+        told = {(part.task, part.kind) for part, _ in parts if part not in gone}
+        parts = [(part, key) for part, key in parts if (part.task, part.kind) in told]
     remarks = (*origins.remarks(), *absent)
     sittings, unread = read_people(wanted, frame)
     damaged += unread

@@ -358,7 +358,7 @@ def _shares(sweep: Sweep, grids: Sequence[Grid], users: dict[str, tuple[int, ...
     """What the values share, and what is trained for each of them: that is what takes time."""
     shared = sum(len(values) == len(grids) for values in users.values())
     own = [node for grid in grids for node in grid.nodes if len(users[node.key]) < len(grids)]
-    trained_kinds = stages_of("chain", "round")
+    trained_kinds = stages_of("chain")
     trained = ", ".join(dict.fromkeys(node.kind for node in own if node.kind in trained_kinds))
     text = f"{len(grids)} values of {sweep.key}: {shared} of {len(users)} nodes are the same for all of them"
     return f"{text}; trained for each: {trained}" if trained else text

@@ -93,7 +93,6 @@ class Spec(Config):
     training_seed: Seed | None = Field(
         default=None, description="null: every seed trains its own models; a number: all share the models of that seed"
     )
-    rounds: int = assumed(1, "rounds of data; from the second on, WASP's own rollouts are added and all models trained again", ge=1, le=9)
     episodes: int = assumed(30, "episodes per cell and seed", ge=1, le=100_000)
     side_by_side: int = assumed(
         10,

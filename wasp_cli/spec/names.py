@@ -72,8 +72,6 @@ def _stage(name: str) -> str:
     unit = STAGES[name].unit if name in STAGES else None
     if unit == "method":
         raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
-    if unit == "round":
-        raise PydanticCustomError("of_round", "'{name}' begins a further round", {"name": name, "hint": "set their number with `rounds`"})
     if unit == "operator":
         hint = {"name": name, "hint": "a method that needs it runs it for its operators, such as wasp with `operator_model: cloned`"}
         raise PydanticCustomError("of_operator", "'{name}' runs for an operator", hint)

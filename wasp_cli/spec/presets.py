@@ -19,13 +19,11 @@ _CPU: Document = {
 # Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
 _SMOKE: Document = {
     "episodes": 2,
-    "rounds": 2,  # every stage runs
-    "rollouts": {"steps": 400, "envs": 2},
     "expert": {"interactions": 2000, "envs": 8, "rollout": 32, "batch": 64, "hidden": [32, 32], "evaluation_episodes": 2},
     "dataset": {"steps": 600, "envs": 4},
     "world_model": {
         "deter": 32, "hidden": 32, "variables": 4, "classes": 4, "depth": 4, "head": 32,
-        "batch": 4, "length": 16, "updates": 20, "later_updates": 10, "warmup": 5, "ahead_starts": 8, "ahead_images": 4, "refit_updates": 5,
+        "batch": 4, "length": 16, "updates": 20, "warmup": 5, "ahead_starts": 8, "ahead_images": 4, "refit_updates": 5,
         "refit_starts": 16, "checkpoint_every": 10, "taught": 20, "taught_batch": 16, "taught_head": 32,
     },
     "diagnostics": {"episodes": 4, "starts": 60, "samples": 2, "image_starts": 4},
@@ -36,11 +34,6 @@ _SMOKE: Document = {
     },
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32], "q_updates": 5, "q_batch": 16},
     "clone": {"episodes": 2, "heldout_episodes": 1, "updates": 5, "batch": 32, "hidden": [16], "draws": 4},
-    "lookahead": {"commands": 4, "updates": 5, "batch": 64, "hidden": [32, 32], "samples": 1},
-    "gate_signals": {
-        "episodes": 1, "rollouts": 2, "horizon": 4, "first_steps": 2, "gammas": [0.95, 0.99],
-        "critics": {"updates": 3, "starts": 16, "hidden": [32, 32], "q_updates": 3, "q_batch": 16},
-    },
     "heldout": {"episodes": 2},
     "coverage": {"episodes": 6, "fresh": 2},
     "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},
@@ -73,8 +66,6 @@ _QUICK: Document = {
         "reinforce": {"interactions": 60_000, "envs": 16, "return_share": 0.75},
     },
     "critics": {"updates": 500, "starts": 64, "slow": 0.3},
-    "lookahead": {"updates": 800},
-    "gate_signals": {"critics": {"updates": 250, "starts": 64, "slow": 0.3}},
     "heldout": {"episodes": 16},
     "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128]},
     "denoiser": {"updates": 3000, "batch": 256},
@@ -97,8 +88,6 @@ _GPU: Document = {
     },
     "policies": {"updates": 5000, "hidden": [256, 256], "reinforce": {"interactions": 1_000_000, "envs": 32}},
     "critics": {"updates": 5000, "starts": 512, "hidden": [256, 256], "q_updates": 10_000, "q_batch": 512},
-    "lookahead": {"updates": 3000},
-    "gate_signals": {"critics": {"updates": 2500, "starts": 512, "hidden": [256, 256], "q_updates": 10_000, "q_batch": 512}},
     "denoiser": {"updates": 30_000, "batch": 4096},
     "residual": {"interactions": 1_000_000, "envs": 32},
 }  # fmt: skip
@@ -111,8 +100,6 @@ _PAPER: Document = {
     "world_model": {"updates": 8000, "refit_updates": 1500},
     "policies": {"updates": 4000, "reinforce": {"interactions": 1_000_000}},
     "critics": {"updates": 4000},
-    "lookahead": {"updates": 3000},
-    "gate_signals": {"critics": {"updates": 2000}},
     "heldout": {"episodes": 30},
     "ida_q": {"updates": 10_000},
     "denoiser": {"updates": 30_000, "batch": 4096},

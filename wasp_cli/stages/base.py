@@ -30,9 +30,9 @@ class Job:
     settings: Mapping[str, Any]
     """The spec's shared settings that the stage named in its `settings`, and no others."""
     axes: Mapping[str, Any]
-    """What else identifies the node: method, variant, value (evaluate, calibration, rollouts), and the round after the first."""
+    """What else identifies the node: method, variant, value (evaluate, calibration)."""
     inputs: Mapping[str, Path]
-    """Folders of the upstream artifacts, by stage kind. After the first round, `dataset` is the artifact of `rollouts`."""
+    """Folders of the upstream artifacts, by stage kind."""
     out_dir: Path
     """Empty folder; what the stage leaves there becomes the artifact."""
     work_dir: Path
@@ -49,8 +49,6 @@ class Stage(Protocol):
 
     A class may set `torch_threads` (1 where it does not): threads of linear algebra in this stage. It is a constant of the stage and not
     an option of the run, because another number may round differently, and the same key must give the same bytes.
-    It may set `previous` (False where it does not): from the second round on, `job.inputs["previous"]` is the artifact of the same stage in
-    the round before.
     """
 
     kind: ClassVar[str]

@@ -12,9 +12,8 @@ from typing import Any, Literal
 
 from wasp_cli.registry import Registry
 
-Unit = Literal["chain", "round", "method", "operator", "cell"]
-"""What one node of a stage belongs to: a training chain (task and seed), a further round of data, a method, an operator at one severity, or
-a cell of the grid."""
+Unit = Literal["chain", "method", "operator", "cell"]
+"""What one node of a stage belongs to: a training chain (task and seed), a method, an operator at one severity, or a cell of the grid."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +26,8 @@ class StageInfo:
     """Import string of its class (light to import: heavy imports are inside `run`)."""
     unit: Unit = "chain"
     """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others are those of this package:
-    `round` begins each further round, `method` runs because a method is listed, `operator` for every operator whose method needs it, `cell`
-    for every cell whose method may intervene."""
-    every_round: bool = True
-    """Whether each round of data trains it again."""
+    `method` runs because a method is listed, `operator` for every operator whose method needs it, `cell` for every cell whose method may
+    intervene."""
     by_default: bool = False
     """Whether a spec that lists no `stages` trains it, although no method needs it."""
     skips_missing_skills: bool = False
@@ -54,16 +51,13 @@ STAGES: Registry[StageInfo] = Registry(
     "stage",
     "wasp.stages",
     (
-        StageInfo("expert", "wasp_cli.stages.expert:ExpertStage", every_round=False, weight=14),
-        StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage", every_round=False, weight=10),
+        StageInfo("expert", "wasp_cli.stages.expert:ExpertStage", weight=14),
+        StageInfo("dataset", "wasp_cli.stages.dataset:DatasetStage", weight=10),
         StageInfo("world_model", "wasp_cli.stages.world_model:WorldModelStage", weight=13),
         StageInfo("latents", "wasp_cli.stages.latents:LatentsStage", weight=7),
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
-        StageInfo("lookahead", "wasp_cli.stages.lookahead:LookaheadStage", weight=6),
-        StageInfo("gate_signals", "wasp_cli.stages.gate_signals:GateSignalsStage", skips_missing_skills=True, weight=0),
-        StageInfo("rollouts", "wasp_cli.stages.rollouts:RolloutsStage", "round", weight=12),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
         StageInfo("coverage", "wasp_cli.stages.coverage:CoverageStage", skips_missing_skills=True, weight=6),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),

@@ -1,6 +1,6 @@
 """World model: the encoder taught on single images, Eq. 6 on sequences, then a refit of the heads on prior latents.
 
-Artifact: `world_model.safetensors` (+ .json sizes), `curves.json`, and `readout.safetensors` where the privileged vector was learned along.
+Artifact: `world_model.safetensors` (+ .json sizes), and `curves.json`.
 What it infers at every recorded row is stored by the stage `latents`; what the model is worth is said by the stage `diagnostics`.
 """
 
@@ -19,8 +19,6 @@ TERMS = {
     "ahead_o": "imagined_image_loss", "privileged": "privileged_loss", "teaching": "teaching_error",
 }  # fmt: skip
 """The terms of the loss by the weight that multiplies them, named for people."""
-READOUT = "readout.safetensors"
-"""The head that told the privileged vector in training; a later round goes on from it, and nothing else reads it."""
 
 
 class WorldModelStage:
@@ -30,8 +28,6 @@ class WorldModelStage:
     config = WorldModelConfig
     settings = ("action_repeat",)
     needs: tuple[str, ...] = ("dataset",)
-    previous = True
-    """A later round of data goes on from the weights of the round before."""
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train, encode, refit."""
@@ -44,8 +40,7 @@ class WorldModelStage:
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.privileged_state import Readout, new_readout, teach_encoder
         from wasp_cli.learning.shards import HELD_OUT, read_shards
-        from wasp_cli.models.weights import load_weights, save_weights
-        from wasp_cli.models.world_model import load_world_model, save_world_model
+        from wasp_cli.models.world_model import save_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.privileged_layout import privileged_mirror
         from wasp_cli.tasks.registry import TASKS
@@ -53,13 +48,10 @@ class WorldModelStage:
         config = cast(WorldModelConfig, job.config)
         recording = read_shards(job.inputs["dataset"])
         learned = ~recording.held_out(HELD_OUT)
-        names = (job.task, job.seed, *((job.axes["round"],) if "round" in job.axes else ()))
-        if "previous" in job.inputs:
-            model, updates = load_world_model(job.inputs["previous"]).requires_grad_(True), config.later_updates
-        else:
-            torch.manual_seed(derive("world-model-weights", *names))
-            model, updates = learning.build(config, recording.action.shape[1]), config.updates
-            model.mean_image.copy_(learning.mean_image(recording))
+        names = (job.task, job.seed)
+        torch.manual_seed(derive("world-model-weights", *names))
+        model = learning.build(config, recording.action.shape[1])
+        model.mean_image.copy_(learning.mean_image(recording))
         model.to(training_device())
 
         def during(low: float, high: float) -> learning.Report:
@@ -68,31 +60,25 @@ class WorldModelStage:
         rows, seed = np.flatnonzero(learned), derive("world-model", *names)
         matrix = TASKS[job.task].mirror if config.mirror else None
         mirror, turned = None if matrix is None else np.array(matrix, np.float32), privileged_mirror(job.task)
-        before = encode(model, recording, during(0.0, 0.1)) if "previous" in job.inputs else None
         readout: Readout | None = None
         if config.privileged:
             torch.manual_seed(derive("world-model-readout", *names))
             readout = new_readout(model, recording, rows, config)
-            if "previous" in job.inputs:
-                load_weights(readout, job.inputs["previous"] / READOUT)
-                readout.requires_grad_(True)
         teaching = job.work_dir / "teaching.json"
-        if "previous" not in job.inputs and config.taught and not has_training(job.work_dir):
+        if config.taught and not has_training(job.work_dir):
             # Not resumed: an interrupted teaching begins anew, and ends with the same bytes.
             shown, teaching_seed = turned if config.mirror else None, derive("world-model-teaching", *names)
             taught = teach_encoder(model, recording, rows, config, teaching_seed, during(0.0, 0.1), mirror=shown)
             teaching.write_text(json.dumps(taught))
         curves, skipped = learning.train(
-            model, recording, rows, config, updates, seed, job.work_dir, during(0.1, 0.85),
-            readout=readout, mirror=mirror, privileged_mirror=turned, before=before,
+            model, recording, rows, config, config.updates, seed, job.work_dir, during(0.1, 0.85),
+            readout=readout, mirror=mirror, privileged_mirror=turned,
         )  # fmt: skip
         model.requires_grad_(False)
         latents = encode(model, recording, during(0.85, 0.95))
         learning.refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
         model.cpu()
         save_world_model(model, job.out_dir)
-        if readout is not None:
-            save_weights(readout.cpu(), job.out_dir / READOUT)
         if teaching.exists():
             curves["teaching"] = json.loads(teaching.read_text())
         (job.out_dir / "curves.json").write_text(json.dumps(curves))

@@ -23,7 +23,7 @@ HALF = "weights in half precision"
 """What was left out of a file with such weights."""
 HALF_INPUTS = "half_precision"
 """In the provenance of what was computed: the names of its inputs that were in half precision, or computed from such."""
-DATA = frozenset({"dataset", "latents", "heldout", "rollouts"})
+DATA = frozenset({"dataset", "latents", "heldout"})
 """Kinds whose tensors are recorded data, not weights."""
 
 

@@ -19,7 +19,7 @@ from wasp_cli.spec.model import validate
 TITLE = "WASP (as printed)"
 SPEC = {
     "name": "both", "preset": "smoke", "tasks": ["goal1"], "methods": ["wasp"], "variants": ["full", "as-printed"],
-    "operators": {"laggy": {"moderate": 0.7}}, "seeds": [1], "rounds": 1,
+    "operators": {"laggy": {"moderate": 0.7}}, "seeds": [1],
 }  # fmt: skip
 
 

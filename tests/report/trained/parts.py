@@ -14,7 +14,6 @@ from wasp_cli.learning.critic_quality import Pairs, write_pairs
 from wasp_cli.learning.image_samples import Sample, write_samples
 from wasp_cli.learning.shards import write_shard
 from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.pages import LOOKAHEAD as COLUMNS
 from wasp_cli.store.layout import Layout
 
 HORIZON = 6
@@ -26,10 +25,6 @@ BINS = [
 CURVE = [{"interactions": 100.0 * i, "return": None if i == 1 else i, "cost_per_1000": 40 - i, "multiplier": 0.1 * i} for i in range(5)]
 QUALITY = {
     kind: {"0": {"conformity": 0.5, "fidelity": 0.0}, "0.4": {"conformity": 0.25, "fidelity": 0.3}} for kind in ("expert", "recorded")
-}
-LOOKAHEAD = {
-    window: {**dict.fromkeys((key for _, key in COLUMNS), 0.5), "auprc": 0.625, "sum_auprc": None, "reliability": BINS}
-    for window in ("5", "10")
 }
 
 
@@ -56,36 +51,6 @@ def diagnosed(sources: tuple[str, ...] = SOURCES) -> dict[str, Any]:
     return {"held_out": one, "unseen": one}
 
 
-def signals() -> dict[str, Any]:
-    """Two operators and both together; the worst signal is undefined."""
-    ranked = dict.fromkeys(("auprc_low", "auprc_high", "recall", "behind", "behind_low", "behind_high", "onset_auprc", "onset_recall"), 0.5)
-    alarms = dict.fromkeys(("fires", "precision", "foreseen", "false_alarms", "onset_foreseen", "onset_false_alarms"), 0.25)
-    keys = ("pearson", "pearson_low", "pearson_high", "behind", "behind_low", "behind_high", "rank", "rank_low", "rank_high")
-    promise = dict.fromkeys((*keys, "predicted_over_real"), 0.25)
-    promises = {
-        "discounted@0.99": {**promise, "pearson": 0.5},
-        "now": {**promise, "pearson": None},
-        "bootstrap@0.99": {**promise, "pearson": 0.75},
-    }
-    table = {
-        "episodes": 2, "decisions": 20, "base": 0.3, "onset_base": 0.2,
-        "signals": {"now": {**ranked, "auprc": 0.4}, "bootstrap@0.95": {**ranked, "auprc": None}, "gate": {**ranked, "auprc": 0.8}},
-        "gate": {**alarms, "threshold": 0.3, "predicted_over_real": 1.1}, "rival": {**alarms, "threshold": 0.7},
-        "sweep": {name: [{**alarms, "threshold": 0.1}] for name in ("gate", "bootstrap@0.95")},
-        "returns": {span: {"decisions": 20, "real_mean": 1.5, "signals": promises} for span in ("window", "rest")},
-        "reliability": [{"predicted": 0.1 * i, "real": 0.2 * i, "any": 0.1 * i, "size": 2} for i in range(10)],
-    }  # fmt: skip
-    facts = {"episodes": 2, "rollouts": 4, "window": 15, "horizon": 4, "first_steps": 9, "threshold": 0.3}
-    gates = {"gamma_c": 0.95, "gamma_r": 0.99, "gate": "gate", "task_gate": "bootstrap@0.99"}
-    return {
-        **facts,
-        **gates,
-        "left_out": ["limited-skill 0.3"],
-        "sets": {"all": table, "unimpaired": table, "laggy 0.7": table},
-        "curves": {},
-    }
-
-
 def write_dataset(folder: Path) -> None:
     """Two shards with their contents: five frames of them cost."""
     data = recording()
@@ -109,18 +74,18 @@ def write_all_pairs(folder: Path, *names: str) -> None:
     write_pairs(folder / "pairs.parquet", {name: Pairs(random.random(105), random.random(105), np.zeros(105), 0.0) for name in names})
 
 
-def artifact(layout: Layout, kind: str, number: int = 1, seed: int = 0) -> Trained:
+def artifact(layout: Layout, kind: str, seed: int = 0) -> Trained:
     """Write an artifact of a kind with its manifest."""
-    key = f"{kind.encode().hex()}{number}{seed:02d}"[-20:].rjust(20, "0")
+    key = f"{kind.encode().hex()}{seed:02d}"[-20:].rjust(20, "0")
     folder = layout.artifact(kind, key)
     folder.mkdir(parents=True)
     documents: dict[str, dict[str, Any]] = {
         "expert": {"curve.json": CURVE}, "residual": {"curve.json": CURVE}, "diagnostics": {"diagnostics.json": diagnosed()},
-        "denoiser": {"quality.json": QUALITY}, "lookahead": {"quality.json": LOOKAHEAD}, "gate_signals": {"signals.json": signals()},
+        "denoiser": {"quality.json": QUALITY},
     }  # fmt: skip
     for name, document in documents.get(kind, {}).items():
         (folder / name).write_text(json.dumps(document), encoding="utf-8")
-    if kind in ("dataset", "rollouts"):
+    if kind == "dataset":
         write_dataset(folder)
     if kind == "diagnostics":
         write_images(folder)
@@ -128,4 +93,4 @@ def artifact(layout: Layout, kind: str, number: int = 1, seed: int = 0) -> Train
         write_all_pairs(folder, *(("V_r", "V_c") if kind == "critics" else ("Q",)))
     config = {"cost_limit": 25.0, "mode": "penalty"} if kind == "residual" else {"cost_limit": 25.0}
     layout.manifest(kind, key).write_text(json.dumps({"config": config}), encoding="utf-8")
-    return Trained(kind, "goal1", seed, key, 1.0, {}, kind, number)
+    return Trained(kind, "goal1", seed, key, 1.0, {}, kind)

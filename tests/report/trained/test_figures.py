@@ -31,13 +31,13 @@ FILES: dict[str, tuple[str, Any]] = {
 }
 
 
-def artifact(layout: Layout, kind: str, content: str | None = None, number: int = 1, seed: int = 0) -> Trained:
+def artifact(layout: Layout, kind: str, content: str | None = None, seed: int = 0) -> Trained:
     name, document = FILES[kind]
-    key = f"{sorted(FILES).index(kind)}{number}{seed:02d}".ljust(20, "0")
+    key = f"{sorted(FILES).index(kind)}{seed:02d}".ljust(20, "0")
     folder = layout.artifact(kind, key)
     folder.mkdir(parents=True)
     (folder / name).write_text(json.dumps(document) if content is None else content, encoding="utf-8")
-    return Trained(kind, "goal1", seed, key, 1.0, {}, kind, number)
+    return Trained(kind, "goal1", seed, key, 1.0, {}, kind)
 
 
 def test_what_learns_in_the_task(tmp_path: Path) -> None:
@@ -55,14 +55,12 @@ def test_losses_are_shares_of_the_first_one(tmp_path: Path) -> None:
     first = loss_curves(layout, [artifact(layout, "world_model")])
     assert {curve.name: curve.y["loss"].tolist() for curve in first} == {"images": [1.0, 0.5, 0.25], "cost": [1.0, 0.5]}
     assert first[0].x.tolist() == [0, 20, 40]
-    (second, _) = loss_curves(layout, [artifact(layout, "world_model", number=2)])
-    assert second.name == "images, round 2"
 
 
-def test_reliability_at_some_steps_of_the_last_round(tmp_path: Path) -> None:
+def test_reliability_at_some_steps(tmp_path: Path) -> None:
     layout = Layout(tmp_path)
-    rounds = [artifact(layout, "diagnostics", number=2), artifact(layout, "diagnostics", content="{}", number=1)]
-    found = list(reliabilities(layout, rounds))
+    judged = [artifact(layout, "diagnostics"), artifact(layout, "diagnostics", content="{}", seed=1)]
+    found = list(reliabilities(layout, judged))
     assert [(each.step, each.episodes) for each in found] == [(step, "held_out") for step in (1, 5, 10, 15)]
     np.testing.assert_equal(found[0].predicted, [0.05, np.nan, 0.9])
     assert found[0].size.tolist() == [90, 0, 3]

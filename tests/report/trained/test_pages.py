@@ -9,20 +9,15 @@ import numpy as np
 import pytest
 
 from tests.learning.recordings import SOURCES, recording
-from tests.report.trained.parts import LOOKAHEAD, QUALITY, artifact, diagnosed, signals
+from tests.report.trained.parts import QUALITY, artifact, diagnosed
 from wasp_cli.learning.contents import contents
-from wasp_cli.learning.gate_signals import EXPERT, FIRST, GATE, NOW, SUM, bootstrap, critic_alone, discounted, look_ahead, one_step
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.figures import STEPS
 from wasp_cli.report.trained.pages import (
     contents_markdown,
     dataset_warnings,
-    lookahead_markdown,
     open_loop_markdown,
-    promise_title,
     quality_markdown,
-    signal_title,
-    signals_markdown,
     with_warnings,
 )
 from wasp_cli.stages.diagnostics import SHOWN
@@ -83,42 +78,6 @@ def test_the_diagnostics_have_a_section_for_each_set_and_a_dash_for_what_is_unde
     earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
     assert "read from" not in open_loop_markdown(earlier), "a results folder may hold what was judged before there was a readout"
     assert STEPS == SHOWN, "reports show the steps that the stage tells"
-
-
-def test_the_page_of_signals_has_the_best_one_first_and_undefined_ones_last() -> None:
-    page = signals_markdown(signals())
-    lines = [line.split("|")[1].strip() for line in page.splitlines() if line.startswith("| ")]
-    first = lines[1 : lines.index("signal", 1)]
-    expected = ["**discounted sum over 4, 0.95 (the gate)**", "c-hat now", "Eq. 8 with V_c, 0.95"]
-    assert [name for name in first if name != "---"] == expected
-    assert "limited-skill 0.3" in page
-    assert "None" not in page
-
-
-def test_the_page_of_signals_ranks_those_of_the_return_for_each_operator_and_span() -> None:
-    page = signals_markdown(signals())
-    for who in ("All operators", "Unimpaired", "Laggy 0.7"):
-        for span in ("the next 15 decisions", "the rest of the episode"):
-            part = page.split(f"## {who}: the return of {span}\n")[1].split("##")[0]
-            assert "20 decisions, mean 1.500." in part
-            names = [line.split("|")[1].strip() for line in part.splitlines() if line.startswith("| ")]
-            assert names[2:] == ["**Eq. 8 with V_r, 0.99**", "discounted sum over 4, 0.99", "r-hat now"]
-
-
-def test_every_signal_has_a_title() -> None:
-    names = [NOW, GATE, SUM, FIRST, EXPERT, *(kind(0.9) for kind in (critic_alone, one_step, discounted, bootstrap)), look_ahead(5)]
-    for title, named in ((signal_title, names), (promise_title, [name for name in names if name not in (GATE, look_ahead(5))])):
-        titles = [title(name, signals()) for name in named]
-        assert len(set(titles)) == len(named)
-        assert not set(titles) & set(named)
-
-
-def test_a_look_ahead_has_a_row_for_each_window_and_bins_that_are_not_empty() -> None:
-    page = lookahead_markdown(LOOKAHEAD)
-    rows = [line for line in page.splitlines() if line.startswith(("| 5 |", "| 10 |"))]
-    assert [row.split("|")[3].strip() for row in rows] == ["0.625", "0.625"]
-    assert [row.split("|")[6].strip() for row in rows] == ["-", "-"]
-    assert page.endswith("| 0.050 | 0.000 | 90 |\n| 0.900 | 1.000 | 3 |\n")
 
 
 def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:

@@ -15,23 +15,19 @@ SUMMARIES: dict[str, dict[str, Any]] = {
     "diagnostics": {"auprc@1": 0.8, "auprc@5": None, "reward_r2@5": 0.3},
     "policies": {"return": 18.0, "cost": 33.0, "privileged_return": 20.0, "privileged_cost": 30.0},
     "critics": {"rank_r": 0.7, "rank_c": None},
-    "rollouts": {"costly_share": 0.07},
 }
 Parts = list[tuple[Part, str]]
 
 
-def chain(rounds: int = 1, seeds: tuple[int, ...] = (0,), task: str = "goal1") -> tuple[Parts, list[Trained]]:
-    """Every part of a chain with its artifact; a later round and a later seed have other numbers."""
+def chain(seeds: tuple[int, ...] = (0,), task: str = "goal1") -> tuple[Parts, list[Trained]]:
+    """Every part of a chain with its artifact; a later seed has other numbers."""
     parts, trained = [], []
     for seed in seeds:
-        for number in range(1, rounds + 1):
-            first = ["expert", "dataset"] if number == 1 else ["rollouts"]
-            for kind in [*first, "world_model", "policies", "critics", "diagnostics"]:
-                part, key = Part(task, kind, seed, number), f"{kind}{seed}{number}"
-                shift = seed + 0.1 * (number - 1)
-                told = {name: value + shift if isinstance(value, float) else value for name, value in SUMMARIES[kind].items()}
-                parts.append((part, key))
-                trained.append(Trained(kind, task, seed, key, 1.0, told))
+        for kind in ("expert", "dataset", "world_model", "policies", "critics", "diagnostics"):
+            part, key = Part(task, kind, seed), f"{kind}{seed}"
+            told = {name: value + seed if isinstance(value, float) else value for name, value in SUMMARIES[kind].items()}
+            parts.append((part, key))
+            trained.append(Trained(kind, task, seed, key, 1.0, told))
     return parts, trained
 
 
@@ -41,28 +37,19 @@ def numbers(table: Table, row: int = 0) -> dict[str, float | None]:
 
 def test_a_chain_is_one_row_of_what_its_stages_tell() -> None:
     stages, ahead = training_tables(*chain())
-    assert [row.labels for row in stages.rows] == [("Goal1", "1")]
+    assert [row.labels for row in stages.rows] == [("Goal1",)]
     assert numbers(stages) == {
         "expert.return": 20.0, "expert.cost": 30.0, "expert.success": 0.9, "dataset.costly_share": 0.05,
         "policies.return": 18.0, "policies.privileged_return": 20.0, "policies.cost": 33.0, "policies.privileged_cost": 30.0,
         "critics.rank_r": 0.7, "critics.rank_c": None,
     }  # fmt: skip
     assert not stages.notes
-    assert "| Goal1 | 1 | 20.0 | 30.0 | 90 | 5.0 | 18.0 | 20.0 | 33.0 | 30.0 | 0.70 | n/a |" in markdown(stages)
+    assert "| Goal1 | 20.0 | 30.0 | 90 | 5.0 | 18.0 | 20.0 | 33.0 | 30.0 | 0.70 | n/a |" in markdown(stages)
     # Only steps and measures that the stage tells: what it knows to be undefined is shown as such.
     assert [(row.labels[1], [value.mean for value in row.values]) for row in ahead.rows] == [
         ("Cost AUPRC", [0.8, None]), ("Reward R²", [None, 0.3]),
     ]  # fmt: skip
     assert csv_text(ahead).splitlines()[0] == "task,measure,step_1,step_5,seeds"
-
-
-def test_a_later_round_reads_its_own_data_and_the_expert_of_the_first() -> None:
-    stages, ahead = training_tables(*chain(rounds=2))
-    assert [row.labels for row in stages.rows] == [("Goal1", "1"), ("Goal1", "2")]
-    second = numbers(stages, 1)
-    assert (second["expert.return"], second["dataset.costly_share"]) == (20.0, 0.17)
-    assert second["policies.return"] == 18.1
-    assert [row.labels[1] for row in ahead.rows] == ["Cost AUPRC", "Reward R²", "Cost AUPRC, round 2", "Reward R², round 2"]
 
 
 def test_seeds_are_averaged_and_their_spread_is_shown() -> None:
@@ -76,8 +63,8 @@ def test_seeds_are_averaged_and_their_spread_is_shown() -> None:
 def test_what_is_missing_is_named_and_never_a_number() -> None:
     parts, trained = chain(seeds=(0, 1))
     there = [one for one in trained if one.stage not in ("critics", "diagnostics") and not (one.stage == "expert" and one.seed == 1)]
-    stages, ahead = training_tables(parts, there, {"critics01": "failed: no luck"})
-    assert stages.rows[0].labels == ("Goal1", "1 [5 of 8 parts]")
+    stages, ahead = training_tables(parts, there, {"critics0": "failed: no luck"})
+    assert stages.rows[0].labels == ("Goal1 [5 of 8 parts]",)
     found = numbers(stages)
     assert (found["expert.return"], found["critics.rank_r"], found["critics.rank_c"]) == (20.0, None, None)
     assert stages.notes == (

@@ -1,10 +1,6 @@
-"""Sections of what is learned on latents: policies, critics, the direct look ahead, clones of operators, signals at the gates."""
+"""Sections of what is learned on latents: policies, critics, clones of operators."""
 
 from __future__ import annotations
-
-from typing import Annotated
-
-from pydantic import Field, model_validator
 
 from wasp_cli.config import Config, assumed, deviates, from_paper
 from wasp_cli.learning.configs.shared import Layers
@@ -87,28 +83,6 @@ class CriticsConfig(Config):
     )
 
 
-class LookaheadConfig(Config):
-    """A direct look ahead: the probability of any cost within the next decisions, from the latent and the next commands."""
-
-    horizon: int = from_paper(15, "decisions ahead; H and W", ge=1)
-    commands: int = assumed(
-        5, "next commands that it reads; L. One, ten and fifteen ranked alike under imagined commands (Goal1, quick)", ge=1
-    )
-    members: int = assumed(3, "heads, one batched product; their mean is what counts", ge=1)
-    hidden: Layers = assumed((128, 128), "layers of a head")
-    dropout: float = assumed(0.3, "hidden units left out while learning: episodes are few, and learned by heart", ge=0.0, lt=1.0)
-    updates: int = assumed(1500, "gradient steps; more of them learn the episodes by heart", ge=1)
-    batch: int = assumed(256, "recorded rows per update", ge=1)
-    learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
-    samples: int = assumed(4, "imagined futures of the rolled-out sum that it is compared with", ge=1)
-
-    @model_validator(mode="after")
-    def _commands_fit(self) -> LookaheadConfig:
-        if self.commands > self.horizon:
-            raise ValueError(f"commands ({self.commands}) are more than the decisions of the horizon ({self.horizon})")
-        return self
-
-
 class CloneConfig(Config):
     """A policy fitted to recorded commands of one operator, for planners that are not to know its rule."""
 
@@ -120,23 +94,3 @@ class CloneConfig(Config):
     learning_rate: float = assumed(2e-3, "Adam; decays linearly", gt=0.0)
     weight_decay: float = assumed(0.1, "AdamW: episodes are few", ge=0.0)
     draws: int = assumed(256, "of the next command, by which every model of the operator is judged", ge=1)
-
-
-class GateSignalsConfig(Config):
-    """Which number foresees costs best at the safety gate, and the return at the task gate, on fresh Human-only episodes."""
-
-    operators: dict[str, tuple[float, ...]] = assumed(
-        {"laggy": (0.7,), "noisy": (0.4,), "reaction-time": (0.24,), "limited-skill": (0.25,)},
-        "who drives, besides the unimpaired operator; a skill that the expert has no checkpoint of is left out",
-    )
-    episodes: int = assumed(8, "fresh episodes of each operator", ge=1)
-    window: int = from_paper(15, "W, section 5.3: a cost within it is to be foreseen", ge=1)
-    horizon: int = from_paper(15, "H, section 5.1", ge=1)
-    rollouts: int = assumed(8, "M: imagined futures of the operator, the same for every signal", ge=1)
-    first_steps: int = assumed(5, "imagined steps of the short sum; L", ge=1)
-    gammas: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = assumed(
-        (0.9, 0.95, 0.99, 0.997),
-        "discounts at which V_c and V_r are compared, besides gamma_c and gamma_r; critics at others are trained here",
-    )
-    threshold: float = assumed(0.5, "tau_c, at which the gate is judged", gt=0.0)
-    critics: CriticsConfig = CriticsConfig(updates=500)

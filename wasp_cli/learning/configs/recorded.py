@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import model_validator
 
 from wasp_cli.config import Config, assumed
-from wasp_cli.learning.configs.shared import LADDER, Layers
+from wasp_cli.learning.configs.shared import Layers
 
 
 class ExpertConfig(Config):
@@ -81,13 +81,3 @@ class DatasetConfig(Config):
     )
     whole_share: float = assumed(0.1, "share of the episodes that are recorded whole all the same", ge=0.0, le=1.0)
     mixture: MixtureConfig = MixtureConfig()
-
-
-class RolloutsConfig(Config):
-    """Data of a further round: full WASP assists the operators in the real task, with thresholds that nobody has calibrated yet."""
-
-    steps: int = assumed(20_000, "decision steps that a round adds to the dataset", ge=1)
-    envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
-    operators: dict[str, tuple[float, ...]] = assumed(
-        LADDER, "operators, one per episode in turn; the unimpaired one comes first", min_length=1
-    )

@@ -47,7 +47,6 @@ class Trained:
     summary: Mapping[str, Any]
     kind: str = ""
     """Of its node; `stage` says more, for people."""
-    round: int = 1
 
 
 def trained_artifacts(
@@ -80,10 +79,9 @@ def trained_artifacts(
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
             stage += ", published" if is_from_published(manifest) else ""
-            stage += f", round {manifest['axes']['round']}" if "round" in manifest["axes"] else ""
             task, seed, summary = TASKS[manifest["task"]].name, int(manifest["seed"]), dict(manifest["summary"])
             seconds = manifest["provenance"].get("seconds")
-            trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary, kind, _round(manifest))
+            trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary, kind)
             origins.add(manifest)
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
@@ -94,11 +92,6 @@ def trained_artifacts(
     for kind, key in roots:
         visit(kind, key)
     return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(damaged)
-
-
-def _round(manifest: Mapping[str, Any]) -> int:
-    number = manifest["axes"].get("round", 1)
-    return number if isinstance(number, int) else 1
 
 
 def _missing_part(error: Exception) -> str:

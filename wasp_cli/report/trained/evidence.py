@@ -8,10 +8,9 @@ from pathlib import Path
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained
 from wasp_cli.report.trained.contact_sheet import draw_contact_sheet
 from wasp_cli.report.trained.images import draw_open_loop, draw_open_loop_film, draw_reconstructions
-from wasp_cli.report.trained.pages import write_contents, write_lookahead, write_open_loop, write_quality, write_signals
+from wasp_cli.report.trained.pages import write_contents, write_open_loop, write_quality
 from wasp_cli.report.trained.part_figures import (
     draw_cost_reliability,
-    draw_gate_reliability,
     draw_horizon,
     draw_learning_curve,
     draw_value_reliability,
@@ -22,11 +21,9 @@ FOLDER = "trained"
 """Below the folder of a report."""
 Draw = Callable[[Layout, Trained, Path], None]
 """Writes a file from an artifact, or nothing where that has nothing to show."""
-DATASET: tuple[tuple[str, Draw], ...] = (("contents.md", write_contents), ("contact_sheet.png", draw_contact_sheet))
 EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
     "expert": (("curve.png", draw_learning_curve),),
-    "dataset": DATASET,
-    "rollouts": DATASET,
+    "dataset": (("contents.md", write_contents), ("contact_sheet.png", draw_contact_sheet)),
     "diagnostics": (
         ("open_loop.md", write_open_loop),
         ("horizon.png", draw_horizon),
@@ -37,19 +34,16 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
     ),
     "critics": (("critics.png", draw_value_reliability),),
     "ida_q": (("q.png", draw_value_reliability),),
-    "lookahead": (("lookahead.md", write_lookahead),),
     "denoiser": (("quality.md", write_quality),),
     "residual": (("curve.png", draw_learning_curve),),
-    "gate_signals": (("signals.md", write_signals), ("reliability.png", draw_gate_reliability)),
 }
 """By the kind of the artifact: the files and what writes each."""
 KNOWN = frozenset(name for files in EVIDENCE.values() for name, _ in files)
 
 
 def part_folder(artifact: Trained) -> str:
-    """Name the folder of a part: task, seed, stage, round after the first, and the beginning of its key."""
-    later = f" round {artifact.round}" if artifact.round > 1 else ""
-    return slug(f"{artifact.task} s{artifact.seed} {artifact.kind}{later} {artifact.key[:8]}")
+    """Name the folder of a part: task, seed, stage, and the beginning of its key."""
+    return slug(f"{artifact.task} s{artifact.seed} {artifact.kind} {artifact.key[:8]}")
 
 
 def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:

@@ -153,7 +153,7 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
         x = column_of(rows, "interactions")
         if len(x) > 1 and np.isfinite(x).all():
             numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000")}
-            curves.append(Curve(artifact.task, artifact.seed, name + _round(artifact), x, numbers))
+            curves.append(Curve(artifact.task, artifact.seed, name, x, numbers))
     return curves
 
 
@@ -170,15 +170,13 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
         terms = {title: values / values[0] for title, values in terms.items() if len(values) > 1 and values[0] > 0}
         for title, values in terms.items():
             x = UPDATES_PER_POINT * np.arange(len(values), dtype=np.float64)
-            losses.append(Curve(artifact.task, artifact.seed, title + _round(artifact), x, {"loss": values}))
+            losses.append(Curve(artifact.task, artifact.seed, title, x, {"loss": values}))
     return losses
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
-    """Read how reliable the cost head is along imagined rollouts, at STEPS, where `diagnostics` has judged it; of the last round."""
-    judged = [artifact for artifact in trained if artifact.kind == "diagnostics"]
-    last = {(artifact.task, artifact.seed): artifact for artifact in sorted(judged, key=lambda artifact: artifact.round)}
-    for artifact in last.values():
+    """Read how reliable the cost head is along imagined rollouts, at STEPS, where `diagnostics` has judged it."""
+    for artifact in [artifact for artifact in trained if artifact.kind == "diagnostics"]:
         document = read_json(layout, artifact, "diagnostics.json")
         for episodes in ("held_out", "unseen"):
             part = document.get(episodes) if isinstance(document, dict) else None
@@ -188,7 +186,3 @@ def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliab
                     columns = [column_of(bins, name) for name in ("predicted", "seen", "size")]
                     if bins:
                         yield Reliability(artifact.task, artifact.seed, episodes, int(step), *columns)
-
-
-def _round(artifact: Trained) -> str:
-    return f", round {artifact.round}" if artifact.round > 1 else ""

@@ -1,4 +1,4 @@
-"""Pages of trained parts in Markdown: what a dataset holds, what is foreseen of it, which signal should gate, what a denoiser does."""
+"""Pages of trained parts in Markdown: what a dataset holds, what is foreseen of it, what a denoiser does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 
 from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
-from wasp_cli.report.trained.part_figures import POOLED
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout
 
@@ -30,27 +29,6 @@ STEPS = (
 """Columns of the table per imagined step: title and key."""
 WINDOW = (
     ("base rate", "base"), ("AUPRC", "auprc"), ("recall", "recall"), ("foreseen", "foreseen"), ("false alarms", "false_alarms"),
-)  # fmt: skip
-
-SIGNALS = (
-    ("AUPRC", "auprc"), ("from", "auprc_low"), ("to", "auprc_high"), ("recall", "recall"),
-    ("behind the gate", "behind"), ("from", "behind_low"), ("to", "behind_high"),
-    ("onset AUPRC", "onset_auprc"), ("onset recall", "onset_recall"),
-)  # fmt: skip
-ALARMS = (
-    ("fires", "fires"), ("precision", "precision"), ("foreseen", "foreseen"), ("false alarms", "false_alarms"),
-    ("onset foreseen", "onset_foreseen"), ("onset false alarms", "onset_false_alarms"),
-)  # fmt: skip
-PROMISES = (
-    ("Pearson", "pearson"), ("from", "pearson_low"), ("to", "pearson_high"), ("behind Eq. 8", "behind"), ("from", "behind_low"),
-    ("to", "behind_high"), ("rank", "rank"), ("from", "rank_low"), ("to", "rank_high"), ("predicted / real", "predicted_over_real"),
-)  # fmt: skip
-GATES = (*ALARMS, ("predicted / real", "predicted_over_real"))
-
-LOOKAHEAD = (
-    ("base rate", "base"), ("AUPRC", "auprc"), ("from", "auprc_low"), ("to", "auprc_high"), ("of the sum", "sum_auprc"),
-    ("onset base", "onset_base"), ("onset AUPRC", "onset_auprc"), ("of the sum", "sum_onset_auprc"),
-    ("predicted / base", "predicted_over_base"), ("ECE", "calibration_error"),
 )  # fmt: skip
 
 Document = Mapping[str, Any]
@@ -158,128 +136,6 @@ def _readout(told: Document | None) -> list[str]:
     return [head, "", *_table(["read from", *groups], rows), ""]
 
 
-# -- signals of the gate ----------------------------------------------------------------------------------------
-
-
-def signal_title(name: str, document: Document) -> str:
-    """Say in words what a signal of `learning.gate_signals` is."""
-    kind, _, gamma = name.partition("@")
-    horizon, own = document["horizon"], f"{document['gamma_c']:g}"
-    words = {
-        "now": "c-hat now",
-        "gate": f"**discounted sum over {horizon}, {own} (the gate)**",
-        "sum": f"sum over {horizon}",
-        "first": f"sum over the first {min(document['first_steps'], horizon)}",
-        "expert": f"discounted sum over {horizon}, {own}, the expert imagined instead",
-        "discounted": f"discounted sum over {horizon}, {gamma}",
-        "head": f"direct look ahead, any cost within {gamma}",
-        "critic": f"V_c alone, {gamma}",
-        "step": f"one step and V_c, {gamma}",
-        "bootstrap": f"Eq. 8 with V_c, {gamma}",
-    }
-    return words.get(kind, name)
-
-
-def promise_title(name: str, document: Document) -> str:
-    """Say in words what a signal of the return is."""
-    kind, _, gamma = name.partition("@")
-    horizon = document["horizon"]
-    words = {
-        "now": "r-hat now",
-        "sum": f"sum over {horizon}",
-        "first": f"sum over the first {min(document['first_steps'], horizon)}",
-        "expert": f"discounted sum over {horizon}, {document['gamma_r']:g}, the expert imagined instead",
-        "discounted": f"discounted sum over {horizon}, {gamma}",
-        "critic": f"V_r alone, {gamma}",
-        "step": f"one step and V_r, {gamma}",
-        "bootstrap": f"Eq. 8 with V_r, {gamma}",
-    }
-    title = words.get(kind, name)
-    return f"**{title}**" if name == document["task_gate"] else title
-
-
-def signals_markdown(document: Document) -> str:
-    """Lay out a table per operator and one for all of them, the best signal first, and the gate at its threshold.
-
-    Args:
-        document: what the stage `gate_signals` leaves in `signals.json`.
-    """
-    sets, left_out = document["sets"], document["left_out"]
-    lines = ["# Which number should gate?", ""]
-    drawn = f"At every decision {document['rollouts']} futures are imagined;"
-    lines += [f"Human-only, {document['episodes']} fresh episodes of each operator. {drawn}"]
-    lines += [f"to be foreseen is any costly decision among the next {document['window']}.", ""]
-    if left_out:
-        lines += [f"Left out, since their skill was not trained: {', '.join(left_out)}.", ""]
-    for name, table in sets.items():
-        lines += [f"## {_who(name)}", ""]
-        lines += [f"{table['decisions']} decisions of {table['episodes']} episodes, base rate {_three(table['base'])},"]
-        lines += [f"{_three(table['onset_base'])} where the decision before did not cost.", ""]
-        rows = [[signal_title(signal, document), *(_three(row[key]) for _, key in SIGNALS)] for signal, row in _ranked(table["signals"])]
-        lines += [*_table(["signal", *(head for head, _ in SIGNALS)], rows), ""]
-    rows = [[name, *(_three(table["gate"][key]) for _, key in GATES)] for name, table in sets.items()]
-    lines += [f"## The gate at tau_c = {document['threshold']:g}", "", *_table(["operator", *(head for head, _ in GATES)], rows), ""]
-    pooled = sets[POOLED]
-    for name, sweep in pooled["sweep"].items():
-        rows = [[_three(row["threshold"]), *(_three(row[key]) for _, key in ALARMS)] for row in sweep]
-        lines += [f"All operators, {signal_title(name, document)}:", "", *_table(["threshold", *(head for head, _ in ALARMS)], rows), ""]
-    rival = pooled["rival"]
-    lines += [f"At {_three(rival['threshold'])} the latter fires as often as the gate at tau_c. It then foresees"]
-    lines += [f"{_three(rival['foreseen'])}, with {_three(rival['false_alarms'])} false alarms.", ""]
-    for name, table in sets.items():
-        lines += _promises(_who(name), table["returns"], document)
-    lines += [
-        "AUPRC: area under precision and recall; a guess has the base rate. From and to are a 95 % interval over resampled episodes.",
-        "Recall is at 10 % false alarms. *Behind the gate*: by how much the AUPRC is below that of the gate's own signal, on the same",
-        "resampled episodes; an interval above 0 says that the gate's own is better. *Onset*: only decisions before which there was no",
-        "cost. *Fires*: share of the decisions at which the signal is above tau_c; *precision*: of these, how many a cost really",
-        "followed; *foreseen*: share of the decisions before a cost at which it fires; *false alarms*: share of the others.",
-        f"*Predicted / real*: mean signal over the mean of the costs that followed within {document['window']}, discounted alike; of the",
-        "return, over the mean of what was earned, discounted by gamma_r. *Behind Eq. 8*: by how much the Pearson correlation is below",
-        "that of Eq. 8 with V_r, on the same resampled episodes.",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _who(name: str) -> str:
-    return "All operators" if name == POOLED else name.capitalize()
-
-
-def _promises(who: str, returns: Document, document: Document) -> list[str]:
-    """Lay out how well every signal of the return foresees what was earned: a table for the window and one for the rest of the episode."""
-    lines = []
-    spans = {"window": f"the next {document['window']} decisions", "rest": "the rest of the episode"}
-    for span, title in spans.items():
-        table = returns[span]
-        lines += [f"## {who}: the return of {title}", "", f"{table['decisions']} decisions, mean {_three(table['real_mean'])}.", ""]
-        best = sorted(table["signals"].items(), key=lambda item: math.inf if item[1]["pearson"] is None else -item[1]["pearson"])
-        rows = [[promise_title(name, document), *(_three(row[key]) for _, key in PROMISES)] for name, row in best]
-        lines += [*_table(["signal", *(head for head, _ in PROMISES)], rows), ""]
-    return lines
-
-
-def _ranked(signals: Document) -> list[tuple[str, Document]]:
-    """The signals by AUPRC, the best first and undefined ones last."""
-    return sorted(signals.items(), key=lambda item: math.inf if item[1]["auprc"] is None else -item[1]["auprc"])
-
-
-# -- look ahead -------------------------------------------------------------------------------------------------
-
-
-def lookahead_markdown(quality: Document) -> str:
-    """Lay out what a direct look ahead foresees on held-out episodes: a row per window, then its reliability at the longest one."""
-    rows = [[window, *(_three(row[key]) for _, key in LOOKAHEAD)] for window, row in quality.items()]
-    lines = [
-        "Any cost within the window, under the commands that were executed. The sum is the world model's, rolled out under all of them.",
-        "",
-    ]
-    lines += _table(["decisions", *(title for title, _ in LOOKAHEAD)], rows, numbers=True)
-    window, last = [*quality.items()][-1]
-    bins = [[_three(each["predicted"]), _three(each["seen"]), each["size"]] for each in last["reliability"] if each["size"]]
-    lines += ["", f"Within {window} decisions:", "", *_table(["predicted", "seen", "rows"], bins, numbers=True)]
-    return "\n".join(lines) + "\n"
-
-
 # -- denoisers --------------------------------------------------------------------------------------------------
 
 
@@ -304,16 +160,6 @@ def write_contents(layout: Layout, artifact: Trained, path: Path) -> None:
 def write_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
     """Write what a world model foresees."""
     replace_file(path, open_loop_markdown(read_json(layout, artifact, "diagnostics.json")))
-
-
-def write_signals(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Write which signal should gate."""
-    replace_file(path, signals_markdown(read_json(layout, artifact, "signals.json")))
-
-
-def write_lookahead(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Write what a direct look ahead foresees."""
-    replace_file(path, lookahead_markdown(read_json(layout, artifact, "quality.json")))
 
 
 def write_quality(layout: Layout, artifact: Trained, path: Path) -> None:

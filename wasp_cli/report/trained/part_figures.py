@@ -20,26 +20,20 @@ if TYPE_CHECKING:
 QUANTITIES = (("return", "Return per episode"), ("cost_per_1000", "Cost per 1000 env steps"), ("multiplier", "Multiplier"))
 SETS = {"held_out": ("held-out episodes", PALETTE[6]), "unseen": ("unseen operators", PALETTE[4])}
 """Sets of the diagnostics: name and colour."""
-POOLED = "all"
-"""The set of all operators together."""
 RANKED = (("auprc", "-", "o", "model"), ("persistence", "--", "", "persistence"), ("base", ":", "", "base rate"))
 """Lines of the AUPRC over the imagined step: key, style, marker and name."""
 FURTHER = (
     ("predicted_over_base", "predicted cost / base rate"), ("reward_r2", "reward R2"), ("image_over_copy", "image error / error of a copy")
 )  # fmt: skip
 """What the other panels over the imagined step show: key and title."""
-COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#999999")
 GROUPS, POINTS = 10, 1500
 """Groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most."""
 PAIRS = 5_000_000
 """Decisions that a file of pairs may have."""
-OPERATORS = 200
-"""Operators of the gate signals that are drawn at most."""
 NAME = 60
 """Characters of a name that are drawn at most."""
 HORIZON = 500
 """Imagined steps that are drawn at most."""
-TICKS = (0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 7.0, 10.0)
 
 
 @contextmanager
@@ -148,49 +142,7 @@ def draw_value_reliability(layout: Layout, artifact: Trained, path: Path) -> Non
             draw_lines(panel, lines, diagonal=ends, xlabel=f"{name[:NAME]}, predicted", ylabel="discounted sum that followed")
 
 
-def draw_gate_reliability(layout: Layout, artifact: Trained, path: Path) -> None:
-    """Draw ten equally large groups of decisions by the gate's value, for each operator.
-
-    Left the discounted costs that followed, right the share of the decisions that any cost followed.
-    """
-    document = read_json(layout, artifact, "signals.json")
-    groups = {name[:NAME]: rows_of(table["reliability"]) for name, table in list(document["sets"].items())[:OPERATORS]}
-    threshold = float(document["threshold"])
-    values, shares = [], []
-    most = 1e-3
-    for i, (name, rows) in enumerate(groups.items()):
-        x, real = column_of(rows, "predicted"), column_of(rows, "real")
-        most = max([most, *x[np.isfinite(x)], *real[np.isfinite(real)]])
-        look: dict[str, Any] = {"colour": COLOURS[i % len(COLOURS)], "marker": "o", "width": 2.0 if name == POOLED else 1.1, "size": 4.0}
-        values.append(Line(x, real, name, **look))
-        shares.append(Line(x, column_of(rows, "any"), name, **look))
-    ticks = [tick for tick in TICKS if tick <= 1.06 * most]
-    with _png((10.0, 4.4), path) as figure:
-        left, right = figure.subplots(1, 2)
-        draw_lines(left, values, title="value", ylabel="discounted costs that followed")
-        left.plot([0, most], [0, most], color=GREY, linewidth=0.8, label="what was predicted")
-        draw_lines(right, shares, title="any cost", ylabel="share of decisions that a cost followed", ylim=(-0.03, 1.03))
-        for panel in (left, right):
-            panel.axvline(threshold, color=GREY, linewidth=1.0, linestyle="--", label=f"tau_c = {threshold:g}")
-            # Most decisions are far below the threshold: the root spreads them.
-            panel.set_xscale("function", functions=(_root, _square))
-            panel.set(xlabel="the gate's value (mean of the group)", xlim=(0.0, 1.06 * most))
-            panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        left.set_yscale("function", functions=(_root, _square))
-        left.set(ylim=(0.0, 1.06 * most))
-        left.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-        left.legend(frameon=False, fontsize=7, loc="lower right")
-
-
 def _diagnosed(layout: Layout, artifact: Trained) -> Mapping[str, list[Mapping[str, Any]]]:
     """The rows per imagined step, by set of episodes."""
     document = read_json(layout, artifact, "diagnostics.json")
     return {name: rows_of(document[name]["steps"])[:HORIZON] for name in SETS if name in document}
-
-
-def _root(values: Any) -> Any:
-    return abs(values) ** 0.5
-
-
-def _square(values: Any) -> Any:
-    return values**2

@@ -1,4 +1,4 @@
-"""How good the trained parts are: what each stage found worth telling, per task and round."""
+"""How good the trained parts are: what each stage found worth telling, per task."""
 
 from __future__ import annotations
 
@@ -27,9 +27,6 @@ COLUMNS = (
     ("critics", Column("predicted_over_real_r", "V_r / real", optional=True)),
     ("critics", Column("rank_c", "rank V_c")),
     ("critics", Column("predicted_over_real_c", "V_c / real", optional=True)),
-    ("lookahead", Column("auprc@15", "Look ahead AUPRC", optional=True)),
-    ("gate_signals", Column("auprc", "Gate AUPRC", optional=True)),
-    ("gate_signals", Column("auprc_bootstrap", "with V_c", optional=True)),
 )
 """Stage and the number of its summary. Stages that do not tell a number leave its column out."""
 MEASURES = (
@@ -45,8 +42,8 @@ MEASURES = (
 STEPS = (1, 5, 10, 15)
 NAMED = 6
 """Missing parts that a note names; the plan names all."""
-Key = tuple[str, str, int]
-"""Task, stage and round of a part."""
+Key = tuple[str, str]
+"""Task and stage of a part."""
 
 
 @dataclass(frozen=True)
@@ -65,26 +62,18 @@ class Training:
         found = {artifact.key: artifact.summary for artifact in trained}
         wanted: dict[Key, tuple[Part, ...]] = {}
         for part, _ in parts:
-            place = (part.task, part.kind, part.round)
+            place = (part.task, part.kind)
             wanted[place] = (*wanted.get(place, ()), part)
         told = {part: found[key] for part, key in parts if key in found}
         return cls(wanted, told, {part: failures[key] for part, key in parts if key in failures})
 
     def tasks(self) -> list[str]:
         """List the tasks that have a part."""
-        return list(dict.fromkeys(task for task, _, _ in self.wanted))
+        return list(dict.fromkeys(task for task, _ in self.wanted))
 
-    def rounds(self, task: str) -> list[int]:
-        """List the rounds of a task."""
-        return sorted({number for named, _, number in self.wanted if named == task})
-
-    def parts(self, task: str, stage: str, number: int) -> tuple[Part, ...]:
-        """Find what a round reads of a stage: the expert is that of the first one, and rollouts complete the dataset."""
-        if stage == "expert":
-            number = 1
-        elif stage == "dataset" and number > 1:
-            stage = "rollouts"
-        return self.wanted.get((task, stage, number), ())
+    def parts(self, task: str, stage: str) -> tuple[Part, ...]:
+        """Return the parts of a stage, one for each seed."""
+        return self.wanted.get((task, stage), ())
 
     def value(self, parts: Sequence[Part], name: str) -> Value:
         """Return the mean over the seeds whose part is there and tells the number."""
@@ -117,45 +106,40 @@ def training_tables(
 
 
 def _stages(training: Training, notes: tuple[str, ...]) -> Table:
-    """A row for each task and round."""
-    places = [(task, number) for task in training.tasks() for number in training.rounds(task)]
+    """A row for each task."""
     columns, shown = [], []
     for stage, column in COLUMNS:
-        read = [training.parts(task, stage, number) for task, number in places]
+        read = [training.parts(task, stage) for task in training.tasks()]
         # A number that no part tells is no column; one that is still to come is.
         if any(training.missing(own) or training.tells(own, column.key) for own in read):
             columns.append(replace(column, key=f"{stage}.{column.key}"))
             shown.append([training.value(own, column.key) for own in read])
     rows = []
     stages = dict.fromkeys(stage for stage, _ in COLUMNS)
-    for i, (task, number) in enumerate(places):
-        own = [part for stage in stages for part in training.parts(task, stage, number)]
-        rows.append(Row((task_title(task), str(number) + _share(training, own)), tuple(values[i] for values in shown)))
-    meanings: tuple[str, ...] = (
+    for i, task in enumerate(training.tasks()):
+        own = [part for stage in stages for part in training.parts(task, stage)]
+        rows.append(Row((task_title(task) + _share(training, own),), tuple(values[i] for values in shown)))
+    meanings = (
         "The latent expert drives by the world model's filter; beside it the privileged one that it was distilled from. rank: correlation "
         "of a critic with the discounted sum that really followed in held-out episodes, whose time limit cuts some of it off; / real: the "
         "mean of the critic over that of these sums.",
     )
-    if any(column.key.startswith("gate_signals.") for column in columns):
-        meanings += ("Gate AUPRC: of the safety gate's signal for a cost ahead, under several operators; with V_c: of Eq. 8 as written.",)
-    return Table("training", "Trained parts", ("Task", "Round"), tuple(columns), tuple(rows), notes, meanings, ranked=False)
+    return Table("training", "Trained parts", ("Task",), tuple(columns), tuple(rows), notes, meanings, ranked=False)
 
 
 def _ahead(training: Training) -> Table:
-    """A row for each task, round and measure, a column for each imagined step."""
+    """A row for each task and measure, a column for each imagined step."""
     rows = []
     for task in training.tasks():
-        for number in training.rounds(task):
-            judges = training.parts(task, "diagnostics", number)
-            share = _share(training, judges)
-            for measure in MEASURES:
-                names = [f"{measure.key}@{step}" for step in STEPS]
-                values = [training.value(judges, name) for name in names]
-                told = any(training.tells(judges, name) for name in names)
-                # A measure that no part tells is no row; of what is still to come there is one.
-                if told or (share and measure is MEASURES[0]):
-                    label = measure.title + (f", round {number}" if number > 1 else "") + share
-                    rows.append(Row((task_title(task), label), tuple(values)))
+        judges = training.parts(task, "diagnostics")
+        share = _share(training, judges)
+        for measure in MEASURES:
+            names = [f"{measure.key}@{step}" for step in STEPS]
+            values = [training.value(judges, name) for name in names]
+            told = any(training.tells(judges, name) for name in names)
+            # A measure that no part tells is no row; of what is still to come there is one.
+            if told or (share and measure is MEASURES[0]):
+                rows.append(Row((task_title(task), measure.title + share), tuple(values)))
     kept = [i for i in range(len(STEPS)) if any(row.values[i].mean is not None for row in rows)] or range(len(STEPS))
     return Table(
         "world_model",
