@@ -25,7 +25,9 @@ GAMMA = 0.9
 PLAN = np.array([[0.4, -0.7], [-0.3, 0.2]], np.float32)
 
 
-@pytest.fixture(params=[("laggy", 0.7), ("noisy", 0.5), ("reaction-time", 0.24), ("none", None)], ids=lambda each: each[0])
+@pytest.fixture(
+    params=[("laggy", 0.7), ("noisy", 0.5), ("reaction-time", 0.24), ("reactive", 0.5), ("none", None)], ids=lambda each: each[0]
+)
 def decided(request: pytest.FixtureRequest, inputs: Mapping[str, Path]) -> tuple[Any, Operator, Latent, torch.Tensor]:
     """Model, operator, latents and commands in the middle of three episodes."""
     model = load_world_model(inputs["world_model"])

@@ -187,6 +187,7 @@ class Imagination:
                 action = wanted.clamp(-1, 1)
                 effort = effort + ((action if self.config.effort == "clipped" else wanted) - base).square().sum(-1)
                 found.append(action - base)
+            operator.observe(action)
             drawn = noise[k].index_select(0, met)  # [R, Z]
             if packed is not None and room is not None:
                 latent = packed.imagine(latent, action, drawn, room.step(k), alike)
