@@ -10,7 +10,6 @@ import torch
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble
-from wasp_cli.models.lookahead import LookAhead
 from wasp_cli.models.policy import Skills, save_skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.weights import save_weights
@@ -22,7 +21,7 @@ SIZES = Sizes(action=2, deter=12, hidden=8, variables=2, classes=4, depth=2, hea
 def tiny_artifacts(root: Path) -> dict[str, Path]:
     """Folders by stage kind, written below `root`."""
     torch.manual_seed(0)
-    kinds = ("world_model", "policies", "critics", "ida_q", "denoiser", "residual", "lookahead", "calibration")
+    kinds = ("world_model", "policies", "critics", "ida_q", "denoiser", "residual", "calibration")
     folders = {kind: root / kind for kind in kinds}
     for folder in folders.values():
         folder.mkdir(parents=True)
@@ -43,6 +42,5 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     residual = {"features": model.feature_size, "action": 2, "hidden": [8]}
     save_weights(ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual)
     head = {"members": 2, "features": model.feature_size, "action": 2, "commands": 3, "hidden": [8], "horizon": 15}
-    save_weights(LookAhead(**head), folders["lookahead"] / "lookahead.safetensors", **head)
     (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.0}))
     return folders

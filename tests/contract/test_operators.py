@@ -7,11 +7,15 @@ import torch
 from torch import Tensor
 
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 
 LADDER = {
     "noisy": 0.4, "noisy-gaussian": 0.4, "noisy-burst": 0.4, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24,
+    "delayed-noisy": 0.4, "reactive": 0.6,
 }  # fmt: skip
+REACTING = {"reactive"}
+"""Those who go on otherwise after something else than their command was executed."""
 NAMES = [*(name for name, info in OPERATORS.items() if info.simulated), UNIMPAIRED]
 ROWS, ACTION, STEPS = 4, 2, 12
 
@@ -95,3 +99,78 @@ def test_a_fork_continues_from_the_real_memory_and_leaves_it_alone(name: str) ->
     for k in range(3):
         issued, memory = operator.act(operator.policy(spread[k]), memory, uniforms[k])
         assert torch.equal(imagined[k], issued)
+
+
+def overridden(operator: Operator, seen: list[Tensor], by: float) -> Tensor:
+    """Commands where every one of them is overridden by one that is so much larger."""
+    issued = []
+    for f in seen:
+        issued.append(operator.command(f))
+        operator.observe((issued[-1] + by).clamp(-1, 1))
+    return torch.stack(issued)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_one_whose_commands_are_executed_goes_on_as_one_who_is_told_nothing(name: str) -> None:
+    torch.testing.assert_close(overridden(make(name, [1, 2, 3, 4]), features(), 0.0), commands(make(name, [1, 2, 3, 4]), features()))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_only_those_who_react_go_on_otherwise_when_they_are_overridden(name: str) -> None:
+    alone = commands(make(name, [1, 2, 3, 4]), features())
+    found = overridden(make(name, [1, 2, 3, 4]), features(), 0.5)
+    assert torch.equal(found[0], alone[0])
+    assert torch.equal(found, alone) == (name not in REACTING)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_row_does_not_depend_on_what_was_executed_in_the_others(name: str) -> None:
+    together = overridden(make(name, [1, 2, 3, 4]), features(), 0.5)
+    alone = overridden(make(name, [3]), [f[2:3] for f in features()], 0.5)
+    assert torch.equal(together[:, 2:3], alone)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_observed_changes_memory_only_and_no_tensor_of_it_in_place(name: str) -> None:
+    operator = make(name, [1, 2, 3, 4])
+    overridden(operator, features()[:4], 0.5)
+    before, copies = operator.memory, {key: value.clone() for key, value in operator.memory.items()}
+    position = operator.noise.position()
+    operator.observe(torch.ones(ROWS, ACTION))
+    assert all(torch.equal(before[key], copies[key]) for key in copies)
+    assert operator.memory.keys() == before.keys()
+    assert torch.equal(operator.noise.position(), position)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_snapshots_and_forks_carry_the_reaction(name: str) -> None:
+    operator, seen = make(name, [1, 2, 3, 4]), features()
+    overridden(operator, seen[:6], 0.5)
+    snapshot = operator.snapshot()
+    uniforms = torch.stack([EpisodeNoise([1, 2, 3, 4]).next(operator.draws) for _ in range(6)])
+    fork = operator.fork(torch.tensor([2, 0]), 2, DrawnNoise(uniforms[:, [2, 2, 0, 0]]))
+    imagined = overridden(fork, [f[[2, 2, 0, 0]] for f in seen[6:]], -0.5)
+    wanted = overridden(operator, seen[6:], -0.5)
+    operator.restore(snapshot)
+    assert torch.equal(overridden(operator, seen[6:], -0.5), wanted)
+    operator.restore(snapshot)
+    operator.noise = DrawnNoise(uniforms)
+    assert torch.equal(overridden(operator, seen[6:], -0.5)[:, [2, 2, 0, 0]], imagined)
+
+
+def test_a_mixture_tells_everybody_and_its_forks_and_snapshots_too() -> None:
+    noise, seen = EpisodeNoise([1, 2, 3, 4]), features()
+    mixed = MixedOperator([build_operator(name, LADDER[name], context(), noise, ROWS) for name in ("laggy", "reactive")], noise, seed=0)
+    mixed.choice = torch.tensor([0, 1, 1, 0])
+    found = overridden(mixed, seen[:6], 0.5)
+    assert torch.equal(found[:, [1, 2]], overridden(make("reactive", [2, 3]), [f[1:3] for f in seen[:6]], 0.5))
+    snapshot = mixed.snapshot()
+    uniforms = torch.rand(6, ROWS, mixed.draws)
+    fork = mixed.fork(torch.tensor([1, 2]), 1, DrawnNoise(uniforms[:, 1:3]))
+    imagined = overridden(fork, [f[1:3] for f in seen[6:]], 0.5)
+    wanted = overridden(mixed, seen[6:], 0.5)
+    mixed.restore(snapshot)
+    assert torch.equal(overridden(mixed, seen[6:], 0.5), wanted)
+    mixed.restore(snapshot)
+    mixed.noise = DrawnNoise(uniforms)
+    assert torch.equal(overridden(mixed, seen[6:], 0.5)[:, 1:3], imagined)

@@ -141,14 +141,21 @@ class Says(Operator):
 
 
 def test_who_foretells_the_next_command_scores_and_who_does_not_errs() -> None:
+    seen: list[Tensor] = []
+
+    class Told(Says):
+        def observe(self, executed: Tensor) -> None:
+            seen.append(executed)
+
     def model(operator: Operator, a_h: Tensor) -> Operator:
-        return Says(expert, ACTIONS, DrawnNoise(torch.zeros(0)), len(a_h))
+        return Told(expert, ACTIONS, DrawnNoise(torch.zeros(0)), len(a_h))
 
     told = Foreteller({"says": model}, 4, 0)
     commands = torch.tensor([[[0.0, 0.0]] * 2, [[0.5, 0.5], [0.5, 0.0]], [[9.0, 9.0]] * 2])
     latent = Latent(torch.zeros(2, 2), torch.zeros(2, 1))
     for a_h in commands:
         assert torch.equal(told.decide(latent, a_h, Says(expert, ACTIONS, DrawnNoise(torch.zeros(0)), 2)).action, a_h)
+    assert torch.equal(torch.stack(seen), commands.repeat_interleave(4, 1))  # every draw goes on from what was executed
     found = judged(told, loop([[True, True], [True, True], [False, False]], commands, Latent(torch.zeros(3, 2, 2), torch.zeros(3, 2, 1))))
     assert found["says"]["squared_error"] == pytest.approx((0.0 + 0.25) / 2)
     best, far = log_score(torch.full((2, 4, ACTIONS), 0.5), commands[1]).tolist()

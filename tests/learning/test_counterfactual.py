@@ -64,7 +64,16 @@ class Script(HumanOnly):
         return Decision(action, blank_record(len(action), GATE_METHOD))
 
 
-def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention_give(cell: Evaluated) -> None:
+CELLS = {"noisy": ("ida", IDA, 0.4, "race1"), "reactive": ("diffusion", {}, 0.8, "goal1")}
+"""The reactive operator needs corrections that are large enough for its reaction to show in the rewards."""
+
+
+@pytest.mark.parametrize("variant", CELLS)
+def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention_give(
+    inputs: Mapping[str, Path], tmp_path: Path, variant: str
+) -> None:
+    method, config, value, task = CELLS[variant]
+    cell = evaluated(inputs, tmp_path, method, config, variant, value, task=task)
     recorded = Recorded(**read_recorded(cell.path))
     intervened = [np.flatnonzero((a != a_h).any(1)) for a, a_h in zip(recorded.a, recorded.a_h, strict=True)]
     chosen = [intervened[0][[1]].tolist(), [], intervened[2][[0, -1]].tolist()]  # how many there are depends on the machine

@@ -24,6 +24,8 @@ from wasp_cli.learning.residual import AssistedTask
 from wasp_cli.learning.vec_env import TaskVecEnv
 from wasp_cli.methods.base import Decision, Parts
 from wasp_cli.methods.human import HumanOnly
+from wasp_cli.methods.record import blank_record
+from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.tasks.base import Observation, Step
@@ -116,11 +118,12 @@ def test_the_curve_counts_whole_episodes_and_every_env_step() -> None:
     assert np.isnan(env.curve.take()["return"])
 
 
-def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts: Parts) -> None:
+@pytest.mark.parametrize("operators", [{"laggy": (0.5,)}, {"reactive": (0.5,)}], ids=list)
+def test_the_assisted_task_moves_every_row_as_if_it_were_alone(parts: Parts, operators: dict[str, tuple[float, ...]]) -> None:
     """Restarting some rows must leave the filter, the operators and their noise of the others where they were."""
 
     def drive(rows: Sequence[int], steps: int) -> np.ndarray:
-        config = ResidualConfig(operators={"laggy": (0.5,)})
+        config = ResidualConfig(operators=operators)
         env = AssistedTask(Staggered(len(rows)), parts.world_model, parts.skills, config, "t", 0)
         lines = {row: iter(range(row, 1000, 4)) for row in rows}
         owner = iter(())
@@ -157,6 +160,41 @@ def test_the_closed_loop_refuses_a_command_that_was_changed_in_place(parts: Part
     operator = build_operator("noisy", 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0]), 1)
     with pytest.raises(WaspError, match="'Changing' changed the operator's command in place"):
         run_episodes(Staggered(1), parts.world_model, operator, Changing(), [0], [0])  # type: ignore[arg-type]
+
+
+class Opposite(HumanOnly):
+    """An assistant that does the contrary."""
+
+    def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        return Decision(-a_h, blank_record(len(a_h), GATE_METHOD))
+
+
+@pytest.mark.parametrize(("variant", "reacts"), [("reactive", True), ("laggy", False), ("delayed-noisy", False)])
+def test_only_a_reactive_operator_commands_otherwise_under_an_assistant_that_overrides(parts: Parts, variant: str, reacts: bool) -> None:
+    seeds = [3, 7, 11]  # five decisions each
+    found = []
+    for assistant in (HumanOnly(), Opposite()):
+        # It intends the same whatever it sees, so that all else that an assistant changes plays no part.
+        context = OperatorContext(lambda fraction: lambda f: f[:, :2] * 0 + 0.7, 2, 0.08)
+        operator = build_operator(variant, 0.5, context, EpisodeNoise(seeds), 3)
+        found.append(run_episodes(Staggered(3), parts.world_model, operator, assistant, seeds, seeds).a_h)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert np.array_equal(found[0], found[1]) != reacts
+    assert (found[0][1:] != found[1][1:]).all() == reacts
+
+
+def test_the_residual_policy_meets_operators_who_are_told_what_was_executed(parts: Parts) -> None:
+    issued = []
+    for residual in (0.0, 0.5):
+        env = AssistedTask(Staggered(2), parts.world_model, parts.skills, ResidualConfig(operators={"reactive": (0.5,)}), "t", 0)  # type: ignore[arg-type]
+        env.reset()
+        told = env._operator.operators[0].memory
+        assert not told["pushed"].any()
+        env.step_async(np.full((2, 2), residual, np.float32))
+        env.step_wait()
+        issued.append(env._operator.operators[0].memory["pushed"])
+    assert not issued[0].any()
+    assert (issued[1] < 0).all()
 
 
 def test_the_closed_loop_cuts_every_episode_at_its_end(parts: Parts, tmp_path: Path) -> None:

@@ -67,10 +67,12 @@ def drive(of: World, decisions: int, interventions: int = 0) -> None:
         action = of.command(of.see())
         if t >= decisions - interventions:
             action = (action + torch.from_numpy(rng.normal(size=action.shape).astype(np.float32))).clamp(-1, 1)
+        of.operator.observe(action)
         of.task.step(action.numpy())
 
 
-CASES = [("goal1", "laggy", 0.7, 6), ("goal1", "noisy", 0.4, 6), ("race1", "laggy", 0.7, 25), ("race1", "noisy", 0.4, 28)]
+CASES = [("goal1", "laggy", 0.7, 6), ("goal1", "noisy", 0.4, 6), ("race1", "laggy", 0.7, 25), ("race1", "noisy", 0.4, 28),
+         ("race1", "reactive", 0.5, 28)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "variant", "value", "decisions"), CASES)
@@ -84,11 +86,13 @@ def test_what_is_imagined_under_the_true_operator_then_happens_bit_for_bit(name:
     for k in range(HORIZON):
         command = now if k == 0 else mind.command(imagined[-1].features)
         action = (command + residuals[k]).clamp(-1, 1) if k < RESIDUALS else command
+        mind.observe(action)
         imagined.append(of.model.imagine(imagined[-1], action, NOTHING))
     costs = 0
     for k in range(HORIZON):
         command = now if k == 0 else of.command(of.see())
         action = (command + residuals[k]).clamp(-1, 1) if k < RESIDUALS else command
+        of.operator.observe(action)
         step = of.task.step(action.numpy())
         there = imagined[k + 1]
         assert step.observation.privileged is not None
@@ -100,8 +104,9 @@ def test_what_is_imagined_under_the_true_operator_then_happens_bit_for_bit(name:
     assert 0 < costs < BATCH * HORIZON
 
 
-def test_returns_of_the_planner_are_those_of_the_task() -> None:
-    of = world("goal1", "noisy", 0.4)
+@pytest.mark.parametrize(("variant", "value"), [("noisy", 0.4), ("reactive", 0.5)])
+def test_returns_of_the_planner_are_those_of_the_task(variant: str, value: float) -> None:
+    of = world("goal1", variant, value)
     drive(of, 30)
     residuals = 0.5 * torch.randn(BATCH, 1, RESIDUALS, 2, generator=torch.Generator().manual_seed(2))
     latent = of.see()
@@ -113,6 +118,7 @@ def test_returns_of_the_planner_are_those_of_the_task() -> None:
     for k in range(HORIZON):
         command = now if k == 0 else of.command(of.see())
         action = (command + residuals[:, 0, k]).clamp(-1, 1) if k < RESIDUALS else command
+        of.operator.observe(action)
         step = of.task.step(action.numpy())
         reward += 0.99**k * step.reward
         cost += 0.95**k * step.cost

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from tests.worlds import NoCritics
+from wasp_cli.learning.rerun import Recorded
 from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
@@ -19,13 +20,16 @@ from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.video.imagined import ROLLOUTS, RolloutStart, imagine, rollout_start
+from wasp_cli.video.trace import AsRecorded
 
 HORIZON, ROWS, ROW, T = 6, 3, 1, 9
 GAMMA = 0.9
 PLAN = np.array([[0.4, -0.7], [-0.3, 0.2]], np.float32)
 
 
-@pytest.fixture(params=[("laggy", 0.7), ("noisy", 0.5), ("reaction-time", 0.24), ("none", None)], ids=lambda each: each[0])
+@pytest.fixture(
+    params=[("laggy", 0.7), ("noisy", 0.5), ("reaction-time", 0.24), ("reactive", 0.5), ("none", None)], ids=lambda each: each[0]
+)
 def decided(request: pytest.FixtureRequest, inputs: Mapping[str, Path]) -> tuple[Any, Operator, Latent, torch.Tensor]:
     """Model, operator, latents and commands in the middle of three episodes."""
     model = load_world_model(inputs["world_model"])
@@ -97,3 +101,14 @@ def test_images_are_decoded_from_the_first_rollout(decided: tuple[Any, Operator,
         with torch.inference_mode():
             expected = model.decode(Latent(features[:, :size], features[:, size:])).numpy()
         np.testing.assert_allclose(images, expected, atol=1e-5)
+
+
+def test_one_whose_commands_are_taken_as_recorded_is_told_what_was_executed() -> None:
+    context = OperatorContext(lambda fraction: lambda features: features[:, :2], 2, 0.08)
+    operator = build_operator("reactive", 0.5, context, EpisodeNoise([3]), 1)
+    said = np.full((1, 2), 0.1, np.float32)
+    again = AsRecorded(operator, Recorded([0], [said], [said], [said[:, 0]]))
+    assert torch.equal(again.command(torch.full((1, 2), 0.2)), torch.from_numpy(said))
+    again.observe(-torch.ones(1, 2))
+    forked = again.fork(torch.tensor([0]), 1, EpisodeNoise([4]))
+    assert (forked.memory["pushed"] > 0).all()  # imagined, the person goes on from the reaction

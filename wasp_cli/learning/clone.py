@@ -124,6 +124,7 @@ class Foreteller:
             imagined = model(operator, a_h)
             uniforms = torch.rand((1, batch * self._draws, imagined.draws), generator=self._source)
             self._next[name] = imagined.fork(rows, self._draws, DrawnNoise(uniforms))
+            self._next[name].observe(a_h.repeat_interleave(self._draws, 0))
         return Decision(a_h)
 
 

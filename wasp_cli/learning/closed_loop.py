@@ -126,6 +126,7 @@ def run_episodes(
         times.append((time.perf_counter() - begun) * 1000 / batch)
         action = checked(decision, assistant, a_h, given).action
         filter_.executed(action)
+        operator.observe(action)
         step = task.step(action.cpu().numpy())
         for name, value in (
             ("reward", step.reward), ("cost", step.cost), ("cost_env", step.cost_env), ("env_steps", step.env_steps),

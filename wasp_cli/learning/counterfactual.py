@@ -158,6 +158,7 @@ def _run(rerun: Rerun, rows: dict[int, _Start], name: str, window: int) -> Itera
     ended = world["ended"].astype(bool)
     for w in range(window):
         rerun.filter.executed(action)
+        operator.observe(action)
         step = task.step(action.numpy())
         steps.append(step)
         going += ~ended

@@ -187,6 +187,7 @@ def foreseen(
             latent = Latent(drives.h[at], drives.z[at].float())
             operator.command(latent.features)
             read.append(assistant.foreseen_cost(latent, drives.a_h[at], operator))
+            operator.observe(drives.a_h[at])
         signals = torch.stack(read).numpy()  # [T, B]
         found += [signals[:length, row] for row, length in enumerate(lengths)]
     return found

@@ -109,3 +109,4 @@ class Rerun:
             action = torch.from_numpy(played.action)
             yield Moment(played.t, played.observation, latent, a_h, action, played.alive)
             self.filter.executed(action)
+            self.operator.observe(action)

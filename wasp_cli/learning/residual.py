@@ -59,6 +59,8 @@ class AssistedTask(FilteredTask):
             self._operator.reset(first)
             for row in np.flatnonzero(rows):
                 self._noise.restart(int(row), self._noise_seed())
+        else:  # where rows begin anew, the others were told before
+            self._operator.observe(torch.from_numpy(executed))
         features = self.features(seen, first, executed)
         if rows.any() and not rows.all():
             self._command = self._restarted(features, first)

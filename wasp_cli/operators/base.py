@@ -87,6 +87,17 @@ class Operator:
         issued, self.memory = self.act(intended, self.memory, self.noise.next(self.draws).to(intended.device))
         return issued
 
+    def react(self, executed: Tensor, memory: Memory) -> Memory:
+        """Return the next memory of one who has seen that `executed` [B, A] was carried out instead of the command; here the same one."""
+        return memory
+
+    def observe(self, executed: Tensor) -> None:
+        """Tell the operator which action [B, A] was executed after its command; only the memory may change, by `react`.
+
+        Whoever asks for commands in a loop calls it once after each of them, before the next one.
+        """
+        self.memory = self.react(executed, self.memory)
+
     def to(self, device: torch.device) -> Self:
         """Move the memory to another device; policies are moved by whoever has them."""
         self.memory = {name: value.to(device) for name, value in self.memory.items()}

@@ -50,6 +50,11 @@ class MixedOperator(Operator):
             issued.append(command)
         return torch.stack(issued)[self.choice, torch.arange(len(self.choice), device=self.choice.device)]
 
+    def observe(self, executed: Tensor) -> None:
+        """Tell all operators which action [B, A] was executed; what one makes of a row that it does not drive is cleared by `reset`."""
+        for operator in self.operators:
+            operator.observe(executed)
+
     def to(self, device: torch.device) -> Self:
         """Move all memories to another device."""
         self.operators = [operator.to(device) for operator in self.operators]

@@ -59,6 +59,22 @@ OPERATORS: Registry[OperatorInfo] = Registry(
         ),
         OperatorInfo("reaction-time", "Reaction time", "wasp_cli.operators.delayed:DelayedOperator", 0.0, 10.0, "delay in seconds"),
         OperatorInfo(
+            "delayed-noisy",
+            "Delayed and noisy",
+            "wasp_cli.operators.delayed_noisy:DelayedNoisyOperator",
+            0.0,
+            1.0,
+            "probability of a uniform action, at a delay of 0.16 seconds",
+        ),
+        OperatorInfo(
+            "reactive",
+            "Reactive",
+            "wasp_cli.operators.reactive:ReactiveOperator",
+            0.0,
+            1.0,
+            "lag of the stick: share of the way to the intended command that is left after a decision",
+        ),
+        OperatorInfo(
             PERSON, "Person", "wasp_cli.operators.person:PersonOperator", 0.0, 9999.0, "number of the participant", simulated=False
         ),
         OperatorInfo(

@@ -25,7 +25,8 @@ from wasp_cli.spec.read import read
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
 
-WHOLE = "full"
+WHOLE, AS_PRINTED = "full", "as-printed"
+"""Of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own."""
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
@@ -48,11 +49,15 @@ def ablation(
         UnknownName: no such variant, task or preset.
         InvalidSpec: the spec at `path` is not valid.
     """
-    if variant not in assistant_variants():
-        raise UnknownName("assistant variant", variant, assistant_variants())
-    # The whole method is in every ablation; for `full` itself, it is the method that can be ablated.
-    method = next(info.name for info in METHODS.values() if variant in info.variants and len(info.variants) > 1)
-    narrowed = [f"name=ablate-{variant}", f"methods=[human, {method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
+    known = [*assistant_variants(), AS_PRINTED]
+    if variant not in known:
+        raise UnknownName("assistant variant", variant, known)
+    if variant == AS_PRINTED:
+        narrowed = [f"name=ablate-{variant}", "methods=[human, wasp, printed]", f"variants=[{WHOLE}]"]
+    else:
+        # The whole method is in every ablation; for `full` itself, it is the method that can be ablated.
+        method = next(info.name for info in METHODS.values() if variant in info.variants and len(info.variants) > 1)
+        narrowed = [f"name=ablate-{variant}", f"methods=[human, {method}]", f"variants=[{', '.join(dict.fromkeys((WHOLE, variant)))}]"]
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
     return load(path, [*narrowed, *sized(preset, settings)])

@@ -98,6 +98,7 @@ def imagine(
     for k in range(horizon):
         command = now if k == 0 else start.operator.command(latent.features)
         action = ((now if hold else command) + residuals[:, k]).clamp(-1, 1) if k < steps else command
+        start.operator.observe(action)
         latent = model.imagine(latent, action, noise[k])
         features.append(latent.features)
         costs.append(model.cost(latent).view(sequences, ROLLOUTS).mean(1))

@@ -93,6 +93,9 @@ class AsRecorded(Operator):
         recorded: Tensor = next(self._commands)
         return recorded
 
+    def observe(self, executed: Tensor) -> None:
+        self._operator.observe(executed)
+
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
         return self._operator.fork(rows, copies, noise)
 

@@ -187,6 +187,7 @@ class Imagination:
             if k:
                 command = operator.command(latent.features)
             action = compose(k, command).clamp(-1, 1)
+            operator.observe(action)
             if packed is not None and room is not None:
                 latent = packed.imagine(latent, action, noise[k], room.step(k), alike)
             else:

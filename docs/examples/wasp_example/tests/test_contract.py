@@ -49,6 +49,7 @@ def drive(parts, rows):
         a_h = who.command(latent.features)
         given = a_h.clone()
         decision = checked(assistant.decide(latent, a_h, who), assistant, a_h, given)
+        who.observe(decision.action)
         found.append((a_h, decision.action, decision.record.gate > 0))
     return [torch.stack(values) for values in zip(*found, strict=True)]
 
