@@ -25,7 +25,16 @@ GAMMA_R, GAMMA_C, LAM, GOES_ON = 0.9, 0.8, 0.7, 0.9
 LOW, HIGH, JITTER = 0.3, 0.6, 0.05
 H, L, M = 6, 3, 4
 SEED = 11
-SIZES: dict[str, Any] = {"horizon": H, "residual_steps": L, "candidates": 24, "elites": 6, "feasible": 5, "iterations": 3, "rollouts": M}
+SIZES: dict[str, Any] = {
+    "horizon": H,
+    "residual_steps": L,
+    "candidates": 24,
+    "elites": 6,
+    "feasible": 5,
+    "iterations": 3,
+    "rollouts": M,
+    "lam": LAM,
+}
 COARSE = Motors((0.2,))
 
 
@@ -54,7 +63,7 @@ def unimpaired(rows: int = 1) -> Operator:
 
 
 def ready(motors: Motors = UNKNOWN, rows: int = 1, **changes: Any) -> WASP:
-    imagination = Imagination(Ending(), LinearCritics(), policy, GAMMA_R, GAMMA_C, LAM)
+    imagination = Imagination(Ending(), LinearCritics(), policy, GAMMA_R, GAMMA_C, 0.95)
     assistant = WASP(WASPConfig.model_validate(SIZES | changes), imagination, {}, motors)
     assistant.reset(torch.ones(rows, dtype=torch.bool), [SEED + row for row in range(rows)])
     return assistant

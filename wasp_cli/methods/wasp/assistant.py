@@ -156,9 +156,9 @@ class WASP:
         """Imagine candidates [B, N, L, A] and summarise them (Eq. 7-8): rewards with V_r behind the horizon, costs within it."""
         imagined = self.imagination.roll(start, residuals.shape[1], corrected(residuals, draws), draws)
         keep = imagined.continues()
-        reward = td_lambda(imagined.reward(), imagined.value_r(), self.imagination.gamma_r, self.imagination.lam, keep)
+        reward = td_lambda(imagined.reward(), imagined.value_r(), self.imagination.gamma_r, self.config.lam, keep)
         if self.single:
-            cost = td_lambda(imagined.cost(), imagined.value_c(), self.imagination.gamma_c, self.imagination.lam, keep)
+            cost = td_lambda(imagined.cost(), imagined.value_c(), self.imagination.gamma_c, self.config.lam, keep)
         else:
             cost = discounted_sum(imagined.cost(), self.imagination.gamma_c, keep)
         return Scored(residuals, reward.mean(-1), cost.mean(-1))
