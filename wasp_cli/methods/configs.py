@@ -74,8 +74,8 @@ class WASPConfig(Config):
     rollouts: int = assumed(8, "M: rollouts of each future, with common random numbers; the paper has one M and does not give it", ge=1)
     lam: float = deviates(
         0.5,
-        "lambda of Eq. 8 in the gates and the search; at the critics' .95 a fifth to a third of the variance of a gain is that of the draws, "
-        "at .5 a hundredth",
+        "lambda of Eq. 8 in the gates and the search: at the critics' .95 a fifth to a third of the variance of a gain is that of the "
+        "draws, at .5 a hundredth",
         gt=0.0,
         le=1.0,
     )
