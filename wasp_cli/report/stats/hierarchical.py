@@ -1,0 +1,128 @@
+"""Contrasts with a margin within each training, with a hierarchical bootstrap over trainings and worlds, and a t interval beside it.
+
+The contrast of training s is left - right - margin x |right|, each side the mean over conditions (operator, severity) of the column
+pooled over worlds; a negative margin asks for that much less, a positive one allows or asks for that much more. A resample draws S of
+S trainings with replacement, and for each drawn training anew as many of its worlds as it has; a world brings its episodes under all
+operators and both methods. 95 % of RESAMPLES resamples lie within the interval of percentiles. With one training only worlds are drawn.
+The t interval, mean -+ t(.975, S - 1) sd / sqrt(S) of the S contrasts, shows how little a few trainings say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wasp_cli.report.stats.bootstrap import COVERAGE, RESAMPLES, SEED
+from wasp_cli.report.stats.frame import CellNumbers, Floats
+from wasp_cli.report.stats.summary import condition
+
+Limits = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """A contrast over trainings; limits are None where they are undefined."""
+
+    value: float
+    trainings: tuple[float, ...]
+    """The contrast of each training, in the order of the seeds."""
+    bootstrap: Limits | None
+    t: Limits | None
+
+
+def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str, margin: float = 0.0) -> Contrast | None:
+    """Return the contrast of the cells to those of a reference under the same conditions; None where they share none."""
+    defined = ([cell for cell in side if not math.isnan(cell.pooled.get(key, math.nan))] for side in (cells, reference))
+    own, other = ({condition(cell.identity): cell for cell in side} for side in defined)
+    shared = sorted(own.keys() & other.keys(), key=repr)
+    seeds = sorted({place[3] for place in shared})
+    if not seeds:
+        return None
+    pairs = [[(own[place], other[place]) for place in shared if place[3] == seed] for seed in seeds]
+    trainings = [_Training(each, key, margin) for each in pairs]
+    values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
+    limits = _percentiles(_resampled(trainings))
+    return Contrast(float(np.mean(values)), tuple(values), limits if len(seeds) > 1 or trainings[0].worlds > 1 else None, t_limits(values))
+
+
+class _Training:
+    """The paired sums of one training: [2, 2, K, C] of side, weighted sum and weight, world and condition."""
+
+    def __init__(self, pairs: Sequence[tuple[CellNumbers, CellNumbers]], key: str, margin: float) -> None:
+        names = np.unique(np.concatenate([cell.episodes["world"] for pair in pairs for cell in pair]))
+        self.worlds, self.margin = len(names), margin
+        self.sums = np.zeros((2, 2, len(names), len(pairs)))
+        for c, pair in enumerate(pairs):
+            for side, cell in enumerate(pair):
+                place = np.searchsorted(names, cell.episodes["world"])
+                for part, weights in enumerate(cell.weighted(key)):
+                    self.sums[side, part, :, c] = np.bincount(place, weights, len(names))
+
+    def contrast(self, counts: Floats) -> Floats:
+        """[R] the contrast when each world counts so often [R, K]; conditions that a side leaves undefined do not count."""
+        total, mass = counts @ self.sums[:, 0], counts @ self.sums[:, 1]
+        defined = (mass > 0).all(0)
+        left, right = np.where(defined, np.divide(total, mass, out=np.zeros_like(total), where=mass > 0), 0.0).sum(2)
+        number = defined.sum(1)
+        found: Floats = np.full(len(counts), np.nan)
+        np.divide(left - right - self.margin * np.abs(right), number, out=found, where=number > 0)
+        return found
+
+
+def _resampled(trainings: Sequence[_Training]) -> Floats:
+    """[R] the mean contrast of every resample; resamples that a drawn training leaves undefined are NaN."""
+    draws, total = np.random.PCG64(SEED), np.zeros(RESAMPLES)
+    for _ in trainings:
+        picks = _below(draws, len(trainings), 1)[:, 0]
+        for s, training in enumerate(trainings):
+            worlds = _below(draws, training.worlds, training.worlds)
+            rows = np.arange(RESAMPLES)[:, None] * training.worlds
+            counts = np.bincount((rows + worlds).ravel(), minlength=rows.size * training.worlds).reshape(RESAMPLES, -1)
+            chosen = picks == s
+            total[chosen] += training.contrast(counts[chosen].astype(np.float64))
+    return total / len(trainings)
+
+
+def _below(draws: np.random.PCG64, bound: int, columns: int) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:
+    """[R, columns] whole numbers below a bound, from the raw stream, which is the same in every version of NumPy."""
+    bits = draws.random_raw(RESAMPLES * columns).reshape(RESAMPLES, columns) >> np.uint64(32)
+    found = (bits * np.uint64(bound)) >> np.uint64(32)
+    return found.astype(np.intp)
+
+
+def _percentiles(found: Floats) -> Limits | None:
+    found = found[~np.isnan(found)]
+    if not len(found):
+        return None
+    # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
+    low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(found, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
+    return low, high
+
+
+def t_limits(values: Sequence[float]) -> Limits | None:
+    """Return the 95 % t interval of the mean of n values, with n - 1 degrees of freedom; None with one value."""
+    if len(values) < 2:
+        return None
+    half = _t_quantile(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return float(np.mean(values)) - half, float(np.mean(values)) + half
+
+
+def _t_quantile(freedom: int) -> float:
+    """The quantile t for which P(|T| < t) is COVERAGE, by halving: the series of Abramowitz and Stegun, 26.7.3 and 26.7.4."""
+
+    def within(t: float) -> float:
+        angle, term, total = math.atan(t / math.sqrt(freedom)), 1.0, 0.0
+        for k in range(1 if freedom % 2 == 0 else 2, freedom, 2):
+            total, term = total + term, term * k / (k + 1) * math.cos(angle) ** 2
+        if freedom % 2 == 0:
+            return math.sin(angle) * total
+        return 2 / math.pi * (angle + math.sin(angle) * math.cos(angle) * total)
+
+    low, high = 0.0, 100.0
+    for _ in range(80):
+        middle = (low + high) / 2
+        low, high = (middle, high) if within(middle) < COVERAGE else (low, middle)
+    return low
