@@ -41,6 +41,5 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     save_weights(Denoiser(**denoiser), folders["denoiser"] / "denoiser.safetensors", **denoiser, schedule=schedule)
     residual = {"features": model.feature_size, "action": 2, "hidden": [8]}
     save_weights(ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual)
-    head = {"members": 2, "features": model.feature_size, "action": 2, "commands": 3, "hidden": [8], "horizon": 15}
     (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.0}))
     return folders

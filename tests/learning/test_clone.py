@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from wasp_cli.methods.wasp.operator_model import imagined_operator, load_clone
 
 from tests.artifacts import tiny_artifacts
 from wasp_cli.learning.assistants import build_assistant, load_parts
@@ -17,7 +18,6 @@ from wasp_cli.learning.clone import Foreteller, Issued, fit_clone, issued, judge
 from wasp_cli.learning.closed_loop import Loop
 from wasp_cli.learning.configs import CloneConfig, ReturnsConfig
 from wasp_cli.methods.wasp.assistant import WASP
-from wasp_cli.methods.wasp.operator_model import imagined_operator, load_clone
 from wasp_cli.models.base import Latent
 from wasp_cli.models.clone import Clone
 from wasp_cli.models.weights import save_weights

@@ -19,7 +19,7 @@ from wasp_cli.learning.configs import CalibrationConfig, CoverageConfig, Heldout
 from wasp_cli.learning.coverage import BATCH, Facts, foreseen, load_drives, mixture_of, operator_of, record_drives
 from wasp_cli.methods.base import Decision
 from wasp_cli.methods.configs import Coverage, WASPConfig
-from wasp_cli.methods.wasp.gates import TAU_C_FALLBACK
+from wasp_cli.methods.wasp.assistant import TAU_C as TAU_C_FALLBACK
 from wasp_cli.metrics.coverage import episode_score
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator, OperatorContext
