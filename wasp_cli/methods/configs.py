@@ -72,13 +72,6 @@ class WASPConfig(Config):
     horizon: int = from_paper(15, "H, section 5.1", ge=1)
     residual_steps: int = from_paper(5, "L, section 5.1", ge=1)
     rollouts: int = assumed(8, "M: rollouts of each future, with common random numbers; the paper has one M and does not give it", ge=1)
-    lam: float = deviates(
-        0.5,
-        "lambda of Eq. 8 in the gates and the search: at the critics' .95 a fifth to a third of the variance of a gain is that of the "
-        "draws, at .5 a hundredth",
-        gt=0.0,
-        le=1.0,
-    )
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] | Coverage = assumed(
         1.0,
         "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; `calibrated`: a quantile of "
@@ -91,7 +84,7 @@ class WASPConfig(Config):
     tau_r: float | Literal["calibrated"] = assumed(
         "calibrated", "return that a correction must gain; `calibrated`: what putting right a uniformly random command gains on average"
     )
-    tau_r_share: float = assumed(0.7, "share of that average; smaller ones intervene more often", ge=0.0)
+    tau_r_share: float = assumed(1.0, "share of that average; smaller ones intervene more often", ge=0.0)
     candidates: int = from_paper(300, "N, section 5.1", ge=4)
     elites: int = from_paper(100, "N_e, section 5.1", ge=1)
     iterations: int = from_paper(6, "I, section 5.1", ge=1)

@@ -155,12 +155,12 @@ class WASP:
     def _scored(self, start: Situation, residuals: Tensor, draws: Draws, *, both_critics: bool = False) -> Scored:
         """Imagine candidates [B, N, L, A] and summarise them (Eq. 7-8): rewards with V_r behind the horizon, costs within it."""
         imagined = self.imagination.roll(start, residuals.shape[1], corrected(residuals, draws), draws)
-        keep = imagined.continues()
-        reward = td_lambda(imagined.reward(), imagined.value_r(), self.imagination.gamma_r, self.config.lam, keep)
+        models, keep = self.imagination, imagined.continues()
+        reward = td_lambda(imagined.reward(), imagined.value_r(), models.gamma_r, models.lam, keep)
         if self.single:
-            cost = td_lambda(imagined.cost(), imagined.value_c(), self.imagination.gamma_c, self.config.lam, keep)
+            cost = td_lambda(imagined.cost(), imagined.value_c(), models.gamma_c, models.lam, keep)
         else:
-            cost = discounted_sum(imagined.cost(), self.imagination.gamma_c, keep)
+            cost = discounted_sum(imagined.cost(), models.gamma_c, keep)
         return Scored(residuals, reward.mean(-1), cost.mean(-1))
 
     def _takeover(self, look: Look) -> Plan:
