@@ -41,21 +41,12 @@ class Latent(NamedTuple):
         return Latent(self.h.repeat_interleave(copies, 0), self.z.repeat_interleave(copies, 0))
 
 
-class WorldModel(Protocol):
-    """What gates, planner and closed loop ask of a world model. Frozen at evaluation."""
+class Dynamics(Protocol):
+    """What an imagination asks of a world model: no perception, but whether the episode goes on. Frozen at evaluation."""
 
     action_size: int
     noise_size: int
     """Gumbel variables per imagined step and row."""
-
-    def initial(self, batch: int) -> Latent: ...
-
-    def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
-        """Return the posterior after executing `action` [B, A] and seeing `pixels` uint8 [B, 6, 64, 64].
-
-        Rows with `first` [B] start anew: h, z and the action are masked.
-        """
-        ...
 
     def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
         """Imagine one prior step for `action` [B, A]; `noise` [B, noise_size] are standard Gumbel draws."""
@@ -67,6 +58,23 @@ class WorldModel(Protocol):
 
     def cost(self, latent: Latent) -> Tensor:
         """Return the probability [B] of a cost event at the arrived state."""
+        ...
+
+    def continues(self, latent: Latent) -> Tensor:
+        """Return the probability [B] that the episode has not ended at the arrived state."""
+        ...
+
+
+class WorldModel(Dynamics, Protocol):
+    """What the closed loop asks of a world model besides."""
+
+    def initial(self, batch: int) -> Latent: ...
+
+    def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
+        """Return the posterior after executing `action` [B, A] and seeing `pixels` uint8 [B, 6, 64, 64].
+
+        Rows with `first` [B] start anew: h, z and the action are masked.
+        """
         ...
 
 

@@ -29,6 +29,7 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.report.stats.summary import Value
 from wasp_cli.report.tables.table import Column, Row, Table
+from wasp_cli.tasks.motors import UNKNOWN
 
 ACTIONS = 2
 NEVER = 1e9
@@ -127,8 +128,8 @@ class Setup:
         self.operator: Operator = build_operator("laggy", 0.7, context, EpisodeNoise(list(range(batch))), batch)
         self.latent: Latent = model.initial(batch)
         self.a_h = self.operator.command(self.latent.features)
-        self.assistant = WASP(wasp, self.imagination, {})
-        self.reference = WASP(wasp, replace(self.imagination, pack=False), {})
+        self.assistant = WASP(wasp, self.imagination, {}, UNKNOWN)
+        self.reference = WASP(wasp, replace(self.imagination, pack=False), {}, UNKNOWN)
         self.batch = batch
 
     def decision(self, kind: str, *, reference: bool = False) -> Callable[[], Any]:

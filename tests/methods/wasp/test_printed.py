@@ -148,7 +148,7 @@ def operator() -> Operator:
     return Operator(lambda features: (0.9 - features[:, :1]).clamp(-1, 1), 1, EpisodeNoise([0]), 1)
 
 
-def ready(world: Corridor, tau_c: float, time_is_up: Callable[[], bool] | None = None, **changes: Any) -> Printed:
+def ready(world: Corridor, tau_c: float, time_is_up: Callable[[], bool] = lambda: False, **changes: Any) -> Printed:
     imagination = Imagination(world, LinearCritics(), operator().policy, GAMMA_R, GAMMA_C, LAM)
     assistant = Printed(PrintedConfig.model_validate(SIZES | changes), imagination, {"tau_c": tau_c})
     assistant.time_is_up = time_is_up

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Scored
-from wasp_cli.methods.wasp.outcome import Plan
-from wasp_cli.methods.wasp.search import FINALISTS, KEPT, STD_FLOOR, search
+from wasp_cli.methods.wasp.outcome import STD_FLOOR, Plan
+from wasp_cli.methods.wasp.search import FINALISTS, KEPT, search
 from wasp_cli.metrics.episode import CUT_OFF
 
 TAU_C, TAU_R = 0.3, 0.1
@@ -43,7 +43,7 @@ def noisy(residuals: Tensor) -> Scored:
 def searched(settings: WASPConfig, normals: Tensor, score: Any = brake, again: Any = None, time_is_up: Any = None) -> Plan:
     known = torch.tensor([[[0.5], [0.0]], [[-0.1], [0.2]]]).expand(len(normals), -1, -1, -1)
     alone = score(torch.zeros(len(normals), 1, L, 1))
-    return search(score, again or score, known, normals, alone, settings, TAU_C, TAU_R, time_is_up)
+    return search(score, again or score, known, normals, alone, settings, TAU_C, TAU_R, time_is_up or (lambda: False))
 
 
 def s_task(found: Scored, n: int, alpha: float) -> float:

@@ -21,12 +21,12 @@ from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import chosen
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Scored, Situation, corrected, imagination_of
 from wasp_cli.methods.wasp.outcome import Outcome, Plan
-from wasp_cli.methods.wasp.returns import discounted_sum, quantile, td_lambda
+from wasp_cli.methods.wasp.returns import discounted_sum, distributions, quantile, td_lambda
 from wasp_cli.methods.wasp.search import search
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import DrawnNoise, Operator
-from wasp_cli.tasks.motors import UNKNOWN, Motors
+from wasp_cli.tasks.motors import Motors
 
 GATES, SEARCH, FINALISTS = range(3)
 """What a decision draws for, each from a stream of its own."""
@@ -68,12 +68,7 @@ class WASP:
     """The assistant. Decisions of a batch are independent; each draws from its own episode's stream."""
 
     def __init__(
-        self,
-        config: WASPConfig,
-        imagination: Imagination,
-        thresholds: Mapping[str, float],
-        motors: Motors = UNKNOWN,
-        device: torch.device = CPU,
+        self, config: WASPConfig, imagination: Imagination, thresholds: Mapping[str, float], motors: Motors, device: torch.device = CPU
     ) -> None:
         self.config, self.imagination, self.motors = config, imagination, motors
         self.single = config.variant == "no-rollout"  # one imagined step, and both critics behind it
@@ -84,7 +79,7 @@ class WASP:
         self.noise, self.device = DecisionNoise(device), device
         self.plan = torch.zeros(0)  # [B, L, A] what the search chose at the last decision; zeros where it was not asked
         self.resting = torch.zeros(0, dtype=torch.bool)  # [B] the episode has ended
-        self.time_is_up: Callable[[], bool] | None = None  # set where somebody waits: a search that it ends returns its best so far
+        self.time_is_up: Callable[[], bool] = lambda: False  # set where somebody waits: a search that it ends returns its best so far
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
@@ -122,7 +117,7 @@ class WASP:
         safe = cost[:, 1] <= self.tau_c
         worth = nothing if config.variant == "safety-only" else ~fired & safe & look.effective & (look.gain > self.tau_r)
         gate = torch.where(fired, GATE_SAFETY, GATE_TASK).to(torch.int8)
-        outcome.carry_out(here, (fired & safe) | worth, gate, self._takeover(look))
+        outcome.carry_out(here, (fired & safe) | worth, gate, Plan.unsearched(look.futures, config.iterations))
 
         # Where the expert's action is not safe either, search (Eq. 13-17).
         rows = chosen(fired & ~safe)
@@ -162,15 +157,6 @@ class WASP:
         else:
             cost = discounted_sum(imagined.cost(), models.gamma_c, keep)
         return Scored(residuals, reward.mean(-1), cost.mean(-1))
-
-    def _takeover(self, look: Look) -> Plan:
-        """Return the expert's action now as the plan."""
-        futures, batch = look.futures, len(look.target)
-        nothing = torch.full((batch, self.config.iterations), -1, dtype=torch.int16, device=look.target.device)
-        return Plan(
-            futures.residuals[:, 1], futures.cost[:, 1], futures.reward[:, 1], futures.cost[:, 0], futures.reward[:, 0],
-            nothing, torch.zeros_like(nothing, dtype=torch.bool),
-        )  # fmt: skip
 
     def _search(self, start: Situation, look: Look, streams: Streams) -> Plan:
         config = self.config
@@ -214,11 +200,7 @@ class WASP:
         gain = torch.cat(gains)
         if self.config.tau_r == "calibrated":
             self.tau_r = self.config.tau_r_share * float(gain.mean()) if len(gain) else TAU_R
-        spread = {
-            f"{name}_{label}": quantile(values, q)
-            for name, values in (("gain", gain), ("g_cost", cost), ("g_cost_free", free))
-            for label, q in (("median", 0.5), ("p90", 0.90), ("p95", 0.95))
-        }
+        spread = distributions(gain=gain, g_cost=cost, g_cost_free=free)
         return {"tau_c": self.tau_c, "tau_r": self.tau_r, **spread, "safety_rate": float((cost > self.tau_c).float().mean())}
 
     def _everywhere(self, heldout: Heldout, a_h: Tensor, operator: Operator, seed: int) -> Look:

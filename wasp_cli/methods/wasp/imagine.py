@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from wasp_cli.methods.base import Parts
 from wasp_cli.methods.noise import Streams, as_gumbel
-from wasp_cli.models.base import Critics, Latent
+from wasp_cli.models.base import Critics, Dynamics, Latent
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.packed import PackedModel
 from wasp_cli.models.weights import load_module
@@ -24,23 +24,6 @@ from wasp_cli.operators.base import DrawnNoise, Operator, Policy
 
 Compose = Callable[[int, Tensor], Tensor]
 """Turns the step k and the operator's commands there [R, A] into actions [R, A]."""
-
-
-class Dynamics(Protocol):
-    """What an imagination asks of a world model (`models.base.WorldModel`): no perception, but whether the episode goes on."""
-
-    action_size: int
-    noise_size: int
-
-    def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent: ...
-
-    def reward(self, latent: Latent) -> Tensor: ...
-
-    def cost(self, latent: Latent) -> Tensor: ...
-
-    def continues(self, latent: Latent) -> Tensor:
-        """Return the probability [...] that the episode has not ended at the arrived state."""
-        ...
 
 
 class Situation(NamedTuple):

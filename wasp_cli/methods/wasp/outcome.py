@@ -9,7 +9,11 @@ from torch import Tensor
 
 from wasp_cli.methods.base import Decision
 from wasp_cli.methods.record import Planned, blank_record
+from wasp_cli.methods.wasp.imagine import Scored
 from wasp_cli.tasks.motors import Motors
+
+STD_FLOOR = 0.05
+"""Least spread of what a search samples: keeps its distribution from collapsing."""
 
 
 class Plan(NamedTuple):
@@ -29,6 +33,13 @@ class Plan(NamedTuple):
     """[R, I] |F_s| of every iteration (Eq. 14); CUT_OFF for those that were left out, -1 where nothing was searched"""
     case2: Tensor
     """[R, I] whether it was fewer than N_f"""
+
+    @classmethod
+    def unsearched(cls, futures: Scored, iterations: int) -> Plan:
+        """Return the second of N = 2 candidates as the plan, beside the command alone, the first."""
+        (alone, best), (cost_alone, cost) = futures.reward.unbind(1), futures.cost.unbind(1)
+        none = torch.full((len(best), iterations), -1, dtype=torch.int16, device=best.device)
+        return cls(futures.residuals[:, 1], cost, best, cost_alone, alone, none, none >= 0)
 
 
 class Outcome:
@@ -69,3 +80,12 @@ class Outcome:
     def decision(self) -> Decision:
         """Return what is decided."""
         return Decision(self.action, self.record, self.planned)
+
+
+def refitted(plans: Tensor, elite: Tensor, mean: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean and standard deviation [B, L, A] of those of the plans [B, E, L, A] that are elites [B, E]; of none: as they were."""
+    weight = elite.to(plans.dtype).view(*elite.shape, 1, 1)
+    total, some = weight.sum(1).clamp(min=1), elite.any(-1).view(-1, 1, 1)
+    centre = (weight * plans).sum(1) / total
+    spread = ((weight * (plans - centre.unsqueeze(1)).square()).sum(1) / total).sqrt().clamp(min=STD_FLOOR)
+    return torch.where(some, centre, mean), torch.where(some, spread, std)

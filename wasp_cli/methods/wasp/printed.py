@@ -19,8 +19,8 @@ from wasp_cli.methods.configs import PrintedConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import chosen
 from wasp_cli.methods.wasp.imagine import Compose, Draws, Imagination, Scored, Situation, imagination_of, over_rollouts
-from wasp_cli.methods.wasp.outcome import Outcome, Plan
-from wasp_cli.methods.wasp.returns import quantile, td_lambda
+from wasp_cli.methods.wasp.outcome import Outcome, Plan, refitted
+from wasp_cli.methods.wasp.returns import distributions, quantile, td_lambda
 from wasp_cli.metrics.episode import CUT_OFF, GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
@@ -28,8 +28,8 @@ from wasp_cli.tasks.motors import UNKNOWN
 
 ROLLOUTS, PROBE, SEARCH = range(3)
 """What a decision draws for, each from a stream of its own."""
-BOUND, STD_FLOOR = 2.0, 0.05
-"""Largest residual, beyond which clipping (Eq. 18) leaves nothing else to gain; and the least spread of what is sampled."""
+BOUND = 2.0
+"""Largest residual, beyond which clipping (Eq. 18) leaves nothing else to gain."""
 TAU_C, TAU_R = 0.5, 0.5
 """Thresholds where no calibration exists yet."""
 ROWS = 16384
@@ -52,7 +52,7 @@ class Printed:
         self.tau_c = thresholds.get("tau_c", TAU_C) if config.tau_c == "calibrated" else float(config.tau_c)
         self.tau_r = thresholds.get("tau_r", TAU_R) if config.tau_r == "calibrated" else float(config.tau_r)
         self.resting = torch.zeros(0, dtype=torch.bool)  # [B] the episode has ended
-        self.time_is_up: Callable[[], bool] | None = None  # set where somebody waits: a search that it ends returns its best so far
+        self.time_is_up: Callable[[], bool] = lambda: False  # set where somebody waits: a search that it ends returns its best so far
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         self.noise.reset(rows, seeds)
@@ -159,7 +159,7 @@ class Printed:
         seen: list[Scored] = []
         safe_counts = normals.new_full((len(mean), config.iterations), CUT_OFF, dtype=torch.int16)
         for i in range(config.iterations):
-            if i and self.time_is_up is not None and self.time_is_up():
+            if i and self.time_is_up():
                 break
             candidates = self.composed(start, (mean.unsqueeze(1) + std.unsqueeze(1) * normals[:, i]).clamp(-BOUND, BOUND), draws)
             seen.append(candidates)
@@ -209,18 +209,5 @@ class Printed:
         quiet = gain[(cost <= self.tau_c) & gain.isfinite()]
         if config.tau_r == "calibrated" and len(quiet):
             self.tau_r = quantile(quiet, config.tau_r_quantile)
-        spread = {
-            f"{name}_{label}": quantile(values, q)
-            for name, values in (("gain", quiet), ("g_cost", cost), ("g_cost_free", free))
-            for label, q in (("median", 0.5), ("p90", 0.90), ("p95", 0.95))
-        }
+        spread = distributions(gain=quiet, g_cost=cost, g_cost_free=free)
         return {"tau_c": self.tau_c, "tau_r": self.tau_r, **spread, "safety_rate": float((cost > self.tau_c).float().mean())}
-
-
-def refitted(plans: Tensor, elite: Tensor, mean: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean and standard deviation [B, L, A] of those of the plans [B, E, L, A] that are elites [B, E]; of none: as they were."""
-    weight = elite.to(plans.dtype).view(*elite.shape, 1, 1)
-    total, some = weight.sum(1).clamp(min=1), elite.any(-1).view(-1, 1, 1)
-    centre = (weight * plans).sum(1) / total
-    spread = ((weight * (plans - centre.unsqueeze(1)).square()).sum(1) / total).sqrt().clamp(min=STD_FLOOR)
-    return torch.where(some, centre, mean), torch.where(some, spread, std)

@@ -46,3 +46,9 @@ def discounted_sum(signal: Tensor, gamma: float, keep: Tensor | None = None) -> 
 def quantile(values: Tensor, q: float) -> float:
     """Return a quantile of values [K]; NaN of nothing."""
     return float(torch.quantile(values, q)) if len(values) else float("nan")
+
+
+def distributions(**values: Tensor) -> dict[str, float]:
+    """Return median and upper tail of each of the values [K], as a calibration notes them."""
+    shares = (("median", 0.5), ("p90", 0.90), ("p95", 0.95))
+    return {f"{name}_{label}": quantile(each, q) for name, each in values.items() for label, q in shares}

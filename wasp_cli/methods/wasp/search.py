@@ -13,18 +13,14 @@ from torch import Tensor
 
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Scored
-from wasp_cli.methods.wasp.outcome import Plan
+from wasp_cli.methods.wasp.outcome import Plan, refitted
 from wasp_cli.metrics.episode import CUT_OFF
 
-STD_FLOOR = 0.05
-"""Keeps the sampling distribution from collapsing."""
 KEPT = 6
 """Elites that stay candidates of the next iteration."""
 FINALISTS = 4
 """Best plans by either score that are scored again. The best of some hundred estimates is biased: of the plans that look safe in the search
 most are not on other draws."""
-BEHIND = -1e4
-"""Ranking by S_task: an infeasible sequence stands behind all feasible ones."""
 
 
 def search(
@@ -36,7 +32,7 @@ def search(
     config: WASPConfig,
     tau_c: float,
     tau_r: float,
-    time_is_up: Callable[[], bool] | None = None,
+    time_is_up: Callable[[], bool],
 ) -> Plan:
     """Search residual sequences for B decisions.
 
@@ -54,19 +50,16 @@ def search(
     mean, std = known[:, -1], torch.full_like(known[:, -1], config.initial_std)
     everything: list[Scored] = []
     counts: list[Tensor] = []
-    kept: Scored | None = None
-    over = False
+    kept: list[Scored] = []
     for i in range(config.iterations):
-        over = bool(i) and time_is_up is not None and time_is_up()
-        if over:
+        if i and time_is_up():
             break
         # Sample candidates; beside them stand no residual, the mean, and what is known.
         sampled = (mean.unsqueeze(1) + std.unsqueeze(1) * normals[:, i]).clamp(-2, 2)
         certain = torch.stack([torch.zeros_like(mean), mean], 1) if i else torch.cat([torch.zeros_like(known[:, :1]), known], 1)
         batch = score(torch.cat([certain, sampled[:, certain.shape[1] :]], 1))
         everything.append(batch)
-        if kept is not None:
-            batch = Scored.joined([batch, kept])
+        batch = Scored.joined([batch, *kept])
 
         # Case I: enough safe candidates (Eq. 14), the elites are the best by S_task (Eq. 16). Case II: those of least S_safe (Eq. 17).
         s_task, s_safe, feasible = scores(batch, config.alpha, tau_c)
@@ -79,29 +72,22 @@ def search(
             ranking = torch.where(enough.unsqueeze(-1), by_task, -s_safe)
             wanted = torch.where(enough, counts[-1].clamp(max=config.elites), config.feasible)
 
-        # Refit the distribution to the elites; a decision without any keeps its own. A fixed number of ranks and a mask: no row borrows.
+        # Refit the distribution to the elites. A fixed number of ranks and a mask: no row borrows.
         top, order = ranking.sort(dim=-1, descending=True, stable=True)
         size = min(max(config.elites, config.feasible), order.shape[1])
-        elites = batch.take(order[:, :size])
-        weight = (torch.arange(size, device=order.device) < wanted.unsqueeze(-1)) & top[:, :size].isfinite()
-        part = weight.to(mean.dtype).view(*weight.shape, 1, 1)
-        some, total = weight.any(-1).view(-1, 1, 1), part.sum(1).clamp(min=1)
-        centre = (part * elites.residuals).sum(1) / total
-        spread = ((part * (elites.residuals - centre.unsqueeze(1)).square()).sum(1) / total).sqrt().clamp(min=STD_FLOOR)
-        mean, std = torch.where(some, centre, mean), torch.where(some, spread, std)
-        best = torch.arange(min(KEPT, size), device=order.device).expand(len(order), -1)
-        kept = elites.take(best)
+        elite = (torch.arange(size, device=order.device) < wanted.unsqueeze(-1)) & top[:, :size].isfinite()
+        mean, std = refitted(batch.take(order[:, :size]).residuals, elite, mean, std)
+        kept = [batch.take(order[:, : min(KEPT, size)])]
 
     # The best of all iterations by either score are scored again on fresh rollouts, beside the command alone.
     found = Scored.joined(everything)
-    if over or (time_is_up is not None and time_is_up()):
+    if time_is_up():
         finalists = Scored.joined([alone, found])
     else:
         s_task, s_safe, feasible = scores(found, config.alpha, tau_c)
-        by_task = torch.where(feasible, s_task, BEHIND - s_safe).nan_to_num(nan=2 * BEHIND, neginf=2 * BEHIND)
-        by_safe = (-s_safe).nan_to_num(nan=2 * BEHIND, neginf=2 * BEHIND)
         size = min(FINALISTS, found.residuals.shape[1])
-        index = torch.cat([by_task.topk(size, 1).indices, by_safe.topk(size, 1).indices], 1)
+        best = torch.where(feasible, s_task, -torch.inf).topk(size, 1), (-s_safe).topk(size, 1)
+        index = torch.cat([each.indices for each in best], 1)
         finalists = again(torch.cat([torch.zeros_like(mean).unsqueeze(1), found.take(index).residuals], 1))
     return _selected(finalists, counts, config, tau_c, tau_r)
 
