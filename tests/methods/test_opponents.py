@@ -1,0 +1,119 @@
+"""The opponents that are built of others: with the least correction, and IDA behind WASP's safety gate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.artifacts import tiny_artifacts
+from wasp_cli.learning.assistants import build_assistant, load_parts
+from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.methods.base import Assistant, Decision, Heldout, Parts
+from wasp_cli.methods.guarded import GuardedIDA
+from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE, GATE_SAFETY
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import EpisodeNoise, Operator
+from wasp_cli.tasks.motors import Motors
+
+B, COARSE = 64, Motors((0.3, 0.3))
+SMALL: dict[str, Any] = {"candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2, "horizon": 6}
+VOTE: dict[str, Any] = {"vote": 0.0}
+LEAST: dict[str, dict[str, Any]] = {"ida": VOTE, "diffusion": {}, "saferl": {}}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return tiny_artifacts(tmp_path_factory.mktemp("opponents"))
+
+
+@pytest.fixture
+def parts(folders: dict[str, Path]) -> Parts:
+    return load_parts(folders, ReturnsConfig(), motors=COARSE)
+
+
+def situation(parts: Parts) -> tuple[Latent, Tensor, Operator]:
+    source = torch.Generator().manual_seed(0)
+    rssm = parts.world_model.rssm
+    drawn = torch.randint(0, rssm.classes, (B, rssm.variables), generator=source)
+    latent = Latent(
+        torch.randn((B, rssm.deter), generator=source).tanh(), torch.nn.functional.one_hot(drawn, rssm.classes).float().flatten(1)
+    )
+    return latent, 2 * torch.rand((B, 2), generator=source) - 1, Operator(parts.skills.expert, 2, EpisodeNoise([0] * B), B)
+
+
+def decided(assistant: Assistant, parts: Parts, command: Tensor | None = None) -> Decision:
+    latent, a_h, operator = situation(parts)
+    assistant.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
+    with torch.inference_mode():
+        return assistant.decide(latent, a_h if command is None else command, operator)
+
+
+@pytest.mark.parametrize("name", LEAST)
+def test_the_least_correction_has_the_force_of_the_method_and_the_rest_of_the_command(parts: Parts, name: str) -> None:
+    a_h = situation(parts)[1]
+    whole = decided(build_assistant(name, LEAST[name], parts), parts)
+    least = decided(build_assistant(f"{name}-least", LEAST[name], parts), parts)
+    assert torch.equal(least.action, COARSE.least(a_h, whole.action))
+    force, wanted = (COARSE.force(each.action.numpy()) for each in (least, whole))
+    np.testing.assert_allclose(force, wanted, atol=1e-6)
+    same = torch.from_numpy(COARSE.force(a_h.numpy()) == wanted)
+    assert torch.equal(least.action[same], a_h[same])
+    assert same.any()
+    assert (least.action - a_h).norm() <= (whole.action - a_h).norm()
+
+
+def test_ida_acts_alone_where_what_it_does_is_safe(parts: Parts) -> None:
+    a_h = situation(parts)[1]
+    ida = decided(build_assistant("ida", VOTE, parts), parts)
+    guarded = decided(build_assistant("ida-guarded", SMALL | VOTE | {"tau_c": 1e6}, parts), parts)
+    assert torch.equal(guarded.action, COARSE.least(a_h, ida.action))
+    assert ida.record is not None
+    assert guarded.record is not None
+    assert torch.equal(guarded.record.gate, ida.record.gate)
+    assert set(guarded.record.gate.tolist()) == {GATE_NONE, GATE_METHOD}
+    assert torch.equal(guarded.record.signal, ida.record.signal)
+
+
+def test_the_safety_gate_looks_at_what_ida_decided(parts: Parts) -> None:
+    a_h = situation(parts)[1]
+    ida = decided(build_assistant("ida", VOTE, parts), parts)
+    guarded = decided(build_assistant("ida-guarded", SMALL | VOTE | {"tau_c": 1e-9}, parts), parts)
+    alone = build_assistant("wasp", SMALL | {"tau_c": 1e-9, "variant": "safety-only"}, parts)
+    behind = decided(alone, parts, COARSE.least(a_h, ida.action))
+    assert torch.equal(guarded.action, COARSE.least(a_h, behind.action))
+    assert guarded.record is not None
+    assert (guarded.record.gate == GATE_SAFETY).all()
+
+
+def test_ida_behind_the_gate_has_idas_threshold(parts: Parts) -> None:
+    latent, a_h, operator = situation(parts)
+    nothing = torch.zeros(B)
+    heldout = Heldout(latent, a_h, nothing, nothing, nothing, nothing)
+
+    def calibrated(name: str, config: dict[str, Any]) -> dict[str, float]:
+        assistant: Any = build_assistant(name, config, parts)
+        with torch.inference_mode():
+            return dict(assistant.calibrate(heldout, nothing, operator, 5))
+
+    ida, least = calibrated("ida", VOTE), calibrated("ida-least", VOTE)
+    guarded = calibrated("ida-guarded", SMALL | VOTE | {"tau_c": 2.0})
+    assert least == ida
+    assert guarded == ida | {"tau_c": 2.0}
+
+
+def test_ended_episodes_rest_behind_the_gate(parts: Parts) -> None:
+    assistant = build_assistant("ida-guarded", SMALL | {"vote": 0.99, "tau_c": 1e-9}, parts)
+    assert isinstance(assistant, GuardedIDA)
+    latent, a_h, operator = situation(parts)
+    assistant.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
+    resting = torch.arange(B) % 2 == 0
+    assistant.rest(resting)
+    with torch.inference_mode():
+        record = assistant.decide(latent, a_h, operator).record
+    assert record is not None
+    assert ((record.gate == GATE_SAFETY) == ~resting).all()
