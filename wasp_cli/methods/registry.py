@@ -182,22 +182,6 @@ METHODS: Registry[MethodInfo] = Registry(
             signal=_VOTE,
         ),
         MethodInfo(
-            "diffusion-least",
-            "Diffusion, least correction",
-            "wasp_cli.methods.least:diffusion",
-            "wasp_cli.methods.configs:DiffusionConfig",
-            ("denoiser",),
-            rule="Diffusion, but of all actions with the force of its own the one closest to the command is executed.",
-        ),
-        MethodInfo(
-            "saferl-least",
-            "SafeRL-Res, least correction",
-            "wasp_cli.methods.least:saferl",
-            "wasp_cli.methods.configs:SafeRLConfig",
-            ("residual",),
-            rule="SafeRL-Res, but of all actions with the force of its own the one closest to the command is executed.",
-        ),
-        MethodInfo(
             "expert",
             "Expert",
             "wasp_cli.methods.human:HumanOnly",
