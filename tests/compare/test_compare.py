@@ -160,7 +160,7 @@ def test_few_episodes_cannot_show_a_difference_in_one_cell_among_many(first: Sid
     assert summary is not None
     cost = [each for row in summary.rows for column, each in zip(summary.columns, row.values, strict=True) if column.key == "cost"]
     assert all(each.interval is not None and each.interval.low > 0 for each in cost)
-    assert {each.interval.unit for each in cost if each.interval} == {"seed"}
+    assert {each.interval.unit for each in cost if each.interval} == {"training"}
 
 
 def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path) -> None:

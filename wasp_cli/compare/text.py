@@ -72,7 +72,8 @@ def summary_table(compared: Compared) -> Table | None:
             labels = (task_title(each.task), name, f"{each.differing} of {each.cells}")
             rows.append(Row(labels, tuple(_value(each.estimates[column.key]) for column in COLUMNS)))
     meanings = (
-        "Second minus first over all cells that both have, with 95 % intervals over seeds, or over worlds where there is one seed.",
+        "Second minus first over all cells that both have, with a 95 % interval over trainings: of one over its worlds, of two or three "
+        "no more than their range.",
     )
     return Table(
         "summary", "Difference of each assistant", ("Task", "Method", "Cells"), COLUMNS, tuple(rows), (), meanings, ranked=False

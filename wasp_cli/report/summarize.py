@@ -172,7 +172,7 @@ def wanted_cells(
             refused = error.message
         failure = _failure(layout, key, damaged) if key in failed else None
         label = str(cell) if kind == KIND else f"{kind} of {cell}"
-        return Wanted(identity_of(cell), label, path, cell.severity, failure, blocked.get(key), refused, branches)
+        return Wanted(identity_of(cell), label, path, cell.severity, failure, blocked.get(key), refused, branches, spec.training_seed)
 
     judged = {cell: wanted(cell, key, COUNTERFACTUAL) for cell, key in branched}
     return [wanted(cell, key, KIND, judged.get(cell)) for cell, key in cells], damaged

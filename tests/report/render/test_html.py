@@ -46,7 +46,7 @@ class Reader(HTMLParser):
 
 
 def test_numbers_to_sort_by() -> None:
-    values = (Value(1 / 3, interval=Interval(-0.25, 0.5, "seed", 3)), Value(None))
+    values = (Value(1 / 3, interval=Interval(-0.25, 0.5, "training", 3)), Value(None))
     reader = Reader(html(Table("t", "T", ("Task",), (Column("a", "A", "up", digits=1), Column("b", "B")), (Row(("x",), values),))))
     first, second = reader.all("td")
     assert first == {

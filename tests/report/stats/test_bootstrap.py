@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -153,7 +153,7 @@ def test_several_seeds_resample_seeds(key: str) -> None:
     assert found is not None
     assert found.value == pytest.approx(mean(list(wins.values())))
     assert found.interval is not None
-    assert (found.interval.unit, found.interval.clusters) == ("seed", 3)
+    assert (found.interval.unit, found.interval.clusters) == ("training", 3)
 
 
 @pytest.mark.parametrize("seeds", [[2], [0, 1, 2, 3]])
@@ -164,6 +164,23 @@ def test_the_number_is_the_one_of_the_tables(seeds: list[int]) -> None:
         assert middle is not None
         assert change is not None
         assert (middle.value, change.value) == (summarise(own, key).mean, paired_difference(own, other, key))
+
+
+def test_seeds_that_share_a_training_are_resampled_by_world() -> None:
+    own, other = ([replace(each, chain_seed=0) for each in made([4, 5], method)] for method in ("ida", "human"))
+    draws = world_draws(own)
+
+    def means(numbers: Callable[[int, dict[float, float]], float]) -> list[float]:
+        return [mean([mean([numbers(i, times) for i in part]) for part in (range(3), range(3, 6))]) for times in draws]
+
+    found = mean_of(own[:4], "return")
+    assert interval(mean_of(own, "return")) == pytest.approx(limits(means(lambda i, times: ratio(own[i], "return", times))))
+    changes = means(lambda i, times: ratio(own[i], "return", times) - ratio(other[i], "return", times))
+    assert interval(difference_of(own, other, "return")) == pytest.approx(limits(changes))
+    assert found is not None
+    assert found.interval is not None
+    assert found.interval.words == "95 % interval over 14 worlds"
+    assert found.interval.low < found.value < found.interval.high
 
 
 def test_agrees_with_scipy() -> None:

@@ -76,7 +76,7 @@ def test_rates_have_intervals_like_other_columns(grid: Grid) -> None:
     assert estimate is not None
     assert estimate.interval is not None
     assert estimate.interval.low <= estimate.value <= estimate.interval.high
-    assert (estimate.interval.unit, estimate.interval.clusters) == ("seed", 2)
+    assert (estimate.interval.unit, estimate.interval.clusters) == ("training", 2)
 
 
 def test_a_cell_without_interventions_defines_nothing(grid: Grid) -> None:

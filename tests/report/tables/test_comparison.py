@@ -80,10 +80,17 @@ def test_the_best_other_method_is_one_per_measure(frame: Frame) -> None:
 
 def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
     three = found(comparison_table(frame)).notes
-    assert "Resampled are 3 seeds, each with its models and worlds; 10 resamples differ, so they are coarse." in three
+    assert (
+        "[low, high]: range of three trainings, by a bootstrap with 2000 resamples of the trainings, each with its models and worlds; "
+        "10 resamples differ, so they are coarse."
+    ) in three
+    assert not any("95 %" in note for note in three)
     assert "These are 80 intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts." in three
     one = found(comparison_table(read_frame(grid(seeds=(0,))))).notes
-    assert any(note.startswith("Resampled are the 4 worlds of one seed: ") for note in one)
+    assert any(note.startswith("[low, high]: 95 % interval over 4 worlds, ") and "not retraining" in note for note in one)
+    together = read_frame([replace(cell, chain_seed=7) for cell in grid()])
+    (note,) = [note for note in found(comparison_table(together)).notes if "[low, high]" in note]
+    assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")  # every invented seed has the same four
     single = found(comparison_table(read_frame(grid(seeds=(0,), episodes=1))))
     assert "No intervals: there is a single world to resample." in single.notes
     assert all(each.interval is None for row in single.rows for each in row.values)

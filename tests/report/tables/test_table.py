@@ -14,7 +14,7 @@ from wasp_cli.report.tables.table import Column, Row, Table
 RETURN = Column("return", "Return", "up")
 COST = Column("cost", "Cost", "down", digits=1)
 
-NARROW = Interval(-0.1, 0.6, "seed", 3)
+NARROW = Interval(-0.1, 0.6, "training", 3)
 
 
 def table(*rows: Row, columns: tuple[Column, ...] = (RETURN, COST), notes: tuple[str, ...] = ()) -> Table:

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from wasp_cli.plan.reasons import few
-from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of
+from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin
 from wasp_cli.report.render.files import rendered
 from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.stats.bootstrap import Estimate
+from wasp_cli.report.stats.hierarchical import Limits
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.report.tables.necessity import MEANS as NECESSITY
@@ -31,7 +32,7 @@ SIDES = {
     "lower": "below", "not_higher": "at most", "at_most": "at most",
     "higher": "above", "not_lower": "at least", "at_least": "at least",
 }  # fmt: skip
-HEADINGS = ("Task", "Measure", "Left", "Right", "Difference (95 %)", "Needed", "Outcome", "In the paper")
+HEADINGS = ("Task", "Measure", "Left", "Right", "Contrast (interval)", "t interval", "Needed", "Outcome", "In the paper")
 SAID = 70
 """Characters of a claim that is only named."""
 Cell = tuple[str, float | None]
@@ -120,21 +121,33 @@ def sentence(answer: Answer) -> str:
     what = f"{task_title(asked.task)} {column.title}"
     if asked.right is not None:
         sides.append(f"{title_of(asked.right)} {column.number(answer.right)}")
-    difference = "" if asked.right is None else f"; difference {column.number(answer.estimate.value if answer.estimate else None, True)}"
-    return f"{what}: {', '.join(sides)}{difference}{interval_text(answer)}, needed: {needed(answer)}"
+    t = f"; t {limits}" if (limits := t_text(answer)) else ""
+    return f"{what}: {', '.join(sides)}; {contrast_text(answer)}{t}, needed: {needed(answer)}"
 
 
-def interval_text(answer: Answer) -> str:
-    """Print the interval of what is held against the threshold, in brackets."""
-    column, signed = COLUMN_OF[answer.asked.column], answer.asked.right is not None
-    interval = answer.estimate.interval if answer.estimate else None
-    return " (no interval)" if interval is None else f" ({column.number(interval.low, signed)} to {column.number(interval.high, signed)})"
+def contrast_text(answer: Answer) -> str:
+    """Print the contrast, with its interval in brackets."""
+    if answer.contrast is None:
+        return ""
+    value = COLUMN_OF[answer.asked.column].number(answer.contrast.value, True)
+    return f"{value} ({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
+
+
+def t_text(answer: Answer) -> str:
+    """Print the t interval of the trainings; empty with one training."""
+    return _limits(answer, answer.contrast.t if answer.contrast else None)
+
+
+def _limits(answer: Answer, limits: Limits | None) -> str:
+    return "" if limits is None else " to ".join(COLUMN_OF[answer.asked.column].number(limit, True) for limit in limits)
 
 
 def needed(answer: Answer) -> str:
-    """Say where the interval has to lie."""
-    shown = COLUMN_OF[answer.asked.column].number(answer.threshold, answer.asked.right is not None) if answer.threshold else "0"
-    return f"{SIDES[answer.asked.relation]} {shown}"
+    """Write the contrast out, and say where its interval has to lie."""
+    asked = answer.asked
+    other = "right" if asked.bound is None else COLUMN_OF[asked.column].number(asked.bound)
+    margin = f" {'+' if signed_margin(asked) < 0 else '-'} {asked.margin:g} |right|" if asked.margin else ""
+    return f"left - {other}{margin} {SIDES[asked.relation]} 0"
 
 
 def answered(answer: Answer) -> str:
@@ -232,23 +245,22 @@ def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
 
 
 def _second(answer: Answer) -> str:
-    """Put a comparison of a further row into a cell: its outcome, and the difference or value behind it."""
+    """Put a comparison of a further row into a cell: its outcome, and the contrast behind it."""
     if answer.outcome == "untested":
         return ""
-    number = COLUMN_OF[answer.asked.column].number(answer.estimate.value if answer.estimate else None, answer.asked.right is not None)
-    return f"{PLAIN[answer.outcome]}: {number}{interval_text(answer)}"
+    return f"{PLAIN[answer.outcome]}: {contrast_text(answer)}"
 
 
 def _cells(answer: Answer, before: str) -> list[Cell]:
     asked, column = answer.asked, COLUMN_OF[answer.asked.column]
-    value = answer.estimate.value if answer.estimate else None
     return [
         (before + task_title(asked.task), None),
         (column.title, None),
         (f"{title_of(asked.left)} {column.number(answer.left)}", answer.left),
         ("" if asked.right is None else f"{title_of(asked.right)} {column.number(answer.right)}", answer.right),
-        (f"{column.number(value, asked.right is not None)}{interval_text(answer)}", value),
-        (needed(answer), answer.threshold),
+        (contrast_text(answer), answer.contrast.value if answer.contrast else None),
+        (t_text(answer), None),
+        (needed(answer), None),
         (PLAIN[answer.outcome], None),
         (printed(answer), None),
     ]
@@ -259,7 +271,7 @@ COLUMN_OF = {column.key: column for column in (*PAPER_COLUMNS, *MORE_COLUMNS, *A
 PRINTED_DIGITS = 2
 LABELS = ("Table", "Task", "Method")
 MEANINGS = (
-    "paper: as it prints it. here: our mean [95 % interval] (our mean minus the paper's).",
+    "paper: as it prints it. here: our mean [low, high] (our mean minus the paper's), with the limits of table `statistics`.",
     "The paper does not say what its ± is taken over, and its models, severities and episodes are others: numbers show the size of an "
     "effect, and the claims its direction.",
 )

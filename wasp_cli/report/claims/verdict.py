@@ -1,11 +1,16 @@
 """What a report says of a paper: each printed number beside ours, and whether each claim holds.
 
-A comparison holds when the 95 % interval of its paired difference (`stats.bootstrap`) lies on the right side of a threshold, does not
-hold when the interval lies on the wrong side, and is undecided when the threshold is within:
+A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`stats.hierarchical`):
 
-    lower, higher              threshold 0, or the margin times the right side's mean; strictly beyond it
-    not_lower, not_higher      the same on the other side, up to and with the threshold
-    at_least, at_most          the interval of the left side against the bound
+    lower                      left - right + margin |right| < 0
+    higher                     left - right - margin |right| > 0
+    not_lower                  left - right + margin |right| >= 0
+    not_higher                 left - right - margin |right| <= 0
+    at_least, at_most          left - bound >= 0, left - bound <= 0
+
+It holds when the whole interval of the contrast has that sign, does not hold when the whole interval has the other, and is undecided
+when 0 is within. The interval is that of a hierarchical bootstrap over trainings and worlds, nominally 95 %. Of few trainings it is too
+narrow: the t interval of the trainings' contrasts stands beside it as a warning, and decides nothing.
 
 A claim holds when all of its questions do, and does not hold when one does not. One whose rows are not all there is not tested; what
 the others say is kept beside it. With the models of a single training a verdict is about these models, and says so.
@@ -21,16 +26,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.stats.bootstrap import Estimate, difference_of, mean_of
+from wasp_cli.report.stats.bootstrap import Estimate, mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups
-from wasp_cli.report.stats.summary import Interval
+from wasp_cli.report.stats.hierarchical import Contrast, Limits, contrast_of
 from wasp_cli.report.tables.titles import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
 
 Outcome = Literal["holds", "fails", "undecided", "untested"]
-COARSE = 3
-"""Seeds up to which an interval reaches from the least seed to the largest: one resample in 27 draws the same of three every time."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +45,8 @@ class Answer:
     left: float | None = None
     right: float | None = None
     """Our means."""
-    estimate: Estimate | None = None
-    """left - right over the conditions that both have; the left side itself where it is held against a bound."""
-    threshold: float | None = None
-    """What the interval is held against."""
+    contrast: Contrast | None = None
+    """Over the conditions that both have; its interval is held against 0."""
     reason: str = ""
     """Why it is not tested; empty where its task is not here at all."""
     printed: tuple[Printed | None, Printed | None] = (None, None)
@@ -120,7 +121,6 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
     """
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
-    shared = spec is not None and spec.training_seed is not None
     others = tuple(Who(name, variant) for name, info in METHODS.items() for variant in info.rows if rows.has(Who(name, variant)))
     judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
@@ -129,23 +129,28 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
         claims=tuple(replace(found, others=tuple(_judged_by(rows, paper, found.claim, who) for who in others)) for found in judged),
         tasks=rows.tasks,
         seeds=seeds,
-        one_training=seeds == 1 or shared,
+        one_training=len({cell.training for cell in frame.cells}) == 1,
         notes=tuple(_notes(frame, _absent(rows, paper), seeds, spec)),
         others=others,
     )
 
 
-def decide(interval: Interval | None, threshold: float, relation: Relation) -> Outcome:
-    """Apply the rule to one comparison; undecided without an interval."""
+def decide(interval: Limits | None, relation: Relation) -> Outcome:
+    """Apply the rule to the interval of a contrast; undecided without an interval."""
     if interval is None:
         return "undecided"
-    low, high = interval.low, interval.high
+    low, high = interval
     if relation in ("higher", "not_lower", "at_least"):
-        low, high, threshold = -high, -low, -threshold
-    if low > threshold:
+        low, high = -high, -low
+    if low > 0:
         return "fails"
-    beyond = high < threshold if relation in ("lower", "higher") else high <= threshold
+    beyond = high < 0 if relation in ("lower", "higher") else high <= 0
     return "holds" if beyond else "undecided"
+
+
+def signed_margin(asked: Comparison) -> float:
+    """Return the share of |right| that a contrast takes off left - right; negative where it puts it on."""
+    return asked.margin if asked.relation in ("higher", "not_higher") else -asked.margin
 
 
 def any_of(answers: Sequence[Answer]) -> Outcome:
@@ -173,7 +178,7 @@ class _Rows:
         self.tasks = tuple(dict.fromkeys(group.task for group in found))
         self._groups = {(group.task, Who(group.method, group.assistant_variant)): group for group in found}
         self._means: dict[tuple[str, Who, str], Estimate | None] = {}
-        self._differences: dict[tuple[str, Who, Who, str], Estimate | None] = {}
+        self._contrasts: dict[Comparison, Contrast | None] = {}
 
     def group(self, task: str, who: Who) -> Group | None:
         return self._groups.get((task, who))
@@ -189,13 +194,14 @@ class _Rows:
             self._means[place] = None if group is None else mean_of(group.cells, column)
         return self._means[place]
 
-    def difference(self, task: str, left: Who, right: Who, column: str) -> Estimate | None:
-        """None where they have no condition in common."""
-        place = (task, left, right, column)
-        if place not in self._differences:
-            own, other = self.group(task, left), self.group(task, right)
-            self._differences[place] = None if own is None or other is None else difference_of(own.cells, other.cells, column)
-        return self._differences[place]
+    def contrast(self, asked: Comparison) -> Contrast | None:
+        """None where the sides have no condition in common."""
+        if asked not in self._contrasts:
+            own, other = (who and self.group(asked.task, who) for who in (asked.left, asked.right))
+            against = asked.bound if other is None else other.cells
+            found = None if own is None or against is None else contrast_of(own.cells, against, asked.column, signed_margin(asked))
+            self._contrasts[asked] = found
+        return self._contrasts[asked]
 
     def lack(self, task: str, who: Who) -> str:
         """Why a row says nothing, or not all; empty where it is complete."""
@@ -237,25 +243,14 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
         pairs = zip(means, sides, strict=True)
         lacking = [f"{task_title(asked.task)} {who} has no `{asked.column}`" for mean, who in pairs if mean is None]
     left, right = means[0], means[1] if asked.right is not None else None
-    estimate = left if asked.right is None else None
-    if not lacking and asked.right is not None:
-        estimate = rows.difference(asked.task, asked.left, asked.right, asked.column)
-        if estimate is None:
-            lacking = [f"{task_title(asked.task)} {asked.left} and {asked.right} have no operator and seed in common"]
+    contrast = None if lacking else rows.contrast(asked)
+    if not lacking and contrast is None:
+        lacking = [f"{task_title(asked.task)} {asked.left} and {asked.right} have no operator and seed in common"]
     values = left.value if left else None, right.value if right else None
-    if lacking or estimate is None:
+    if contrast is None:
         return Answer(asked, "untested", *values, reason="; ".join(dict.fromkeys(lacking)), printed=printed, shown_in_print=shown)
-    threshold = _threshold(asked, right.value if right else None)
-    outcome = decide(estimate.interval, threshold, asked.relation)
-    return Answer(asked, outcome, *values, estimate, threshold, printed=printed, shown_in_print=shown)
-
-
-def _threshold(asked: Comparison, right: float | None) -> float:
-    """What the difference, or the left side, is held against."""
-    if asked.bound is not None:
-        return asked.bound
-    room = asked.margin * abs(right or 0.0)
-    return room if asked.relation in ("higher", "not_higher") else -room
+    outcome = decide(contrast.bootstrap, asked.relation)
+    return Answer(asked, outcome, *values, contrast, printed=printed, shown_in_print=shown)
 
 
 def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | None) -> bool | None:
@@ -263,9 +258,9 @@ def _shown_in_print(asked: Comparison, left: Printed | None, right: Printed | No
     if left is None or (right is None and asked.right is not None):
         return None
     # To nine digits: 0.3 - 0.1 is not 0.2 to a computer.
-    found = round(left.mean - (right.mean if right is not None else 0.0), 9)
-    threshold = round(_threshold(asked, right.mean if right is not None else None), 9)
-    return decide(Interval(found, found, "seed", 1), threshold, asked.relation) == "holds"
+    other = right.mean if right is not None else asked.bound or 0.0
+    found = round(left.mean - other - signed_margin(asked) * abs(other), 9)
+    return decide((found, found), asked.relation) == "holds"
 
 
 def _beside(rows: _Rows, paper: Paper) -> Iterable[Beside]:
@@ -298,15 +293,14 @@ def _notes(frame: Frame, absent: list[str], seeds: int, spec: Spec | None) -> It
         yield "One seed: intervals resample its worlds, so every verdict is about these models. Add seeds to cover retraining."
     elif spec is not None and spec.training_seed is not None:
         yield f"All seeds share the models of training seed {spec.training_seed}, so every verdict is about these models."
-    elif 1 < seeds <= COARSE:
-        chance = 2 ** (seeds - 1)
+    elif seeds > 1:
         yield (
-            f"{seeds} seeds: an interval reaches from the least seed to the largest, so a comparison is decided when all seeds agree. "
-            f"Without any difference chance alone lets {seeds} seeds agree once in {chance} times."
+            f"Intervals resample the {seeds} trainings and the worlds of each. Of few trainings they are too narrow: the t interval beside "
+            "them says how little the trainings alone show."
         )
     if spec is not None and spec.preset != "paper":
         yield f"Preset `{spec.preset}` has smaller models and budgets than the paper: what does not hold here may hold there."
     if frame.missing:
         are = "is" if len(frame.missing) == 1 else "are"
         yield f"{len(frame.missing)} of {len(frame.order)} cells {are} missing; claims about the rows of such cells are not tested."
-    yield "Intervals are of 95 % each, without a correction for the number of comparisons. The margins are ours: the paper states none."
+    yield "Each interval is nominally of 95 %, uncorrected for the number of comparisons. The margins are ours: the paper states none."

@@ -40,7 +40,7 @@ CAPTIONS = {
     "cost_return": "Cost against return of every method: large marks are means over the operators, with the spread over seeds, small ones "
     "single operators.",
     "figure3": "What the interventions were worth: how many costly decisions would have followed without them, and what they changed; bars "
-    "are 95 % intervals.",
+    "are the limits of the table.",
     "severity": "Return, cost and intervention rate under every operator and severity; bars are standard deviations over seeds.",
     "latency": "Time of a decision: the median, and the 95th percentile as a bar. The episodes of a cell are decided side by side.",
     "learning": "Learning curves: what learns in the task, and the losses of the world model (means of neighbouring points).",

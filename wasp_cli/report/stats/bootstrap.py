@@ -1,16 +1,16 @@
-"""Intervals of what a table says: a seeded cluster bootstrap over seeds, or over worlds where there is one seed.
+"""Intervals of what a table says: a seeded cluster bootstrap over trainings, or over worlds where there is one training.
 
-What is resampled is a cluster with everything in it. Episodes of one seed share its trained models and are not independent, so the
-seeds are the clusters where there are two or more. One seed says nothing of another training; then the worlds are the clusters, each
+What is resampled is a cluster with everything in it. Episodes of one training share its models and are not independent, so the
+trainings are the clusters where there are two or more. One says nothing of another; then the worlds are the clusters, each
 with its episodes under all operators and, in a difference, under both methods, and rates are ratios of sums in every resample.
-An interval is one of percentiles: 95 % of RESAMPLES resamples lie within. The draws depend on SEED and on the number of clusters
-alone, so the same rows give the same interval on every machine.
+The limits are percentiles: 95 % of RESAMPLES resamples lie within. Of two or three clusters these are the least and the largest: a range.
+The draws depend on SEED and on the number of clusters alone, so the same rows give the same interval on every machine.
 
 Letters: R resamples, K clusters, C cells, E episodes. `cells` are those of one row of a table (one task); a cell that does not
 define a column is left out of it.
 
     estimate = difference_of(wasp.cells, human.cells, "cost")
-    estimate.value, estimate.interval       -21.4, Interval(low=-26.0, high=-15.8, unit="seed", clusters=3)
+    estimate.value, estimate.interval       -21.4, Interval(low=-26.0, high=-15.8, unit="training", clusters=3)
 """
 
 from __future__ import annotations
@@ -49,24 +49,24 @@ class Estimate:
 class _Clusters:
     """What is resampled, in ascending order."""
 
-    unit: Literal["seed", "world"]
+    unit: Literal["training", "world"]
     names: Floats
-    """[K] the seeds, or the seeds of the worlds"""
+    """[K] the seeds of the trainings, or of the worlds"""
 
     @classmethod
-    def of(cls, cells: Sequence[CellNumbers]) -> _Clusters:
-        seeds = np.unique([float(cell.identity.seed) for cell in cells])
-        if len(seeds) > 1:
-            return cls("seed", seeds)
-        return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in cells])))
+    def of(cls, cells: Sequence[CellNumbers], others: Sequence[CellNumbers] = ()) -> _Clusters:
+        trainings = np.unique([float(cell.training) for cell in cells])
+        if len(trainings) > 1:
+            return cls("training", trainings)
+        return cls("world", np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])))
 
     def place(self, names: Floats | Sequence[float]) -> Places:
         """The index of each name."""
         return np.searchsorted(self.names, names)
 
-    def seeds(self, cells: Sequence[CellNumbers]) -> Places:
-        """[C] the index of the seed of each cell."""
-        return self.place([float(cell.identity.seed) for cell in cells])
+    def trainings(self, cells: Sequence[CellNumbers]) -> Places:
+        """[C] the index of the training of each cell."""
+        return self.place([float(cell.training) for cell in cells])
 
     def estimate(self, value: float, statistic: Callable[[Floats], Floats]) -> Estimate:
         """A number with the interval of `statistic`: how often each cluster was drawn [R, K] -> [R], NaN where it is undefined."""
@@ -103,7 +103,7 @@ def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     if value is None:
         return None
     clusters = _Clusters.of(cells)
-    return clusters.estimate(value, lambda counts: _mean(*_by_seed(clusters, counts, cells, _pooled(clusters, counts, cells, key))))
+    return clusters.estimate(value, lambda counts: _mean(*_by_training(clusters, counts, cells, _pooled(clusters, counts, cells, key))))
 
 
 def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
@@ -118,7 +118,7 @@ def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     clusters = _Clusters.of(cells)
 
     def statistic(counts: Floats) -> Floats:
-        times = counts.T[clusters.seeds(cells)] if clusters.unit == "seed" else np.ones((len(cells), len(counts)))
+        times = counts.T[clusters.trainings(cells)] if clusters.unit == "training" else np.ones((len(cells), len(counts)))
         return _middle_mean(_pooled(clusters, counts, cells, key), times)
 
     return clusters.found(statistic)
@@ -130,11 +130,11 @@ def difference_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
     if value is None:
         return None
     own, other = _pairs(cells, reference, key)
-    clusters = _Clusters.of([*own, *other])
+    clusters = _Clusters.of(own, other)
 
     def statistic(counts: Floats) -> Floats:
         numbers = _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key)
-        return _mean(*_by_seed(clusters, counts, own, numbers))
+        return _mean(*_by_training(clusters, counts, own, numbers))
 
     return clusters.estimate(value, statistic)
 
@@ -150,18 +150,18 @@ def improvement_over(
     own, other = _pairs(cells, reference, key)
     if not own:
         return None
-    clusters = _Clusters.of([*own, *other])
+    clusters = _Clusters.of(own, other)
     sign = 1.0 if better == "up" else -1.0
     pairs = [(sign * one.episodes[key], sign * two.episodes[key]) for one, two in zip(own, other, strict=True)]
-    if clusters.unit == "seed":
+    if clusters.unit == "training":
         numbers = np.array([[_superiority(*pair) for pair in pairs]])
-        return clusters.found(lambda counts: _mean(*_by_seed(clusters, counts, own, numbers)))
+        return clusters.found(lambda counts: _mean(*_by_training(clusters, counts, own, numbers)))
     places = [(clusters.place(one.episodes["world"]), clusters.place(two.episodes["world"])) for one, two in zip(own, other, strict=True)]
     won = [_by_world(*pair, *place, len(clusters.names)) for pair, place in zip(pairs, places, strict=True)]
 
     def statistic(counts: Floats) -> Floats:
         numbers = [_ratio(*(((counts @ sums) * counts).sum(1) for sums in each)) for each in won]
-        return _mean(*_by_seed(clusters, counts, own, np.stack(numbers, 1)))
+        return _mean(*_by_training(clusters, counts, own, np.stack(numbers, 1)))
 
     return clusters.found(statistic)
 
@@ -194,8 +194,8 @@ def _pairs(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: 
 
 
 def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str) -> Floats:
-    """The pooled column of every cell, NaN where undefined: [1, C] where seeds are drawn, which leave a cell as it is; else [R, C]."""
-    if clusters.unit == "seed":
+    """The pooled column of every cell, NaN where undefined: [1, C] where trainings are drawn, which leave a cell as it is; else [R, C]."""
+    if clusters.unit == "training":
         return np.array([[cell.pooled[key] for cell in cells]])
     sums = np.zeros((2, len(clusters.names), len(cells)))
     for c, cell in enumerate(cells):
@@ -205,11 +205,12 @@ def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], k
     return _ratio(counts @ sums[0], counts @ sums[1])
 
 
-def _by_seed(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> tuple[Floats, Floats]:
-    """What a mean is made of in every resample, and how often: the means [1, K] of the seeds, or the cells [R, C] of the one seed."""
+def _by_training(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats) -> tuple[Floats, Floats]:
+    """What a mean is made of in every resample, and how often: the means [1, K] of the trainings, or the cells [R, C] of the only one."""
     if clusters.unit == "world":
-        return numbers, np.ones(numbers.shape)
-    place = clusters.seeds(cells)
+        _, seed, many = np.unique([cell.identity.seed for cell in cells], return_inverse=True, return_counts=True)
+        return numbers, np.broadcast_to(1.0 / many[seed], numbers.shape)  # seeds count alike, as in `summarise`
+    place = clusters.trainings(cells)
     return (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
 
 

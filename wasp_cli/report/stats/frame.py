@@ -69,6 +69,8 @@ class Wanted:
     """Why its file is not read though it may be there."""
     branches: Wanted | None = None
     """Its counterfactual branches, where somebody asked for them: the same of their table."""
+    chain_seed: int | None = None
+    """The seed of the training whose models it uses; None: the cell's own seed."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,12 @@ class CellNumbers:
     """[E] per column of WEIGHT_OF, its weights, TIMES, and `world`: the episode's seed, which is that of the same world under every
     assistant and operator of a task and seed. NaN is undefined. Views into one array for all cells of a frame: do not write."""
     thresholds: Thresholds = field(default_factory=Thresholds)
+    chain_seed: int | None = None
+
+    @property
+    def training(self) -> int:
+        """Return the seed of the training whose models it uses: cells of several seeds share one where the spec has `training_seed`."""
+        return self.identity.seed if self.chain_seed is None else self.chain_seed
 
     @property
     def count(self) -> int:
@@ -280,7 +288,7 @@ def pool_cells(found: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
         episodes = {name: values[part] for name, values in columns.items()}
         of_cell = {name: float(values[i]) for name, values in pooled.items()}
         of_cell |= {name: _median(episodes[name]) for name in TIMES}
-        cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds))
+        cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds, cell.chain_seed))
     return cells
 
 

@@ -4,6 +4,7 @@ The contrast of training s is left - right - margin x |right|, each side the mea
 pooled over worlds; a negative margin asks for that much less, a positive one allows or asks for that much more. A resample draws S of
 S trainings with replacement, and for each drawn training anew as many of its worlds as it has; a world brings its episodes under all
 operators and both methods. 95 % of RESAMPLES resamples lie within the interval of percentiles. With one training only worlds are drawn.
+Evaluation seeds that share a training's models (`training_seed`) are one training, with the worlds of all of them.
 The t interval, mean -+ t(.975, S - 1) sd / sqrt(S) of the S contrasts, shows how little a few trainings say.
 """
 
@@ -11,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,24 +30,33 @@ class Contrast:
 
     value: float
     trainings: tuple[float, ...]
-    """The contrast of each training, in the order of the seeds."""
+    """The contrast of each training, in the order of their seeds."""
     bootstrap: Limits | None
     t: Limits | None
 
 
-def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str, margin: float = 0.0) -> Contrast | None:
-    """Return the contrast of the cells to those of a reference under the same conditions; None where they share none."""
+def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] | float, key: str, margin: float = 0.0) -> Contrast | None:
+    """Return the contrast of the cells to a number, or to a reference's cells under the same conditions; None where they share none."""
+    if isinstance(reference, float):
+        reference = [_constant(cell, key, reference) for cell in cells if key in cell.episodes]
     defined = ([cell for cell in side if not math.isnan(cell.pooled.get(key, math.nan))] for side in (cells, reference))
     own, other = ({condition(cell.identity): cell for cell in side} for side in defined)
     shared = sorted(own.keys() & other.keys(), key=repr)
-    seeds = sorted({place[3] for place in shared})
+    seeds = sorted({own[place].training for place in shared})
     if not seeds:
         return None
-    pairs = [[(own[place], other[place]) for place in shared if place[3] == seed] for seed in seeds]
+    pairs = [[(own[place], other[place]) for place in shared if own[place].training == seed] for seed in seeds]
     trainings = [_Training(each, key, margin) for each in pairs]
     values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
     limits = _percentiles(_resampled(trainings))
     return Contrast(float(np.mean(values)), tuple(values), limits if len(seeds) > 1 or trainings[0].worlds > 1 else None, t_limits(values))
+
+
+def _constant(cell: CellNumbers, key: str, number: float) -> CellNumbers:
+    """The cell with a number for every defined value of a column."""
+    column, pooled = cell.episodes[key], cell.pooled.get(key, math.nan)
+    changed = {key: np.where(np.isnan(column), math.nan, number)}
+    return replace(cell, episodes={**cell.episodes, **changed}, pooled={key: math.nan if math.isnan(pooled) else number})
 
 
 class _Training:
@@ -54,12 +65,14 @@ class _Training:
     def __init__(self, pairs: Sequence[tuple[CellNumbers, CellNumbers]], key: str, margin: float) -> None:
         names = np.unique(np.concatenate([cell.episodes["world"] for pair in pairs for cell in pair]))
         self.worlds, self.margin = len(names), margin
-        self.sums = np.zeros((2, 2, len(names), len(pairs)))
-        for c, pair in enumerate(pairs):
+        conditions = list(dict.fromkeys(condition(own.identity)[:3] for own, _ in pairs))  # seeds that share the training are one
+        self.sums = np.zeros((2, 2, len(names), len(conditions)))
+        for pair in pairs:
+            c = conditions.index(condition(pair[0].identity)[:3])
             for side, cell in enumerate(pair):
                 place = np.searchsorted(names, cell.episodes["world"])
                 for part, weights in enumerate(cell.weighted(key)):
-                    self.sums[side, part, :, c] = np.bincount(place, weights, len(names))
+                    self.sums[side, part, :, c] += np.bincount(place, weights, len(names))
 
     def contrast(self, counts: Floats) -> Floats:
         """[R] the contrast when each world counts so often [R, K]; conditions that a side leaves undefined do not count."""
@@ -74,16 +87,23 @@ class _Training:
 
 def _resampled(trainings: Sequence[_Training]) -> Floats:
     """[R] the mean contrast of every resample; resamples that a drawn training leaves undefined are NaN."""
-    draws, total = np.random.PCG64(SEED), np.zeros(RESAMPLES)
-    for _ in trainings:
-        picks = _below(draws, len(trainings), 1)[:, 0]
-        for s, training in enumerate(trainings):
-            worlds = _below(draws, training.worlds, training.worlds)
-            rows = np.arange(RESAMPLES)[:, None] * training.worlds
-            counts = np.bincount((rows + worlds).ravel(), minlength=rows.size * training.worlds).reshape(RESAMPLES, -1)
-            chosen = picks == s
-            total[chosen] += training.contrast(counts[chosen].astype(np.float64))
+    total = np.zeros(RESAMPLES)
+    for s, chosen, counts in _drawn(tuple(training.worlds for training in trainings)):
+        total[chosen] += trainings[s].contrast(counts)
     return total / len(trainings)
+
+
+@lru_cache(maxsize=8)
+def _drawn(worlds: tuple[int, ...]) -> list[tuple[int, np.ndarray[tuple[int], np.dtype[np.bool_]], Floats]]:
+    """For every place and training with so many worlds: its index, which resamples drew it there, and how often each of its worlds."""
+    draws, found = np.random.PCG64(SEED), []
+    for _ in worlds:
+        picks = _below(draws, len(worlds), 1)[:, 0]
+        for s, many in enumerate(worlds):
+            rows = np.arange(RESAMPLES)[:, None] * many
+            counts = np.bincount((rows + _below(draws, many, many)).ravel(), minlength=rows.size * many).reshape(RESAMPLES, -1)
+            found.append((s, picks == s, counts[picks == s].astype(np.float64)))
+    return found
 
 
 def _below(draws: np.random.PCG64, bound: int, columns: int) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:

@@ -22,13 +22,24 @@ HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
 
 @dataclass(frozen=True)
 class Interval:
-    """A 95 % interval, and what it resamples."""
+    """Where a number may lie, and what was resampled to say so."""
 
     low: float
     high: float
-    unit: Literal["seed", "world", "participant"]
+    unit: Literal["training", "world", "participant"]
     clusters: int
     """K, how many of them were resampled"""
+
+    @property
+    def words(self) -> str:
+        """Return what it is: of two or three clusters no more than their range, since one resample in 27 draws the same of three."""
+        if self.clusters <= FEW:
+            return f"range of {'two' if self.clusters == 2 else 'three'} {self.unit}s"
+        return f"95 % interval over {self.clusters} {self.unit}s"
+
+
+FEW = 3
+"""Clusters up to which 95 % of the resamples reach from the least to the largest."""
 
 
 @dataclass(frozen=True)

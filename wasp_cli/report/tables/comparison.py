@@ -116,21 +116,25 @@ def _value(estimate: Estimate | None, like: Value) -> Value:
     return UNDEFINED if estimate is None else Value(estimate.value, n=like.n, ranked=like.ranked, interval=estimate.interval)
 
 
+def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield what [low, high] are, what they resample and how coarse that is."""
+    found = {value.interval.words: value.interval for row in rows for value in row.values if value.interval is not None}
+    for words, interval in sorted(found.items()):
+        if interval.unit == "world":
+            what = "worlds of one training: they cover other layouts, not retraining"
+        else:
+            coarse = ", so they are coarse" if interval.clusters < 6 else ""
+            what = f"trainings, each with its models and worlds; {distinct_resamples(interval.clusters):,} resamples differ{coarse}"
+        yield f"[low, high]: {words}, by a bootstrap with {RESAMPLES} resamples of the {what}."
+
+
 def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
-    """What the intervals resample, how coarse that is, and that they are many."""
+    """What the limits are, and that they are many."""
     found = [value.interval for row in rows for value in row.values if value.interval is not None]
     if not found:
         yield "No intervals: there is a single world to resample."
         return
-    seeds = sorted({interval.clusters for interval in found if interval.unit == "seed"})
-    worlds = sorted({interval.clusters for interval in found if interval.unit == "world"})
-    yield f"[low, high] are 95 % intervals of a bootstrap with {RESAMPLES} resamples."
-    for count in seeds:
-        coarse = ", so they are coarse" if count < 6 else ""
-        yield f"Resampled are {count} seeds, each with its models and worlds; {distinct_resamples(count):,} resamples differ{coarse}."
-    if worlds:
-        counts = " or ".join(map(str, worlds))
-        yield f"Resampled are the {counts} worlds of one seed: intervals cover other layouts, not retraining."
+    yield from limit_notes(rows)
     yield f"These are {len(found)} intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts."
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.report.stats.bootstrap import RESAMPLES, mean_of
+from wasp_cli.report.stats.bootstrap import mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups, row_of
 from wasp_cli.report.stats.summary import UNDEFINED, Value
+from wasp_cli.report.tables.comparison import limit_notes
 from wasp_cli.report.tables.main import part_of
 from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.tables.titles import assistant_title, task_title
@@ -55,8 +56,8 @@ def necessity_table(frame: Frame) -> Table | None:
         )
         for group in found
     ]
-    columns = (INTERVENTIONS, BRANCHED, *MEANS)
-    return Table("figure3", "Were the interventions necessary?", ("Task", "Method"), columns, tuple(rows), tuple(_notes(frame)), MEANINGS)
+    columns, notes = (INTERVENTIONS, BRANCHED, *MEANS), tuple(_notes(frame, rows))
+    return Table("figure3", "Were the interventions necessary?", ("Task", "Method"), columns, tuple(rows), notes, MEANINGS)
 
 
 def judged_groups(frame: Frame) -> Iterator[Group]:
@@ -90,13 +91,10 @@ def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
     return Value(float(interventions), n=seeds, ranked=False), Value(float(branched), n=seeds, ranked=False)
 
 
-def _notes(frame: Frame) -> Iterator[str]:
+def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
     if frame.judged:
-        several = len({identity.seed for identity in frame.judged}) > 1
-        yield (
-            f"{_thresholds(frame)}. [low, high] are 95 % intervals of a bootstrap with {RESAMPLES} resamples of "
-            + ("the seeds." if several else "the worlds of one seed: they cover other layouts, not retraining.")
-        )
+        yield f"{_thresholds(frame)}."
+        yield from limit_notes(rows)
         if any(identity.variant == PERSON for identity in frame.judged):
             yield "Of people's sessions: from a branch on the participant's clone drives, since nobody can be asked again."
         few = [METHODS[name].title for name, count in _branched(frame).items() if count < FEW]
