@@ -18,11 +18,11 @@ from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 
 ROWS, STEPS = 5, 4
+SIZES = {"horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2}
 SMALL: dict[str, dict[str, Any]] = {
-    "wasp": {
-        "horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "gate_rollouts": 2,
-        "tau_c": 1.2,
-    },
+    "wasp": {**SIZES, "tau_c": 1.2},
+    "printed": {**SIZES, "probe": 12, "tau_c": 1.2},
+    "ida-guarded": {**SIZES, "tau_c": 1.2},
 }  # fmt: skip
 OPTIONS: dict[str, list[dict[str, Any]]] = {
     "ida": [{"copilot": "diffusion"}],

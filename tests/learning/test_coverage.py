@@ -34,8 +34,7 @@ from wasp_cli.tasks.make import make_task
 MIXTURE = [("laggy", 0.7), ("limited-skill", 0.25), ("noisy", 0.4), ("reaction-time", 0.8)]
 STREAM = ("race1", 0)
 SMALL = {
-    "horizon": 4, "residual_steps": 2, "probe": 8, "candidates": 8, "elites": 3, "feasible": 3, "finalists": 2, "iterations": 2,
-    "gate_rollouts": 4,
+    "horizon": 4, "residual_steps": 2, "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 4,
 }  # fmt: skip
 
 

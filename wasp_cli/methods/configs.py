@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wasp_cli.config import Config, assumed, deviates, from_paper
+from wasp_cli.config import Config, assumed, from_paper
 
 
 class HumanConfig(Config):

@@ -19,10 +19,10 @@ import scene_worlds
 import torch
 from scene_worlds import Corridor, Fork, PointWorld
 from torch import Tensor
+from wasp_cli.methods.wasp.planner import Plan, plan_residuals
 
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
-from wasp_cli.methods.wasp.planner import Plan, plan_residuals
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.delayed import DelayedOperator
 
