@@ -184,7 +184,7 @@ def imagined(
     for k in range(horizon):
         action = now if k == 0 else forked.command(latent.features)
         if plan is not None and k < len(plan):
-            action = (action + plan[k]).clamp(-1, 1)
+            action = (now + plan[k]).clamp(-1, 1)
         latent = world.imagine(latent, action, gusts[k])
         states.append(latent.h)
     return torch.stack(states).numpy()

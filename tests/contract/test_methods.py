@@ -122,7 +122,7 @@ def test_calibration_gives_finite_thresholds(parts: Parts, name: str) -> None:
     who = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)
     with torch.inference_mode():
         thresholds = assistant(parts, name, "full").calibrate(heldout, zeros, who, 3)  # type: ignore[attr-defined]
-    wanted = {"ida": "tau_q", "wasp": "tau_r"}.get(name)
+    wanted = {"ida": "tau_q", "ida-guarded": "tau_q", "wasp": "tau_r", "printed": "tau_r"}.get(name)
     assert wanted is None or torch.isfinite(torch.tensor(thresholds[wanted]))
 
 

@@ -33,7 +33,6 @@ SIZES: dict[str, Any] = {
     "feasible": 5,
     "iterations": 3,
     "rollouts": M,
-    "lam": LAM,
 }
 COARSE = Motors((0.2,))
 
@@ -63,7 +62,7 @@ def unimpaired(rows: int = 1) -> Operator:
 
 
 def ready(motors: Motors = UNKNOWN, rows: int = 1, **changes: Any) -> WASP:
-    imagination = Imagination(Ending(), LinearCritics(), policy, GAMMA_R, GAMMA_C, 0.95)
+    imagination = Imagination(Ending(), LinearCritics(), policy, GAMMA_R, GAMMA_C, LAM)
     assistant = WASP(WASPConfig.model_validate(SIZES | changes), imagination, {}, motors)
     assistant.reset(torch.ones(rows, dtype=torch.bool), [SEED + row for row in range(rows)])
     return assistant

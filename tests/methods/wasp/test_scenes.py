@@ -1,4 +1,4 @@
-"""Worlds with a known answer: the paper's Fig. 1 in closed loop, and what is imagined on the way.
+"""Worlds with a known answer: the paper's Fig. 1 in closed loop under the printed WASP, and what is imagined on the way.
 
 Dimension letters: H horizon, A action size, B episodes.
 """
@@ -20,6 +20,7 @@ from scene_worlds import Corridor, Fork, PointWorld
 from torch import Tensor
 
 from wasp_cli.methods.wasp.imagine import Draws, Situation
+from wasp_cli.methods.wasp.printed import Printed
 from wasp_cli.metrics.episode import GATE_NONE, GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
@@ -196,7 +197,8 @@ def test_a_late_driver_is_foreseen_only_with_his_memory(kind: Kind) -> None:
             wrong.append(float(np.abs(states - truth.state[t : t + config.horizon + 1, 0]).max()))
             start = Situation(latent, a_h, operator, torch.zeros(1, dtype=torch.long))
             draws = Draws(torch.zeros(1, config.horizon, 1, world.noise_size), torch.zeros(1, config.horizon, 1, 0))
-            fired.append(float(scene_drives.imagination(world, config).nominal(start, draws).cost) > config.tau_c)
+            printed = Printed(config, scene_drives.imagination(world), {})
+            fired.append(float(printed.nominal(start, draws).cost) > scene_drives.TAU_C)
         errors[name], alarms[name] = max(wrong), fired
     assert errors["own"] < 1e-4
     assert errors["prompt"] > 0.2
