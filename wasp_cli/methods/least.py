@@ -38,7 +38,7 @@ class LeastIDA(Least):
         super().__init__(self.ida, parts.motors)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Calibrate IDA."""
+        """Calibrate IDA on K held-out decisions and their costs ahead [K]."""
         return self.ida.calibrate(heldout, cost_ahead, operator, seed)
 
 

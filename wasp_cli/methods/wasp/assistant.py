@@ -191,7 +191,7 @@ class WASP:
         return Draws.of(streams, purpose, start, self.horizon, self.config.rollouts, self.imagination.model.noise_size)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Return tau_c and tau_r, and the distributions that they stand in.
+        """Return tau_c and tau_r, and the distributions that they stand in, from K held-out decisions and their costs ahead [K].
 
         tau_r is what putting right a random command gains on average, at decisions of the unimpaired expert from which both futures are
         safe: smaller gains are those of commands that are no worse than most. It follows a task's scale of rewards, and knows no operator.
