@@ -102,7 +102,8 @@ def imagine(
     images: dict[int, NDArray[np.float32]] = {}
     for k in range(horizon):
         command = now if k == 0 else start.operator.command(latent.features)
-        action = ((now if hold else command) + residuals[:, k]).clamp(-1, 1) if k < steps else command
+        base = torch.cat([command[:ROLLOUTS], now[ROLLOUTS:]]) if hold else command  # of the first sequence the operator goes on
+        action = (base + residuals[:, k]).clamp(-1, 1) if k < steps else command
         start.operator.observe(action)
         latent = model.imagine(latent, action, noise[k])
         features.append(latent.features)
