@@ -245,13 +245,11 @@ def _planned(trajectories: Sequence[Trajectory]) -> dict[str, NDArray[Any]] | No
         return None
     columns = {name: np.concatenate([np.asarray(getattr(each, source)) for each in plans]) for name, source in PLANNED.items()}
     columns["plan"] = columns["plan"].reshape(len(columns["plan"]), -1)
-    nothing, unsearched = np.isnan(columns["plan"]).any(1), columns["safe"][:, -1] < 0
-
-    def masked(name: str, values: NDArray[Any]) -> NDArray[Any]:
-        mask = unsearched if name in ("safe", "case2") else nothing
-        return np.ma.masked_array(values, np.broadcast_to(mask.reshape(-1, *[1] * (values.ndim - 1)), values.shape))
-
-    return {name: masked(name, values) for name, values in columns.items()}
+    lacks = dict.fromkeys(columns, np.isnan(columns["plan"]).any(1)) | dict.fromkeys(("safe", "case2"), columns["safe"][:, -1] < 0)
+    return {
+        name: np.ma.masked_array(values, np.broadcast_to(lacks[name].reshape(-1, *[1] * (values.ndim - 1)), values.shape))
+        for name, values in columns.items()
+    }
 
 
 def _array_of(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
