@@ -74,8 +74,7 @@ STEP = pa.struct(
     ]
 )
 """A decision step; the meaning of the fields is that of `metrics.episode.Trajectory` and `Plans`. `safe` and `case2` have an entry per
-iteration, `plan` the L residuals one after the other; all that concerns a plan is null where nothing was planned, and these
-two also where a plan was carried out without a search."""
+iteration searched, `plan` the L residuals one after the other; each is null where there was no search, or no plan."""
 PLANNED = {
     "plan_cost": "cost", "plan_return": "reward", "alone_cost": "alone_cost", "alone_return": "alone_reward",
     "safe": "safe", "case2": "case2", "plan": "residuals",
