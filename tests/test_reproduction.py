@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-import sensitivity
 
 import wasp_cli
 from tests.commands import run_here
@@ -152,30 +151,6 @@ def test_mild_and_severe_operators_are_the_published_ones() -> None:
         own = [row for row in published if (row["task"], row["method"]) == (task, method)]
         assert len(own) == 4
         assert numbers == [f"{sum(float(row[key]) for row in own) / 4:.{digits}f}" for key, digits in columns]
-
-
-def test_the_sensitivities_are_those_of_the_published_rows() -> None:
-    rows = pq.read_table(sensitivity.ROWS)
-    for heading, table in (("Sensitivity", sensitivity.sweeps(rows)), ("Causes on FormulaOne1", sensitivity.causes(rows))):
-        shown = rows_of(PAGE.split(f"\n### {heading}\n", 1)[1].split("\n#", 1)[0])
-        assert len(shown) > 5
-        assert shown == rows_of(table)
-
-
-def test_a_difference_is_paired_by_world_and_has_the_error_of_a_mean_over_operators() -> None:
-    rows = pq.read_table(sensitivity.ROWS)
-    found = sensitivity.compared(rows, "goal1", 1, "H = 8")["cost"]
-    frame = {
-        (row["setting"], row["operator"], row["episode"]): (row["cost"], row["episode_seed"])
-        for row in rows.to_pylist() if row["task"] == "goal1" and row["seed"] == 1 and row["setting"] in ("H = 8", sensitivity.DEFAULT)
-    }  # fmt: skip
-    apart = []
-    for operator in sensitivity.OPERATORS:
-        pairs = [(frame["H = 8", operator, e], frame[sensitivity.DEFAULT, operator, e]) for e in range(30)]
-        assert all(own[1] == other[1] for own, other in pairs)
-        apart.append([own[0] - other[0] for own, other in pairs])
-    assert found[1] == pytest.approx(sum(map(statistics.mean, apart)) / 2)
-    assert found[2] == pytest.approx(math.sqrt(sum(statistics.variance(each) / 30 for each in apart)) / 2)
 
 
 @pytest.fixture(scope="module")

@@ -35,8 +35,9 @@ TAU_C, TAU_R = 0.3, 0.5
 
 
 def settings(variant: str = "full", **changes: object) -> PrintedConfig:
-    """WASP as printed in these scenes: its defaults but for the thresholds, which belong to a world."""
-    return PrintedConfig.model_validate({"variant": variant, "tau_c": TAU_C, "tau_r": TAU_R, "rollouts": 1, **changes})
+    """WASP as printed in these scenes: its defaults but for what belongs to a world: thresholds, size and weight of residuals."""
+    world = {"tau_c": TAU_C, "tau_r": TAU_R, "alpha": 0.02, "initial_std": 1.0}
+    return PrintedConfig.model_validate({"variant": variant, "rollouts": 1, **world, **changes})
 
 
 def imagination(world: PointWorld) -> Imagination:
@@ -184,7 +185,7 @@ def imagined(
     for k in range(horizon):
         action = now if k == 0 else forked.command(latent.features)
         if plan is not None and k < len(plan):
-            action = (action + plan[k]).clamp(-1, 1)
+            action = (now + plan[k]).clamp(-1, 1)
         latent = world.imagine(latent, action, gusts[k])
         states.append(latent.h)
     return torch.stack(states).numpy()

@@ -1,4 +1,4 @@
-"""What a slow driver, one of WASP's gates and both of them come to in front of a hazard: the four scenes of the paper's Fig. 1.
+"""What a slow driver, one gate of the printed WASP and both of them come to in front of a hazard: the four scenes of the paper's Fig. 1.
 
     python docs/examples/scenes.py --out scenes.png
 
@@ -18,8 +18,7 @@ from scene_drives import Drive, drive, imagined, settings
 from scene_worlds import STEP, Corridor, Fork, careful, driver
 from torch import Tensor
 
-from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.wasp.assistant import effective
+from wasp_cli.methods.configs import PrintedConfig
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
@@ -35,7 +34,7 @@ PANELS: tuple[tuple[str, type[Corridor] | type[Fork], str, int], ...] = (
     ("(c) Safety gate alone: brakes and is stuck", Fork, "safety-only", GATE_SAFETY),
     ("(d) Both gates: safe, and on to the goal", Fork, "full", GATE_TASK),
 )
-"""Title, world, variant of WASP, and the gate whose imagination is shown, as in Fig. 1."""
+"""Title, world, variant of the printed WASP, and the gate whose imagination is shown, as in Fig. 1."""
 
 ROLLOUTS = 10
 """Imagined rollouts that are drawn."""
@@ -61,7 +60,7 @@ def scenes(steps: int = 80, seed: int = 1, jitter: float = 0.01, **changes: obje
     return [_scene(title, kind(jitter=jitter), settings(variant, **changes), gate, steps, seed) for title, kind, variant, gate in PANELS]
 
 
-def _scene(title: str, world: Corridor | Fork, config: WASPConfig, gate: int, steps: int, seed: int) -> Scene:
+def _scene(title: str, world: Corridor | Fork, config: PrintedConfig, gate: int, steps: int, seed: int) -> Scene:
     seen: list[tuple[Operator, Latent, Tensor]] = []
 
     def watch(latent: Latent, a_h: Tensor, operator: Operator) -> None:
@@ -76,7 +75,8 @@ def _scene(title: str, world: Corridor | Fork, config: WASPConfig, gate: int, st
     if gate == GATE_TASK:
         late = (fired == GATE_TASK) & (np.arange(len(fired)) > moment)
         moment = int(np.where(late, assisted.delta_g[:, 0], -np.inf).argmax())
-    horizon, plan = effective(config).horizon, torch.from_numpy(assisted.plan[moment, 0])
+    horizon = 1 if config.variant == "no-rollout" else config.horizon
+    plan = torch.from_numpy(assisted.plan[moment, 0])
     nominal = imagined(world, *seen[moment], horizon, ROLLOUTS)
     return Scene(title, world, assisted, alone, moment, nominal, imagined(world, *seen[moment], horizon, ROLLOUTS, plan=plan))
 

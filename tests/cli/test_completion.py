@@ -51,7 +51,7 @@ def offered(line: str, folder: Path = ROOT) -> list[str]:
         ("wasp ablate --variant no", ["no-case2", "no-rollout"]),
         ("wasp bench oracle specs/smoke.yaml --variant s", ["safety-only"]),
         ("wasp ablate --preset ", ["smoke", "quick", "cpu", "gpu", "paper"]),
-        ("wasp run specs/smoke.yaml --set wasp.ca", ["wasp.candidates=", "wasp.case2_memory="]),
+        ("wasp run specs/smoke.yaml --set wasp.ca", ["wasp.candidates="]),
         ("wasp run specs/smoke.yaml --set pre", ["preset="]),
         ("wasp sweep specs/smoke.yaml --vary diffusion.r", ["diffusion.ratio="]),
         ("wasp check specs/table", ["specs/table1.yaml", "specs/table2.yaml"]),

@@ -35,7 +35,7 @@ operators:
 seeds: [3, 4]
 training_seed: 5
 action_repeat: 20
-wasp: {horizon: 1, residual_steps: 1, candidates: 5, elites: 2, feasible: 2, probe: 5, iterations: 1}
+wasp: {horizon: 1, residual_steps: 1, candidates: 5, elites: 2, feasible: 2, iterations: 1}
 """
 
 

@@ -18,11 +18,11 @@ from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 
 ROWS, STEPS = 5, 4
+SIZES = {"horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "rollouts": 2}
 SMALL: dict[str, dict[str, Any]] = {
-    "wasp": {
-        "horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 2, "probe": 12, "gate_rollouts": 2,
-        "tau_c": 1.2,
-    },
+    "wasp": {**SIZES, "tau_c": 1.2},
+    "printed": {**SIZES, "probe": 12, "tau_c": 1.2},
+    "ida-guarded": {**SIZES, "tau_c": 1.2},
 }  # fmt: skip
 OPTIONS: dict[str, list[dict[str, Any]]] = {
     "ida": [{"copilot": "diffusion"}],
@@ -122,7 +122,7 @@ def test_calibration_gives_finite_thresholds(parts: Parts, name: str) -> None:
     who = Operator.build(1.0, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise([0] * rows), rows)
     with torch.inference_mode():
         thresholds = assistant(parts, name, "full").calibrate(heldout, zeros, who, 3)  # type: ignore[attr-defined]
-    wanted = {"ida": "tau_q", "wasp": "tau_r"}.get(name)
+    wanted = {"ida": "tau_q", "ida-guarded": "tau_q", "wasp": "tau_r", "printed": "tau_r"}.get(name)
     assert wanted is None or torch.isfinite(torch.tensor(thresholds[wanted]))
 
 

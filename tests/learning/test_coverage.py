@@ -34,8 +34,7 @@ from wasp_cli.tasks.make import make_task
 MIXTURE = [("laggy", 0.7), ("limited-skill", 0.25), ("noisy", 0.4), ("reaction-time", 0.8)]
 STREAM = ("race1", 0)
 SMALL = {
-    "horizon": 4, "residual_steps": 2, "probe": 8, "candidates": 8, "elites": 3, "feasible": 3, "finalists": 2, "iterations": 2,
-    "gate_rollouts": 4,
+    "horizon": 4, "residual_steps": 2, "candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 4,
 }  # fmt: skip
 
 
@@ -55,7 +54,7 @@ def test_a_gate_reads_in_recorded_episodes_what_it_reads_while_the_operators_dri
     task = make_task("race1", batch, action_repeat=REPEAT, observe=("pixels",))
     drives = record_drives(task, parts.world_model, parts.skills, MIXTURE, episodes, STREAM, quiet)
     assert drives.operator.unique().numel() > 1
-    assistant: Any = build_assistant("wasp", {**SMALL}, parts)
+    assistant: Any = build_assistant("wasp", {**SMALL, "variant": "knows-operator"}, parts)
     facts = Facts(MIXTURE, task.decision_seconds, episodes)
     with torch.inference_mode():
         found = foreseen(assistant, drives, facts, parts.skills, STREAM, batch=5)
@@ -68,7 +67,10 @@ def test_a_gate_reads_in_recorded_episodes_what_it_reads_while_the_operators_dri
     other = drives._replace(operator=(drives.operator + 1) % len(MIXTURE))
     with torch.inference_mode():
         wrong = foreseen(assistant, other, facts, parts.skills, STREAM, batch=5)
+        blind: Any = build_assistant("wasp", {**SMALL}, parts)
+        own, others = (foreseen(blind, each, facts, parts.skills, STREAM, batch=5) for each in (drives, other))
     assert any(not np.allclose(a, b, rtol=1e-4, atol=1e-6) for a, b in zip(found, wrong, strict=True))  # it does matter who drove
+    assert all(np.array_equal(a, b) for a, b in zip(own, others, strict=True))  # but not to who knows no operator
 
 
 class Watching:

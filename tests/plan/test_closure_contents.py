@@ -82,10 +82,7 @@ MAY_HAVE = {
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
     ),
-    "clone": (
-        f"{DRIVING} {OPERATORS_BY_NAME} models.clone learning.clone learning.sampling "
-        "methods.human methods.wasp methods.wasp.operator_model"
-    ),
+    "clone": f"{OPERATOR} {WEIGHTS} models.base models.clone operators.* learning.clone learning.sampling",
     "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
     "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
     "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation store store.parquet store.tables",
@@ -102,7 +99,7 @@ def closures() -> dict[str, frozenset[str]]:
     """By node kind, every module in the closure of one, over all tasks, methods, their variants, and operators."""
     document = {
         "name": "all", "preset": "smoke", "tasks": list(TASKS), "methods": list(METHODS), "seeds": [0],
-        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS}, "wasp": {"operator_model": "cloned"},
+        "stages": training_stages(), "operators": {name: {"some": 0.25} for name in OPERATORS},
     }  # fmt: skip
     found: dict[str, frozenset[str]] = {}
     for node in lay_out(validate(document)).nodes:

@@ -83,7 +83,7 @@ def test_changed_code_is_named_by_module(layout: Layout) -> None:
     laid_out = grid()
     node = next(node for node in laid_out.nodes if node.label == "goal1 s0 wasp noisy=0.2")
     sources = source_hashes(node.modules)
-    module = "wasp_cli.methods.wasp.gates"
+    module = "wasp_cli.methods.wasp.search"
     assert module in sources
     earlier = Node(**{name: getattr(node, name) for name in Node.__slots__} | {"key": "a" * 20})
     store(layout, earlier, sources={**sources, module: "before", "wasp_cli.methods.wasp.gone": "x"})
@@ -102,7 +102,7 @@ def test_another_version_of_a_library_is_named(layout: Layout) -> None:
 
 
 def test_the_nearest_of_several_versions_is_the_one_compared(layout: Layout) -> None:
-    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "probe": 7}))
+    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "alpha": 0.7}))
     fill(layout, grid(wasp={"candidates": 9}))
     fill(layout, grid(wasp={"candidates": 9, "elites": 2}))
     found = reasons_of(plan_against(grid(), layout))
@@ -110,7 +110,7 @@ def test_the_nearest_of_several_versions_is_the_one_compared(layout: Layout) -> 
 
 
 def test_many_changes_are_counted(layout: Layout) -> None:
-    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "probe": 7, "feasible": 2, "iterations": 3}))
+    fill(layout, grid(wasp={"candidates": 9, "elites": 2, "alpha": 0.7, "feasible": 2, "iterations": 3}))
     found = reasons_of(plan_against(grid(), layout))["goal1 s0 wasp noisy=0.2"]
     assert found.count(" -> ") == reasons.NAMED
     assert found.endswith("and 2 more")

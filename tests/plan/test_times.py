@@ -92,17 +92,17 @@ def test_times_grow_with_sizes_and_shrink_with_speed(tmp_path: Path, monkeypatch
 
 
 def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do() -> None:
-    full, printed = ({"method": "wasp", "method_config": {"variant": variant}} for variant in ("full", "as-printed"))
+    full, ablated = ({"method": "wasp", "method_config": {"variant": variant}} for variant in ("full", "no-case2"))
     cells = [manifest("evaluate", seconds, full, episodes=10) for seconds in (100.0, 120.0, 900.0)]
     part = manifest("evaluate", 1.0, full, episodes=30)
     part["provenance"]["earlier"] = "a" * 20
     cells += [
         part,
-        manifest("evaluate", 50.0, printed, episodes=10),
+        manifest("evaluate", 50.0, ablated, episodes=10),
         manifest("world_model", 30.0, {}, updates=10),
     ]
     found = times.figures_of([("cpu", each) for each in cells])
-    assert found["seconds"] == {"cpu": {"evaluate goal1 wasp": 12.0, "evaluate goal1 wasp/as-printed": 5.0, "world_model goal1": 3.0}}
+    assert found["seconds"] == {"cpu": {"evaluate goal1 wasp": 12.0, "evaluate goal1 wasp/no-case2": 5.0, "world_model goal1": 3.0}}
     assert found["speed"] == times.shipped()["speed"]
 
 

@@ -20,7 +20,9 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 
 KEY = "0123456789abcdef0123"
-WASP = {"horizon": 4, "residual_steps": 2, "candidates": 30, "probe": 20, "feasible": 10, "bootstrap_cost": False}
+WASP = {"horizon": 4, "residual_steps": 2, "candidates": 30, "elites": 10, "feasible": 10, "search_rollouts": 1}
+PRINTED = {"horizon": 4, "residual_steps": 2, "candidates": 30, "elites": 10, "feasible": 10, "probe": 20}
+PLANNING = ("wasp", "printed")
 NAN = math.nan
 
 
@@ -43,7 +45,7 @@ class Invented:
         self.a_h = np.tile([0.5, -0.25], (steps, 1))
         self.a = self.a_h.copy()
         self.gate = np.zeros(steps, int)
-        gated = self.method == "wasp"
+        gated = self.method in PLANNING
         self.g_cost = np.full(steps, 0.125 if gated else NAN)
         self.g_return = np.full(steps, 1.0 if gated else NAN)
         self.delta_g = np.full(steps, 0.25 if gated else NAN)
@@ -51,20 +53,20 @@ class Invented:
         self.plans = Plans(
             np.full((steps, 2, 2), NAN), np.full((steps, 3), -1), np.zeros((steps, 3), bool), *np.full((4, steps), NAN)
         )  # fmt: skip
-        if self.method == "wasp" and self.variant == "safety-only":
+        if self.method == "printed" and self.variant == "safety-only":
             self.delta_g[:] = NAN
 
     def fire(
         self, t: int, gate: int, residuals: Any = ((-0.5, 0.5), (0.25, 0.0)), safe: Any = (3, 12, 30), cost: float = 0.2, alone: float = 0.6
     ) -> None:
-        """A gate fires at decision t, and its plan is executed."""
+        """A gate fires at decision t, and its plan is executed; without a search `safe` is -1."""
         plans = self.plans
         self.gate[t] = gate
         if gate == GATE_SAFETY:
-            self.g_cost[t], self.delta_g[t] = 0.5, NAN
+            self.g_cost[t], self.delta_g[t] = 0.5, 0.625 if self.method == "wasp" else NAN
         else:
             self.delta_g[t] = 0.75
-        plans.residuals[t], plans.safe[t], plans.case2[t] = residuals, safe, np.array(safe) < 10
+        plans.residuals[t], plans.safe[t], plans.case2[t] = residuals, safe, (np.array(safe) >= 0) & (np.array(safe) < 10)
         plans.cost[t], plans.reward[t], plans.alone_cost[t], plans.alone_reward[t] = cost, 1.5, alone, 1.25
         self.a[t] = np.clip(self.a_h[t] + plans.residuals[t, 0], -1, 1)
 
@@ -76,7 +78,7 @@ class Invented:
         return Trajectory(
             reward=self.reward, cost=self.cost_env > 0, cost_env=self.cost_env, env_steps=np.full(self.steps, 4), goals=self.goals,
             a_h=self.a_h, a=self.a, gate=self.gate, g_cost=self.g_cost, g_return=self.g_return, delta_g=self.delta_g, signal=self.signal,
-            plans=self.plans if self.method == "wasp" else None,
+            plans=self.plans if self.method in PLANNING else None,
         )  # fmt: skip
 
     def label(self) -> str:

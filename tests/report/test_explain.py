@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.report.explained import KEY, NAN, WASP, Invented, decision_text, episode_text, text_of
+from tests.report.explained import KEY, NAN, PRINTED, Invented, decision_text, episode_text, text_of
 from tests.store.former import write_former
 from wasp_cli.errors import UsageError
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
@@ -27,7 +27,7 @@ def mixed(tmp_path: Path) -> Episode:
     made = Invented()
     made.fire(2, GATE_SAFETY)
     made.fire(3, GATE_SAFETY)
-    made.fire(6, GATE_TASK, safe=(12, 25, 30))
+    made.fire(6, GATE_TASK, residuals=((-0.5, 0.5), (0.0, 0.0)), safe=(-1, -1, -1))
     made.pay(3, 5)
     made.goals[7] = 1
     return made.read(tmp_path)
@@ -39,13 +39,13 @@ goal1 s0 wasp laggy=0.7 · episode 0  (of 0 to 2)
 
   cell      Goal1, WASP, seed 0, world 100
   operator  laggy 0.7 (probability of repeating the last command)
-  method    WASP corrects the command where its imagined cost exceeds τ_c, or else where a safe correction is expected
-            to gain more return than τ_r.
+  method    WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe
+            correction is expected to gain more return than τ_r.
   key       0123456789abcdef0123
   outcome   return 3.50, 1 goal (no success), 8 decisions of 4 env steps (0.08 s)
   cost      4 env steps, in 2 decisions: 1 missed, 1 although a gate fired
   changed   3 decisions (37.5%, Int.), by 0.71 on average (|a - a^H|)
-  Case II   22% of the planner's iterations: too few safe candidates
+  Case II   33% of the planner's iterations: too few safe candidates
   time      2 ms per decision (p50), 2 ms (p95); the time of all 3 episodes, decided side by side, divided by 3
 
 Gates
@@ -53,8 +53,8 @@ Gates
   safety  G^c > τ_c 0.300          2  25.0%
   task    ΔG > τ_r 0.500           1  12.5%
   none    -                        5  62.5%
-  G^c: expected costly decisions within the next 4 decisions, discounted, if the operator goes on alone (Eq. 9)
-  ΔG: expected gain in return by the best safe correction of 20 that are tried, where the safety gate is silent (Eq. 12)
+  G^c: expected costly decisions within the next 4 decisions, discounted, if the expert follows (Eq. 9)
+  ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)
 
 Over the episode
   G^c       ▂▂▇▇▂▂▂▂
@@ -66,7 +66,7 @@ Over the episode
 Runs of decisions
   decisions  gate    changed          command → executed (means)       G^c (τ_c 0.300)  ΔG (τ_r 0.500)  cost  missed at
   0-1        -       -                (+0.50, -0.25) as commanded                0.125           0.250     -          -
-  2-3        safety  2 of 2, by 0.71  (+0.50, -0.25) → (+0.00, +0.25)            0.500               -     2          -
+  2-3        safety  2 of 2, by 0.71  (+0.50, -0.25) → (+0.00, +0.25)            0.500           0.625     2          -
   4-5        -       -                (+0.50, -0.25) as commanded                0.125           0.250     2          5
   6          task    1 of 1, by 0.71  (+0.50, -0.25) → (+0.00, +0.25)            0.125           0.750     -          -
   7          -       -                (+0.50, -0.25) as commanded                0.125           0.250     -          -
@@ -80,8 +80,8 @@ The safety gate fired (G^c 0.500 > τ_c 0.300): the command was changed by 0.707
 
   cell      Goal1, WASP, seed 0, world 100
   operator  laggy 0.7 (probability of repeating the last command)
-  method    WASP corrects the command where its imagined cost exceeds τ_c, or else where a safe correction is expected
-            to gain more return than τ_r.
+  method    WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe
+            correction is expected to gain more return than τ_r.
   key       0123456789abcdef0123
 
 Action
@@ -93,15 +93,15 @@ Action
 Gates
   gate    value      threshold  fires
   safety  G^c 0.500  τ_c 0.300  yes
-  task    ΔG -       τ_r 0.500  not asked: the safety gate fired
-  G^c: expected costly decisions within the next 4 decisions, discounted, if the operator goes on alone (Eq. 9)
-  ΔG: expected gain in return by the best safe correction of 20 that are tried, where the safety gate is silent (Eq. 12)
+  task    ΔG 0.625   τ_r 0.500  not asked: the safety gate fired
+  G^c: expected costly decisions within the next 4 decisions, discounted, if the expert follows (Eq. 9)
+  ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)
 
 Plan
   iteration  candidates  safe (|F_s|)  case
   1                  30             3  II
-  2                  30            12  I
-  3                  30            30  I
+  2                  36            12  I
+  3                  36            30  I
   Case I: at least N_f = 10 candidates are safe (Eq. 14); the search maximizes predicted return (Eq. 16)
   Case II: fewer than N_f = 10 are safe (Eq. 14); the search minimizes predicted cost (Eq. 17)
 
@@ -111,7 +111,7 @@ Plan
 
   predicted            cost (G^c)  within τ_c 0.300  return (G^r)
   with the correction       0.200  yes                      1.500
-  commands alone            0.600  no, above 0.300          1.250
+  command alone             0.600  no, above 0.300          1.250
   the gate used other rollouts, so its G^c may differ
 
 What then happened
@@ -119,9 +119,9 @@ What then happened
   2                1   +0.25     0                 0      0
   2-5              2   +1.75     4                 2      0
   cost: env steps with cost
-  costly decisions                      discounted (γ_c 0.500)
-  expected of the operator alone (G^c)                   0.500
-  observed, with the interventions                       0.625
+  costly decisions                                discounted (γ_c 0.500)
+  expected of the command, then the expert (G^c)                   0.500
+  observed, with the interventions                                 0.625
   decision time  2 ms: the time of 3 episodes decided side by side, 6 ms, divided by 3"""
 
 
@@ -142,7 +142,7 @@ def test_totals_and_runs(mixed: Episode) -> None:
         (0, 1, "none"), (2, 3, "safety"), (4, 5, "none"), (6, 6, "task"), (7, 7, "none")
     ]  # fmt: skip
     assert summary.runs[1].g_cost == (0.5, 0.5)
-    assert summary.runs[1].delta_g is None
+    assert summary.runs[1].delta_g == (0.625, 0.625)
     assert summary.totals.gate_share == {"none": 0.625, "safety": 0.25, "task": 0.125}
 
 
@@ -162,18 +162,44 @@ def test_gates_of_one_decision(mixed: Episode) -> None:
         ("silent", "silent"), ("fired", "not asked"), ("silent", "fired")
     ]  # fmt: skip
     assert "  task    ΔG 0.250   τ_r 0.500  no\n" in decision_text(mixed, 0)
-    assert "ΔG: expected gain in return by the best safe correction of 20 that are tried" in decision_text(mixed, 0)
     assert "  search  none: no gate fired" in decision_text(mixed, 0)
     text = decision_text(mixed, 6)
     assert "  task    ΔG 0.750   τ_r 0.500  yes\n" in text
     assert "The task gate fired (ΔG 0.750 > τ_r 0.500): the command was changed by 0.707." in text
-    assert "\n  1                  20            12  I\n" in text  # the probe is the first batch
-    assert "\n  2                  30            25  I\n" in text
     assert "other rollouts" not in text
 
 
-def test_without_a_feasible_candidate_there_is_no_gain(tmp_path: Path) -> None:
+def test_a_correction_without_a_search_is_the_one_that_the_gates_looked_at(mixed: Episode) -> None:
+    text = decision_text(mixed, 6)
+    assert "  search  none: the correction that the gate compared with the command is predicted safe, and is carried out\n" in text
+    assert "  now   (-0.50, +0.50)          executed\n" in text
+    assert "planned again then" not in text
+    assert "  with the correction       0.200  yes                      1.500\n" in text
+    assert as_json(decision_facts(mixed, 6))["plan"]["safe"] == []
+    assert "Case II   33%" in episode_text(mixed), "of the two decisions that searched"
+
+
+def test_a_gain_that_is_not_taken_is_not_safe_or_changes_nothing(tmp_path: Path) -> None:
     made = Invented()
+    made.delta_g[1] = 0.75
+    episode = made.read(tmp_path)
+    assert "  task    ΔG 0.750   τ_r 0.500  no: the correction is not predicted safe, or changes no force" in decision_text(episode, 1)
+
+
+@pytest.mark.parametrize(("residual", "executed", "how"), [
+    ((-0.5, 0.5), (0.02, 0.25), "command and first correction, as the least action of that force (Eq. 18)"),
+    ((-0.5, 0.5), (0.0, 0.25), "command and first correction (Eq. 18)"),
+    ((1.5, 0.0), (1.0, -0.25), "command and first correction, cut off at the bounds (Eq. 18)"),
+])  # fmt: skip
+def test_what_becomes_of_a_correction_is_said(residual: Any, executed: Any, how: str, tmp_path: Path) -> None:
+    made = Invented()
+    made.fire(2, GATE_SAFETY, residuals=(residual, (0.0, 0.0)))
+    made.a[2] = executed
+    assert how in decision_text(made.read(tmp_path), 2)
+
+
+def test_without_a_feasible_candidate_there_is_no_gain(tmp_path: Path) -> None:
+    made = Invented(method="printed", config=dict(PRINTED))
     made.delta_g[1] = NAN
     episode = made.read(tmp_path)
     facts = decision_facts(episode, 1)
@@ -219,17 +245,10 @@ def test_a_gate_may_fire_and_the_command_stand(variant: str, alone: float, safe:
     assert "command kept: a gate fired, and the command was executed as it was" in episode_text(episode)
 
 
-def test_what_is_cut_off_at_the_bounds_is_said(tmp_path: Path) -> None:
-    made = Invented()
-    made.fire(2, GATE_SAFETY, residuals=((1.5, 0.0), (0.0, 0.0)))
-    assert "a, command and first correction, cut off at the bounds (Eq. 18)" in decision_text(made.read(tmp_path), 2)
-
-
 def test_a_critic_beyond_the_horizon_counts_otherwise(tmp_path: Path) -> None:
-    made = Invented(config={**WASP, "bootstrap_cost": True})
-    text = decision_text(made.read(tmp_path), 0)
+    text = decision_text(Invented(method="printed", config=dict(PRINTED)).read(tmp_path), 0)
     assert "expected discounted cost if the operator goes on alone, with the critic beyond the horizon" in text
-    assert "expected of the operator alone" not in text  # two different counts
+    assert "observed" not in text  # two different counts
     one_step = Invented(variant="no-rollout").read(tmp_path)
     assert (one_step.constants.horizon, one_step.constants.bootstrap_cost) == (1, True)
     assert decision_facts(one_step, 0).window == 15
@@ -242,7 +261,7 @@ def test_without_a_manifest_constants_are_unknown_and_costs_are_counted_over_15(
     assert decision_facts(episode, 2).window == 15
     assert "  key       none; read from" in decision_text(episode, 2)
     assert "\n  1                     3  II\n" in decision_text(episode, 2)
-    assert "expected of the operator alone" not in decision_text(episode, 2)
+    assert "observed" not in decision_text(episode, 2)
     assert episode_text(episode).startswith("goal1 s0 wasp laggy=0.7 · episode 0")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.report.explained import NAN, WASP, Invented, text_of
+from tests.report.explained import NAN, PRINTED, WASP, Invented, text_of
 from wasp_cli.metrics.episode import Plans
 from wasp_cli.report.explain.collect import decision_facts, merge_runs, summarize
 from wasp_cli.report.explain.decision_text import decision_lines
@@ -26,10 +26,12 @@ thresholds = st.one_of(st.none(), st.just(NAN), st.floats(-1, 2), st.just(0.0))
 
 @st.composite
 def cells(draw: st.DrawFn) -> Invented:
-    method = draw(st.sampled_from(["wasp", "ida", "filter", "human", "diffusion", "theirs"]))
+    method = draw(st.sampled_from(["wasp", "printed", "ida", "filter", "human", "diffusion", "theirs"]))
     variant = draw(st.sampled_from(["full", "safety-only", "task-only", "no-case2", "no-rollout", "own"]))
     limits = Thresholds(draw(thresholds), draw(thresholds), draw(thresholds))
-    config = draw(st.sampled_from([{}, WASP, {**WASP, "bootstrap_cost": True}, {"vote": 0.5}, {"horizon": "long", "feasible": None}]))
+    config = draw(
+        st.sampled_from([{}, WASP, PRINTED, {**WASP, "variant": "knows-operator"}, {"vote": 0.5}, {"horizon": "long", "feasible": None}])
+    )
     made = Invented(draw(st.integers(1, 12)), method, variant, limits, dict(config), draw(st.integers(1, 2)))
 
     def series(elements: Callable[[], Any]) -> Any:
@@ -41,11 +43,12 @@ def cells(draw: st.DrawFn) -> Invented:
     for name in ("g_cost", "g_return", "delta_g", "signal"):
         setattr(made, name, series(lambda: draw(numbers)))
     steps, iterations = draw(st.integers(1, 3)), draw(st.integers(1, 3))
-    planned = series(lambda: draw(st.booleans())).astype(bool)
+    planned, searched = (series(lambda: draw(st.booleans())).astype(bool) for _ in range(2))
+    searched &= planned
     made.plans = Plans(
         residuals=np.where(planned[:, None, None], draw(st.sampled_from([0.0, 0.5])), np.full((made.steps, steps, 2), NAN)),
-        safe=np.where(planned[:, None], draw(st.integers(0, 30)), np.full((made.steps, iterations), -1)),
-        case2=np.broadcast_to(planned[:, None], (made.steps, iterations)) & draw(st.booleans()),
+        safe=np.where(searched[:, None], draw(st.integers(0, 30)), np.full((made.steps, iterations), -1)),
+        case2=np.broadcast_to(searched[:, None], (made.steps, iterations)) & draw(st.booleans()),
         cost=series(lambda: draw(numbers)),
         reward=series(lambda: draw(numbers)),
         alone_cost=series(lambda: draw(numbers)),

@@ -1,12 +1,14 @@
-"""Methods that decide by a rule of their own, as `wasp explain` tells it."""
+"""Methods that decide by a rule of their own, and the other WASPs, as `wasp explain` tells it."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from tests.report.explained import Invented, decision_text, episode_text
-from wasp_cli.metrics.episode import GATE_METHOD
+from tests.report.explained import PRINTED, WASP, Invented, decision_text, episode_text
+from wasp_cli.methods.wasp import search
+from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.collect import summarize
+from wasp_cli.report.explain.stored import KEPT
 from wasp_cli.store.tables import Thresholds
 
 
@@ -44,3 +46,28 @@ def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) 
     assert "safety gate" not in summary + decision_text(episode, 3)
     assert "looks one imagined step ahead" in summary
     assert summarize(episode).totals.missed == (4,)
+
+
+def test_the_printed_wasp_probes_and_imagines_the_operator(tmp_path: Path) -> None:
+    made = Invented(method="printed", config=dict(PRINTED))
+    made.fire(2, GATE_SAFETY)
+    made.fire(6, GATE_TASK, safe=(12, 25, 30))
+    episode = made.read(tmp_path)
+    text = decision_text(episode, 6)
+    assert "ΔG: expected gain in return by the best safe correction of 20 that are tried" in text
+    assert "expected discounted cost if the operator goes on alone, with the critic beyond the horizon" in text
+    assert "\n  2                  30            25  I\n" in text
+    text = decision_text(episode, 2)
+    assert "  task    ΔG -       τ_r 0.500  not asked: the safety gate fired" in text
+    assert "  commands alone            0.600" in text
+    assert "other rollouts" not in text, "it plans on the rollouts of its gates"
+
+
+def test_the_variant_that_knows_the_operator_imagines_it(tmp_path: Path) -> None:
+    episode = Invented(variant="knows-operator", config={**WASP, "variant": "knows-operator"}).read(tmp_path)
+    assert "discounted, if the operator goes on alone (Eq. 9)" in decision_text(episode, 0)
+    assert "by the expert's action now" in decision_text(episode, 0)
+
+
+def test_the_search_classifies_the_elites_that_it_keeps_again() -> None:
+    assert KEPT == search.KEPT

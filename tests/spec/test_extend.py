@@ -199,7 +199,7 @@ def test_options_lie_over_all_files(base: Path) -> None:
     assert load(path, ["operators.noisy.mild=0.1"]).spec.operators == {"noisy": {"mild": 0.1, "severe": 0.6}}
     assert places(path, "wasp.elites=x", "operators.noisy={mild: 3}", "wasp.candidates=0") == [
         ("--set operators.noisy={mild: 3}", None, f"operators.noisy.mild: {OUT_OF_RANGE}, not 3"),
-        ("--set wasp.candidates=0", None, "wasp.candidates: should be greater than or equal to 2, not 0"),
+        ("--set wasp.candidates=0", None, "wasp.candidates: should be greater than or equal to 4, not 0"),
         ("--set wasp.elites=x", None, "wasp.elites: should be an integer, not 'x'"),
     ]
     with pytest.raises(UsageError):

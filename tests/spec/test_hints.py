@@ -26,7 +26,6 @@ from wasp_cli.tasks.registry import TASKS
         ("wasp: {warmups: 3}\n", "did you mean 'world_model.warmup'?"),
         ("world_model: {mirror: yes}\n", "write true"),
         ("world_model: {mirror: 'False'}\n", "write false"),
-        ("wasp: {composition: per-step}\n", "did you mean 'per_step'?"),
         ("ida: {copilot: Expert}\n", "did you mean 'expert'?"),
         ("filter: {tau_c: auto}\n", "known: calibrated"),
         ("wasp: {tau_c: {covrage: 0.1}}\n", "did you mean 'coverage'?"),

@@ -62,15 +62,17 @@ def test_counts_may_be_written_like_people_do() -> None:
     assert read(GOOD + "expert: {interactions: 1.5e6}\n").spec.stage("expert").model_dump()["interactions"] == 1_500_000
 
 
-A_CLONE_IS_OF_ONE = "tau_c with a coverage is taken from a mixture of operators, and a clone is of one; give tau_c a number or `calibrated`"
-
-
 @pytest.mark.parametrize(
     ("addition", "place", "message", "hint"),
     [
         ("wasp:\n  candidats: 64\n", (9, 3), "unknown key 'candidats'", "did you mean 'candidates'?"),
-        ("candidates: 64\n", (8, 1), "unknown key 'candidates'", "did you mean 'wasp.candidates' or 'filter.candidates'?"),
-        ("probe: 6\n", (8, 1), "unknown key 'probe'", "did you mean 'wasp.probe'?"),
+        (
+            "candidates: 64\n",
+            (8, 1),
+            "unknown key 'candidates'",
+            "did you mean 'wasp.candidates', 'printed.candidates' or 'ida-guarded.candidates'?",
+        ),
+        ("probe: 6\n", (8, 1), "unknown key 'probe'", "did you mean 'printed.probe'?"),
         ("wasp: {episodes: 3}\n", (8, 8), "unknown key 'episodes'", "'episodes' belongs at the top level, outside every section"),
         ("wasp: {tau_r: calib}\n", (8, 15), "should be a number or 'calibrated', not 'calib'", "did you mean 'calibrated'?"),
         ("wasp: {alpha: '0.1'}\n", (8, 15), "should be a number, not '0.1'", "without quotes: 0.1"),
@@ -78,7 +80,6 @@ A_CLONE_IS_OF_ONE = "tau_c with a coverage is taken from a mixture of operators,
         ("wasp: {rollouts: 1.5}\n", (8, 18), "should be an integer, not 1.5", None),
         ("wasp: {rollouts: 0}\n", (8, 18), "should be greater than or equal to 1, not 0", None),
         ("wasp: {horizon: 3}\n", (8, 1), "residual_steps (5) is longer than horizon (3)", None),
-        ("wasp: {tau_c: {coverage: 0.1}, operator_model: cloned}\n", (8, 1), A_CLONE_IS_OF_ONE, None),
         ("wasp: {variant: no-case2}\n", (8, 8), "'variant' is not set here", "write `variants: [full]` at the top, outside every section"),
         ("evaluate: {episodes: 3}\n", (8, 12), "'episodes' is not set here", "write `episodes: 30` at the top, outside every section"),
         ("wasp: 3\n", (8, 7), "should be a mapping of keys to values, not 3", None),

@@ -92,7 +92,7 @@ def test_what_specs_may_write_validates(text: str, validator: jsonschema.Draft20
         ("seeds: [0]", "seeds: [0]\nwasp: {candidats: 8}"),
         ("seeds: [0]", "seeds: [0]\nwasp: {candidates: '8'}"),
         ("seeds: [0]", "seeds: [0]\nwasp: {candidates: 1}"),
-        ("seeds: [0]", "seeds: [0]\nwasp: {composition: held}"),
+        ("seeds: [0]", "seeds: [0]\nida: {copilot: held}"),
         ("seeds: [0]", "seeds: [0]\nwasp: {variant: full}"),
         ("seeds: [0]", "seeds: [0]\nevaluate: {episodes: 3}"),
         ("seeds: [0]", "seeds: [0]\nby_task: {gaol1: {}}"),
@@ -127,11 +127,11 @@ def test_a_gymnasium_id_is_what_the_registry_takes_for_one(name: str) -> None:
 
 def test_fields_say_what_they_mean_and_no_default_that_presets_change() -> None:
     schema = spec_schema()
-    wasp = schema["$defs"]["WASPConfig"]["properties"]
-    assert wasp["tau_r_quantile"] == {
-        "default": 0.95, "description": "which quantile", "exclusiveMaximum": 1.0, "exclusiveMinimum": 0.0, "type": "number"
+    wasp, printed = (schema["$defs"][f"{name}Config"]["properties"] for name in ("WASP", "Printed"))
+    assert printed["tau_r_quantile"] == {
+        "default": 0.95, "description": "which one", "exclusiveMaximum": 1.0, "exclusiveMinimum": 0.0, "type": "number"
     }  # fmt: skip
-    assert wasp["candidates"] == {"description": "N, section 5.1", "minimum": 2, "type": "integer"}
+    assert wasp["candidates"] == {"description": "N, section 5.1", "minimum": 4, "type": "integer"}
     assert set(schema["properties"]) == {*spec_type().model_fields, "extends", "task"}
 
 

@@ -112,6 +112,20 @@ def test_steps_round_trip(write: Callable[..., Path]) -> None:
         assert [step[name] for name in planned[3:]] == [t / 8 + i for i in range(4)]
 
 
+def test_a_plan_without_a_search_keeps_what_was_carried_out(tmp_path: Path) -> None:
+    episode = invent(0, 5)
+    assert episode.plans is not None
+    planned = ~np.isnan(episode.plans.residuals).any((1, 2))
+    assert planned.any()
+    assert not planned.all()
+    episode.plans.safe[:] = -1
+    path = write_cell(tmp_path, CELL, [episode], [episode_metrics(episode, 3, 25.0)], Thresholds(), [np.ones(5)], range(1))
+    for step, was in zip(read_steps(path).to_pylist(), planned, strict=True):
+        assert (step["safe"], step["case2"]) == (None, None)
+        assert (step["plan"] is not None) == (step["plan_cost"] is not None) == (step["alone_return"] is not None) == was
+    assert read_episodes([path])["case2"].to_pylist() == [None]
+
+
 def test_the_unimpaired_operator_has_no_value(write: Callable[..., Path]) -> None:
     table = read_episodes([write(cell=CellIdentity("goal1", "expert", "full", "none", None, 0))])
     assert table["value"].null_count == 3

@@ -18,7 +18,7 @@ from wasp_cli.store.layout import Layout
 KEYS = {"world_model": "aaaa1111aaaa1111aaaa", "policies": "bbbb2222bbbb2222bbbb", "calibration": "cccc3333cccc3333cccc"}
 CELL = "dddd4444dddd4444dddd"
 EAGER = {
-    "horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 1, "probe": 12, "gate_rollouts": 1,
+    "horizon": 4, "residual_steps": 2, "candidates": 12, "elites": 4, "feasible": 4, "iterations": 1, "rollouts": 1,
     "tau_c": 1.2, "tau_r": 0.0,
 }  # fmt: skip
 """WASP that intervenes although nothing is trained."""

@@ -13,13 +13,12 @@ import torch
 from tests.worlds import NoCritics
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.learning.sampling import generator, gumbel
-from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
+from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation, corrected, over_rollouts
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
-from wasp_cli.video.imagined import ROLLOUTS, RolloutStart, imagine, rollout_start
+from wasp_cli.video.imagined import ROLLOUTS, RolloutStart, following, imagine, rollout_start
 from wasp_cli.video.trace import AsRecorded
 
 HORIZON, ROWS, ROW, T = 6, 3, 1, 9
@@ -52,17 +51,24 @@ def test_returns_are_those_of_the_planner(decided: tuple[Any, Operator, Latent, 
     model, operator, latent, a_h = decided
     found = imagine(model, start(decided), HORIZON, [2, 6], hold=composition == "hold")
 
-    config = WASPConfig(horizon=HORIZON, residual_steps=len(PLAN), continuation=False, composition=composition)  # type: ignore[arg-type]
-    imagination = Imagination(model, NoCritics(), config, GAMMA, GAMMA, 1.0)
+    imagination = Imagination(model, NoCritics(), operator.policy, GAMMA, GAMMA, 1.0)
     draws = Draws(
         gumbel((HORIZON, ROLLOUTS, model.noise_size), generator(2 * T + 1))[None],
         torch.rand((HORIZON, ROLLOUTS, operator.draws), generator=generator(2 * T))[None],
     )
     residuals = torch.from_numpy(np.stack([np.zeros_like(PLAN), PLAN]))[None]
     row = torch.tensor([ROW])
+    now, delta = a_h[row].expand(2 * ROLLOUTS, -1), over_rollouts(residuals, ROLLOUTS)
+
+    def held(k: int, command: torch.Tensor) -> torch.Tensor:
+        """Eq. 13 as printed; the operator alone (Eq. 9) is asked on."""
+        return torch.cat([command[:ROLLOUTS], (now + delta[:, k])[ROLLOUTS:]]) if k < len(PLAN) else command
+
+    compose = held if composition == "hold" else corrected(residuals, draws)
     with torch.inference_mode():
-        expected = imagination.returns(Situation(latent.rows(row), a_h[row], operator, row), residuals, draws).cost[0].numpy()
+        cost = imagination.roll(Situation(latent.rows(row), a_h[row], operator, row), 2, compose, draws).cost()[:, 0].mean(-1).numpy()
     discount = GAMMA ** np.arange(HORIZON)
+    expected = (cost * discount[:, None]).sum(0)
     np.testing.assert_allclose((found.cost * discount).sum(1), expected, rtol=1e-4)
     assert abs(expected[0] - expected[1]) > 1e-6, "the plan changes nothing here"
 
@@ -112,3 +118,13 @@ def test_one_whose_commands_are_taken_as_recorded_is_told_what_was_executed() ->
     again.observe(-torch.ones(1, 2))
     forked = again.fork(torch.tensor([0]), 1, EpisodeNoise([4]))
     assert (forked.memory["pushed"] > 0).all()  # imagined, the person goes on from the reaction
+
+
+def test_the_expert_follows_where_the_assistant_imagines_him(decided: tuple[Any, Operator, Latent, torch.Tensor]) -> None:
+    model, operator, latent, a_h = decided
+    expert = following(operator.policy, 2, ROWS)
+    begun = rollout_start(T, latent, ROW, a_h[ROW].numpy(), expert, PLAN, HORIZON)
+    with torch.inference_mode():
+        first = imagine(model, begun, HORIZON, [])
+        own = imagine(model, start(decided), HORIZON, [])
+    assert np.array_equal(first.features, own.features) == (type(operator) is Operator), "only the unimpaired operator is the expert"

@@ -134,7 +134,7 @@ def test_the_words_of_the_rows_reach_the_frames(tmp_path: Path) -> None:
     said = numbers(episode_trace(made.read(tmp_path)), 2)
     assert "gate: safety gate" in said
     assert "Ḡᶜ 0.50 > τ_c 0.3" in said
-    assert "plan's cost 0.20, alone 0.60" in said
+    assert "plan's cost 0.20, without it 0.60" in said
     assert "cost so far 4, goals 0" in said
     assert numbers(episode_trace(made.read(tmp_path)), 0)[0] == "gate: none, command stands"
 

@@ -136,7 +136,7 @@ def _report(results: Path, spec: str) -> None:
 
 @drive_app.command(
     rich_help_panel="People",
-    epilog="[bold]wasp clone results/ --participant 7[/]   ·   [bold]wasp drive goal1 --participant 7 --set wasp.operator_model=cloned[/]"
+    epilog="[bold]wasp clone results/ --participant 7[/]"
     "\n\nExit codes: 0 done, 1 results cannot be read or written, 2 usage, 3 invalid setting, 130 interrupted.",
 )
 @expected_errors
@@ -150,15 +150,16 @@ def clone(
     set_: SetOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Fit a policy to what a participant commanded: an operator variant, and what WASP can imagine in the person's place.
+    """Fit a policy to what a participant commanded: an operator variant.
 
-    Every fourth episode is held out and judges it. Afterwards any spec has `operators: {cloned: {p7: 7}}`, and
-    `wasp.operator_model: cloned` assists this person.
+    Every fourth episode is held out and judges it. Afterwards any spec has `operators: {cloned: {p7: 7}}`.
     """
     from wasp_cli.console import out, say
+    from wasp_cli.drive.block import ALONE
     from wasp_cli.drive.clone import clone_participant, quality_table
     from wasp_cli.drive.session import driven_tasks, shipped
     from wasp_cli.errors import UsageError
+    from wasp_cli.operators.registry import CLONED
     from wasp_cli.run.session import RunOptions, cores
 
     if participant is None:
@@ -166,7 +167,8 @@ def clone(
     root = results_folder(folder, results)
     found = []
     for name in task or driven_tasks(root, participant):
-        loaded = shipped(name, ["wasp"], participant, [0], preset, ["wasp.operator_model=cloned", *(set_ or ())])
+        drives = f"operators={{{CLONED}: {{p{participant}: {participant}}}}}"
+        loaded = shipped(name, [ALONE], participant, [0], preset, [drives, *(set_ or ())])
         found.append(clone_participant(loaded, root, participant, RunOptions(cores() if jobs is None else jobs)))
         if not json:
             out().print(quality_table(found[-1]))

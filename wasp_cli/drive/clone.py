@@ -1,4 +1,4 @@
-"""`wasp clone`: a policy fitted to what a participant commanded, which then drives in the grid, or is imagined in the person's place.
+"""`wasp clone`: a policy fitted to what a participant commanded, which then drives in the grid.
 
 The sessions are played again for what the world model saw. Every fourth episode is held out and judges the clone beside what needs no
 learning: repeating the last command, commanding what the expert would, any command at all. K decisions, F features, A actions.
@@ -19,7 +19,7 @@ from rich.table import Table as RichTable
 from torch import Tensor
 
 from wasp_cli.console import count_table, plain, say, waiting_aloud
-from wasp_cli.drive.session import cells_of, driven
+from wasp_cli.drive.session import driven
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.clone import Issued, fit_clone
 from wasp_cli.learning.configs.latent import CloneConfig
@@ -30,6 +30,7 @@ from wasp_cli.models.weights import save_weights
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import Policy
 from wasp_cli.operators.registry import PERSON
+from wasp_cli.plan.grid import CLONE, OPERATOR_CLONE
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.runner import job_of
@@ -66,7 +67,7 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     """Fit a clone to everything that a participant drove on a task with the models of a spec, and put it where plans look for it.
 
     Args:
-        loaded: a spec of one task in whose cells the participant is imagined by a clone.
+        loaded: a spec of one cell, in which the clone drives.
         results: the results folder.
         participant: number.
         options: for models that are not here yet.
@@ -80,8 +81,8 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     """
     layout = Layout(results.absolute())
     grid = lay_out_over(loaded.spec, layout, None)
-    ((_, evaluation),) = cells_of(grid, participant)
-    sessions = _sessions(layout, evaluation.needs["clone"], participant)
+    ((_, evaluation),) = grid.cells
+    sessions = _sessions(layout, evaluation.needs[OPERATOR_CLONE], participant)
     node = sessions.node
     _require_unused(layout, node)
     # It is not asked for by a report: under the name of its spec it would hide what was driven.
@@ -121,10 +122,10 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
         save_weights(clone, staging / "clone.safetensors", **arguments)
         (staging / "curve.json").write_text(json.dumps(curve, indent=1))
         (staging / "quality.json").write_text(json.dumps(document, indent=1))
-        if exists(layout, "clone", node.key):
+        if exists(layout, CLONE, node.key):
             say(f"{node.label}: made again, in the place of the earlier one")
-            discard(layout.artifact("clone", node.key))
-        commit(layout, "clone", node.key, staging, manifest_of(job_of(layout, made.run_id, node), summary, 0.0, begun))
+            discard(layout.artifact(CLONE, node.key))
+        commit(layout, CLONE, node.key, staging, manifest_of(job_of(layout, made.run_id, node), summary, 0.0, begun))
     discard(layout.run(made.run_id))
     return {"label": node.label, "key": node.key, **document}
 
@@ -168,7 +169,7 @@ def _require_unused(layout: Layout, node: Node) -> None:
         return
     using = [
         str(manifest.get("label"))
-        for kind in ("evaluate", "counterfactual", "clone")
+        for kind in ("evaluate", "counterfactual", CLONE)
         for key in sorted(filter(is_key, stored_keys(layout, kind)))
         if node.key in (manifest := read_manifest(layout, kind, key)).get("upstream", {}).values()
     ]

@@ -1,4 +1,4 @@
-"""What the assistant imagines, as lines on the map: where the commands alone lead, and where its correction does."""
+"""What the assistant imagines, as lines on the map: where the command alone leads, and where its correction does."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from torch import Tensor
 from wasp_cli import seeds
 from wasp_cli.learning.closed_loop import Filter
 from wasp_cli.methods.base import Assistant, Decision, Parts
+from wasp_cli.methods.configs import PrintedConfig, WASPConfig
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.base import Floats, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.imagined import Readout, displacements, fit, imagine, integrated, rollout_start
+from wasp_cli.video.imagined import Readout, displacements, fit, following, imagine, integrated, rollout_start
 from wasp_cli.video.replay import HORIZON
 from wasp_cli.video.trace import poses_of
 
@@ -35,7 +36,10 @@ class Futures:
         self._readout = _readout(task, parts, world)
         config: Any = getattr(assistant, "config", None)
         self._horizon = int(getattr(config, "horizon", HORIZON))
-        self._hold = getattr(config, "composition", None) == "hold"
+        self._hold = isinstance(config, PrintedConfig)
+        self._expert: Operator | None = None
+        if isinstance(config, WASPConfig) and config.variant != "knows-operator":
+            self._expert = following(parts.skills.expert, world.action_size, 1)
         self._seconds = 0.0
 
     def lines(
@@ -59,7 +63,7 @@ class Futures:
         begun = time.monotonic()
         with torch.inference_mode():
             residuals = _correction(a_h, decision)
-            start = rollout_start(t, latent, 0, a_h[0].cpu().numpy(), operator, residuals, self._horizon)
+            start = rollout_start(t, latent, 0, a_h[0].cpu().numpy(), self._expert or operator, residuals, self._horizon)
             found = imagine(self._model, start, self._horizon, (), hold=self._hold)
         ways = [integrated(np.array(robot), self._readout(features[0])) for features in found.features]
         self._seconds = max(time.monotonic() - begun, 0.5 * self._seconds)

@@ -46,7 +46,7 @@ class GuardedIDA:
         return Decision(self.motors.least(a_h, second.action), record)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Set tau_Q as IDA does; tau_c is a number."""
+        """Set tau_Q as IDA does, from K held-out decisions and their costs ahead [K]; tau_c is a number."""
         found = self.ida.calibrate(heldout, cost_ahead, operator, seed)
         self.tau_q = self.ida.tau_q
         return found | {"tau_c": self.tau_c}

@@ -54,6 +54,8 @@ class MethodInfo:
     """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
     rows: Mapping[str, str] = field(default_factory=dict)
     """Variants that are no ablations: each with its title, under which it has a row of its own in every table."""
+    instead_of: str = ""
+    """The method in whose place the claims of a paper are judged a second time with this one."""
     own_thresholds: tuple[str, ...] = ()
     """Variants whose thresholds have another unit, so that they are calibrated by themselves."""
     rule: str = ""
@@ -156,6 +158,7 @@ METHODS: Registry[MethodInfo] = Registry(
             ("critics",),
             calibrated=True,
             variants=_ABLATIONS,
+            instead_of="wasp",
             own_thresholds=("no-rollout",),
             rule="WASP as printed imagines the operator's own rule: it plans a residual where the imagined cost exceeds τ_c, or else where "
             "the best of random plans gains more return than τ_r.",

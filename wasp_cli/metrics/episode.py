@@ -47,12 +47,12 @@ CUT_OFF = -2
 
 @dataclass(frozen=True, eq=False)
 class Plans:
-    """What was planned in T decision steps; NaN (below 0 in `safe`) where nothing was. L residual steps, I iterations."""
+    """What was planned in T decision steps; NaN where nothing was. L residual steps, I iterations."""
 
     residuals: Floats
     """[T, L, A] the chosen sequence"""
     safe: Ints
-    """[T, I] |F_s| of every iteration (Eq. 14)"""
+    """[T, I] |F_s| of every iteration (Eq. 14); below 0 where nothing was searched"""
     case2: Bools
     """[T, I] whether the iteration was in Case II"""
     cost: Floats
@@ -95,7 +95,7 @@ class Trajectory:
     g_return: Floats
     """[T] estimated reward return of the nominal command (Eq. 10)"""
     delta_g: Floats
-    """[T] estimated gain of the probe's winner (Eq. 12)"""
+    """[T] what the correction that the task gate looks at gains (Eq. 12)"""
     signal: Floats
     """[T] the method's own decision value, such as IDA's vote"""
     plans: Plans | None = None

@@ -29,9 +29,3 @@ class ClonedOperator(Operator):
         issued = self.clone.sample(features, self.memory["last"], self.policy(features), uniforms)
         self.memory = {"last": issued}
         return issued
-
-    def after(self, a_h: Tensor, noise: NoiseSource) -> ClonedOperator:
-        """Return the same operator where it has just issued the commands a_h [B, A]."""
-        again = ClonedOperator(self.clone, self.policy, self.action_size, noise, len(a_h))
-        again.memory = {"last": a_h}
-        return again

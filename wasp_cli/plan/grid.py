@@ -28,6 +28,8 @@ CALIBRATED_VARIANT = "full"
 """Ablations share the thresholds of the method that they ablate, unless theirs have another unit (`MethodInfo.own_thresholds`)."""
 COUNTERFACTUAL = "counterfactual"
 """The stage that runs for every cell whose method may intervene."""
+CLONE, FITTING = "clone", "wasp_cli.learning.clone"
+"""The stage of a person's clone, which `wasp clone` makes, and the module that fits it, which is therefore in its key."""
 OPERATOR_CLONE = "operator_clone"
 """The name under which a node reads the clone of the person who drives in it."""
 
@@ -152,8 +154,6 @@ class _Assisted:
     """of `config`"""
     sort: str
     """of the nodes"""
-    of_operator: tuple[str, ...]
-    """stages that each evaluation reads for its own operator"""
 
 
 class _Builder:
@@ -170,7 +170,7 @@ class _Builder:
         self.method_config = cache(lambda method, variant, task: spec.method(method, variant, task).model_dump(mode="json"))
         self.training = cache(self._training)
         self.calibration = cache(self._calibration)
-        self.operator_stage = cache(self._operator_stage)
+        self.clone = cache(self._clone)
         self.assisted = cache(self._assisted)
         self.modules = cache(_modules)
 
@@ -187,10 +187,8 @@ class _Builder:
         text = joined({**axes, "method_config": shared.text})
         roots = (*shared.roots, *_roots(_operator_targets([cell.operator])))
         needs, upstream = shared.needs, shared.upstream
-        if shared.of_operator or cell.operator == CLONED:
-            chain = self.spec.chain_seed(cell.seed)
-            needs = {**needs, **self._of_operator(shared.of_operator, cell.task, chain, cell.operator, cell.value)}
-            needs |= self._cloned_person(cell.task, chain, cell.operator, cell.value)
+        if cell.operator == CLONED:
+            needs = {**needs, **self._cloned_person(cell.task, self.spec.chain_seed(cell.seed), cell.operator, cell.value)}
             upstream = self._upstream(needs)
         return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), (text, upstream, shared.sort))
 
@@ -208,23 +206,19 @@ class _Builder:
     def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
         info = METHODS[method]
         config = self.method_config(method, assistant, task)
-        further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
-        needs = self._inputs("evaluate", task, chain, further)
+        needs = self._inputs("evaluate", task, chain, _known(info.needs_of(config), f"the method '{method}'"))
         if info.calibrated:
             variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(task, chain, method, variant)
         axes = {"method": method, "method_config": config}
         sort = sort_of("evaluate", task, self.config("evaluate", task), axes)
-        return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort, of_operator)
+        return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort)
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
         config = self.method_config(method, variant, task)
         axes = {"method": method, "method_config": config} | _plugins({method: info.target})
-        further, of_operator = _split(_known(info.needs_of(config), f"the method '{method}'"))
-        needs = self._inputs("calibration", task, seed, further)
-        # The held-out episodes are the unimpaired operator's.
-        needs |= self._of_operator(of_operator, task, seed, UNIMPAIRED, None)
+        needs = self._inputs("calibration", task, seed, _known(info.needs_of(config), f"the method '{method}'"))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
         return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), f"calibration {name}")
 
@@ -234,21 +228,15 @@ class _Builder:
         needs = self._inputs(kind, task, seed)
         return self._node(kind, task, seed, axes, needs, _roots(operators), kind)
 
-    def _of_operator(self, kinds: Iterable[str], task: str, seed: int, operator: str, value: float | None) -> dict[str, Node]:
-        return {kind: self.operator_stage(kind, task, seed, operator, value) for kind in kinds}
-
-    def _operator_stage(self, kind: str, task: str, seed: int, operator: str, value: float | None) -> Node:
-        targets = _operator_targets([operator])
-        axes = {"variant": operator, "value": value} | _plugins(targets)
-        label = f"{kind} {_driver(operator, value)}"
-        needs = self._inputs(kind, task, seed) | self._cloned_person(task, seed, operator, value)
-        return self._node(kind, task, seed, axes, needs, _roots(targets), label)
+    def _clone(self, task: str, seed: int, value: float | None) -> Node:
+        axes, roots = {"variant": PERSON, "value": value}, (*_roots(_operator_targets([PERSON])), FITTING)
+        return self._node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), roots, f"{CLONE} {_driver(PERSON, value)}")
 
     def _cloned_person(self, task: str, seed: int, operator: str, value: float | None) -> dict[str, Node]:
         """The clone of a participant, where it drives; it is made by `wasp clone`, not by a run."""
         if operator != CLONED:
             return {}
-        return {OPERATOR_CLONE: self.operator_stage("clone", task, seed, PERSON, value)}
+        return {OPERATOR_CLONE: self.clone(task, seed, value)}
 
     def _inputs(self, kind: str, task: str, seed: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
         needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))
@@ -332,15 +320,11 @@ def _driver(operator: str, value: float | None) -> str:
 
 def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:
     """The stages that a method or a stage needs; a plugin may have one wrong."""
+    known = [name for name, info in STAGES.items() if info.unit != "person"]
     for name in needs:
-        if name not in STAGES:
-            raise UnknownName("stage", name, STAGES, f"{whose} needs an unknown stage '{name}'")
+        if name not in known:
+            raise UnknownName("stage", name, known, f"{whose} needs an unknown stage '{name}'")
     return needs
-
-
-def _split(needs: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The stages of the training chain, and those that there are for each operator."""
-    return tuple(n for n in needs if STAGES[n].unit != "operator"), tuple(n for n in needs if STAGES[n].unit == "operator")
 
 
 @cache

@@ -30,7 +30,7 @@ SLOWEST = "wasp"
 
 
 def figure_of(kind: str, task: str, axes: Mapping[str, Any]) -> str:
-    """Return the name of a figure: `evaluate goal1 wasp/as-printed`."""
+    """Return the name of a figure: `evaluate goal1 wasp/no-case2`."""
     return figures_like(kind, task, axes)[0]
 
 

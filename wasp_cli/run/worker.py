@@ -17,7 +17,7 @@ from typing import Any, TextIO
 from wasp_cli import seeds
 from wasp_cli.config import Config
 from wasp_cli.console import duration
-from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, UsageError, WaspError
+from wasp_cli.errors import ArtifactError, SourceChanged, StoreError, TrainingError, WaspError
 from wasp_cli.memory import keep_memory
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.registry import PERSON
@@ -161,9 +161,6 @@ def _note(log: Path, text: str) -> None:
 
 def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
     """The clone that drives in a node, or that continues a person's session in its branches."""
-    if job.kind == "clone" and job.axes.get("variant") == PERSON:
-        number = f"{job.axes.get('value'):g}"
-        raise UsageError(f"nobody has cloned participant {number}", f"wasp clone {layout.root} --participant {number}")
     if OPERATOR_CLONE not in job.inputs:
         return None
     folder = layout.artifact(*job.inputs[OPERATOR_CLONE])

@@ -63,8 +63,8 @@ def ablation(
     return load(path, [*narrowed, *sized(preset, settings)])
 
 
-PAPER: Mapping[str, int] = {"probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100, "rollouts": 1}
-"""N_probe, N, N_e and I of section 5.1; N_f = N_e and M = 1, which it leaves open."""
+PAPER: Mapping[str, int] = {"candidates": 300, "elites": 100, "iterations": 6, "feasible": 100}
+"""N, N_e and I of section 5.1; N_f = N_e, which it leaves open."""
 
 
 class PlannerConfigs(NamedTuple):

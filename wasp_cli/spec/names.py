@@ -72,9 +72,10 @@ def _stage(name: str) -> str:
     unit = STAGES[name].unit if name in STAGES else None
     if unit == "method":
         raise PydanticCustomError("of_method", "'{name}' runs for a method", {"name": name, "hint": "list its method under `methods`"})
-    if unit == "operator":
-        hint = {"name": name, "hint": "a method that needs it runs it for its operators, such as wasp with `operator_model: cloned`"}
-        raise PydanticCustomError("of_operator", "'{name}' runs for an operator", hint)
+    if unit == "person":
+        raise PydanticCustomError(
+            "of_person", "'{name}' is of a person", {"name": name, "hint": "wasp clone RESULTS --participant N makes it"}
+        )
     if unit is None:
         raise unknown("stage", name, training_stages())
     return name

@@ -33,7 +33,7 @@ _SMOKE: Document = {
         "reinforce": {"interactions": 128, "envs": 4, "rollout": 32, "batch": 64},
     },
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32], "q_updates": 5, "q_batch": 16},
-    "clone": {"episodes": 2, "heldout_episodes": 1, "updates": 5, "batch": 32, "hidden": [16], "draws": 4},
+    "clone": {"updates": 5, "batch": 32, "hidden": [16]},
     "heldout": {"episodes": 2},
     "coverage": {"episodes": 6, "fresh": 2},
     "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},

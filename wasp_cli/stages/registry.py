@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from wasp_cli.registry import Registry
 
-Unit = Literal["chain", "method", "operator", "cell"]
+Unit = Literal["chain", "method", "person", "cell"]
 """What one node of a stage belongs to: a training chain (task and seed), a method, an operator at one severity, or a cell of the grid."""
 
 
@@ -26,8 +26,8 @@ class StageInfo:
     """Import string of its class (light to import: heavy imports are inside `run`)."""
     unit: Unit = "chain"
     """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others are those of this package:
-    `method` runs because a method is listed, `operator` for every operator whose method needs it, `cell` for every cell whose method may
-    intervene."""
+    `method` runs because a method is listed, `cell` for every cell whose method may intervene; `person` is made by a command of what a
+    person drove, and a run only reads it."""
     by_default: bool = False
     """Whether a spec that lists no `stages` trains it, although no method needs it."""
     skips_missing_skills: bool = False
@@ -63,7 +63,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
-        StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "operator", weight=4),
+        StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "person", weight=4),
         StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3),
         StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage", "method", weight=1),
         StageInfo("counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2),

@@ -74,7 +74,7 @@ STEP = pa.struct(
     ]
 )
 """A decision step; the meaning of the fields is that of `metrics.episode.Trajectory` and `Plans`. `safe` and `case2` have an entry per
-iteration, `plan` the L residuals one after the other; all that concerns a plan is null where nothing was planned."""
+iteration searched, `plan` the L residuals one after the other; each is null where there was no search, or no plan."""
 PLANNED = {
     "plan_cost": "cost", "plan_return": "reward", "alone_cost": "alone_cost", "alone_return": "alone_reward",
     "safe": "safe", "case2": "case2", "plan": "residuals",
@@ -238,15 +238,15 @@ def _steps(trajectories: Sequence[Trajectory]) -> list[pa.Array]:
 
 
 def _planned(trajectories: Sequence[Trajectory]) -> dict[str, NDArray[Any]] | None:
-    """The fields of PLANNED over all steps, masked where nothing was planned; None of a method that does not plan."""
+    """The fields of PLANNED over all steps, masked where nothing was planned or searched; None of a method that does not plan."""
     plans = [trajectory.plans for trajectory in trajectories if trajectory.plans is not None]
     if len(plans) != len(trajectories):
         return None
     columns = {name: np.concatenate([np.asarray(getattr(each, source)) for each in plans]) for name, source in PLANNED.items()}
-    nothing = columns["safe"][:, -1] < 0
-    columns["plan"] = columns["plan"].reshape(len(nothing), -1)
+    columns["plan"] = columns["plan"].reshape(len(columns["plan"]), -1)
+    lacks = dict.fromkeys(columns, np.isnan(columns["plan"]).any(1)) | dict.fromkeys(("safe", "case2"), columns["safe"][:, -1] < 0)
     return {
-        name: np.ma.masked_array(values, np.broadcast_to(nothing.reshape(-1, *[1] * (values.ndim - 1)), values.shape))
+        name: np.ma.masked_array(values, np.broadcast_to(lacks[name].reshape(-1, *[1] * (values.ndim - 1)), values.shape))
         for name, values in columns.items()
     }
 

@@ -59,7 +59,7 @@ class Timing:
     """One kind of decision."""
 
     kind: str
-    """`gate`: the nominal rollouts alone; `quiet`: both gates, silent; `safety`, `task`: the planner after that gate"""
+    """`quiet`, `task` or `safety` (MEANINGS)"""
     ms: float
     """fastest, for the whole batch"""
     ms_p50: float
@@ -87,9 +87,7 @@ class Bench:
         return next(timing.ms for timing in self.timings if timing.kind == kind) / self.batch
 
     def mean_ms(self, safety: float, task: float) -> float:
-        """Return the mean milliseconds of a decision where the gates fire at these rates.
-
-        The probe comes before a task decision and after a silent safety gate."""
+        """Return the mean milliseconds of a decision where the gates fire at these rates, and every safety gate asks for a search."""
         return safety * self.ms("safety") + task * self.ms("task") + (1 - safety - task) * self.ms("quiet")
 
     def as_json(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The video of an episode, frame by frame.
 
 Left the map, right what the cameras saw and what the world model made of it: decoded from the filtered latent, and from imagined ones under
-the commands alone (upper block) and under the correction (lower block); below, the course of the whole episode.
+the command uncorrected (upper block) and under the correction (lower block); below, the course of the whole episode.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _SEQUENCES = (COMMAND, EXECUTED)
 
 
 class Correction(NamedTuple):
-    """What is imagined beside the commands alone."""
+    """What is imagined beside the command uncorrected."""
 
     residuals: Sequence[NDArray[Any] | None]
     """T times [L, A], or None where the command stood"""
@@ -151,7 +151,7 @@ class Painter:
         """Below the map."""
         x, y = float(GAP), HEADER + TITLE + MAP + 5
         for text, colour, kind in (
-            ("command", COMMAND, "arrow"), ("executed instead", EXECUTED, "arrow"), ("imagined: alone", COMMAND, "dash"),
+            ("command", COMMAND, "arrow"), ("executed instead", EXECUTED, "arrow"), ("imagined: uncorrected", COMMAND, "dash"),
             ("corrected", EXECUTED, "line"), ("cost", COST, "dot"),
         ):  # fmt: skip
             x = _legend_entry(draw, x, y, text, colour, kind)
@@ -166,7 +166,7 @@ class Painter:
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
             for row in rows:
                 image.paste(_camera(images, row, SIDE), (column, _TOPS[0] + row * (SIDE + BETWEEN)))
-        for block, (top, name, colour) in enumerate(zip(_TOPS, ("commands alone", self._corrected), _SEQUENCES, strict=True)):
+        for block, (top, name, colour) in enumerate(zip(_TOPS, ("uncorrected", self._corrected), _SEQUENCES, strict=True)):
             there = block < len(imagined.features)
             what = f"imagined: {name}" if there else "no correction at this decision"
             draw.rectangle((columns[2], top - 2 * TITLE + 4, columns[2] + 10, top - 2 * TITLE + 14), colour if there else _NOTHING)
@@ -218,7 +218,7 @@ def film_episode(
         source: the cell.
         trace: what its rows say of the episode.
         episode: which one.
-        correction: what is imagined beside the commands alone.
+        correction: what is imagined beside the command uncorrected.
         horizon: imagined steps.
         every: decisions between two frames; the last one has a frame too.
         out: the file; see `encode.checked`.

@@ -20,7 +20,7 @@ from torch import Tensor
 from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import DrawnNoise, Operator
+from wasp_cli.operators.base import DrawnNoise, Operator, Policy
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.frames import wrapped
 
@@ -42,7 +42,7 @@ class RolloutStart(NamedTuple):
     a_h: NDArray[np.float32]
     """[A]"""
     operator: Operator
-    """forked from the real one right after its command: S * M rows, sequence after sequence"""
+    """who goes on, forked right after the command: S * M rows, sequence after sequence"""
     residuals: NDArray[np.float32]
     """[S, L, A]: the first sequence is that of the commands alone, all zero"""
 
@@ -72,6 +72,11 @@ def rollout_start(
     return RolloutStart(t, latent.rows(torch.tensor([row])), a_h, forked, sequences)
 
 
+def following(expert: Policy, action_size: int, batch: int) -> Operator:
+    """Return who goes on where the assistant imagines the expert behind a command: B = `batch` rows without a memory."""
+    return Operator(expert, action_size, DrawnNoise(torch.zeros(0, batch, 0)), batch)
+
+
 @torch.inference_mode()
 def imagine(
     model: SafetyWorldModel, start: RolloutStart, horizon: int, shown: Sequence[int], *, hold: bool = False
@@ -83,7 +88,7 @@ def imagine(
         start: where it begins.
         horizon: H.
         shown: imagined steps whose image is decoded.
-        hold: residuals are added to the present command instead of the imagined ones (`composition`).
+        hold: residuals are added to the present command instead of the imagined ones, as Eq. 13 is printed.
     """
     sequences, steps, _ = start.residuals.shape
     begun = start.operator.snapshot()
@@ -97,7 +102,8 @@ def imagine(
     images: dict[int, NDArray[np.float32]] = {}
     for k in range(horizon):
         command = now if k == 0 else start.operator.command(latent.features)
-        action = ((now if hold else command) + residuals[:, k]).clamp(-1, 1) if k < steps else command
+        base = torch.cat([command[:ROLLOUTS], now[ROLLOUTS:]]) if hold else command  # of the first sequence the operator goes on
+        action = (base + residuals[:, k]).clamp(-1, 1) if k < steps else command
         start.operator.observe(action)
         latent = model.imagine(latent, action, noise[k])
         features.append(latent.features)

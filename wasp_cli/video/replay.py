@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.plan.grid import OPERATOR_CLONE
-from wasp_cli.report.explain.stored import Episode, read_episode, signal_of
+from wasp_cli.report.explain.stored import Episode, imagines_expert, read_episode, signal_of
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists
 from wasp_cli.store.bounds import require_size
@@ -152,6 +152,7 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
         clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
         rounded=rounded,
+        expert_goes_on=imagines_expert(cell),
     )  # fmt: skip
 
 
@@ -217,5 +218,5 @@ def correction(stored: Episode) -> Correction:
             changed = stored.numbers["deviation"][t] > INTERVENED
             residuals.append((stored.a[t] - stored.a_h[t])[None] if changed else None)
     name = "with the plan" if planned else "executed action, then commands"
-    hold = stored.cell.setting("axes", "method_config", "composition") == "hold"
+    hold = stored.row["method"] == "printed" or stored.cell.setting("axes", "method_config", "composition") == "hold"  # an earlier setting
     return Correction(residuals, name, hold)

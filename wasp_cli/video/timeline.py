@@ -160,7 +160,7 @@ def numbers(trace: EpisodeTrace, t: int) -> list[str]:
         if np.isfinite(trace.delta_g[t]):
             lines.append(_against("ΔG", trace.delta_g[t], "τ_r", trace.tau_r))
         if np.isfinite(trace.plan_cost[t]):
-            lines.append(f"plan's cost {trace.plan_cost[t]:.2f}, alone {trace.alone_cost[t]:.2f}")
+            lines.append(f"plan's cost {trace.plan_cost[t]:.2f}, without it {trace.alone_cost[t]:.2f}")
     elif np.isfinite(trace.signal[t]):
         lines.append(_against(trace.signal_name, trace.signal[t], "limit", trace.signal_limit))
     lines.append(f"reward {trace.reward[t]:+.3f}, so far {trace.reward[: t + 1].sum():.2f}")

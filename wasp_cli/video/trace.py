@@ -29,7 +29,7 @@ from wasp_cli.stages.evaluate import EvaluateStage
 from wasp_cli.tasks.base import Floats, Pixels, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.make import make_task
-from wasp_cli.video.imagined import Readout, RolloutStart, displacements, fit, fit_within, rollout_start
+from wasp_cli.video.imagined import Readout, RolloutStart, displacements, fit, fit_within, following, rollout_start
 
 Progress = Callable[[float, str], None]
 
@@ -56,6 +56,8 @@ class Source:
     """of the person in whose place an operator drove"""
     rounded: bool = False
     """the models are published in half precision: the operator says what was recorded, and imagines from nearly the same memory"""
+    expert_goes_on: bool = False
+    """the assistant imagines the expert behind every command, not the operator"""
 
     def world(self) -> VectorTask:
         """Build the task as the cell was evaluated in."""
@@ -190,6 +192,9 @@ def _play_episode(
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
+    follower = rerun.operator
+    if source.expert_goes_on:
+        follower = following(load_skills(source.policies).expert, world.action_size, world.batch)
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []
     decisions: list[PlayedDecision] = []
@@ -200,7 +205,7 @@ def _play_episode(
             features.append(moment.latent.features.numpy().copy())
         if t in shown and t < length:
             assert moment.seen.pixels is not None
-            begun = rollout_start(t, moment.latent, episode, moment.a_h[episode].numpy().copy(), rerun.operator, residuals[t], horizon)
+            begun = rollout_start(t, moment.latent, episode, moment.a_h[episode].numpy().copy(), follower, residuals[t], horizon)
             with torch.inference_mode():
                 decoded = model.decode(begun.latent)[0].numpy()
             scene = world.scene(np.array([episode])) if isinstance(world, HasScene) else None

@@ -20,9 +20,10 @@ import torch
 from scene_worlds import Corridor, Fork, PointWorld
 from torch import Tensor
 
-from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.configs import PrintedConfig
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
-from wasp_cli.methods.wasp.planner import Plan, plan_residuals
+from wasp_cli.methods.wasp.outcome import Plan
+from wasp_cli.methods.wasp.printed import Printed
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.delayed import DelayedOperator
 
@@ -41,34 +42,37 @@ class Start(NamedTuple):
     """forward command, of all that the driver has decided but not yet issued"""
 
 
+BEYOND = 0.02
+
+
 class Beyond:
-    """V_r = 3 p_1, V_c = 0.02 p_1."""
+    """V_r = 3 p_1, V_c = BEYOND p_1."""
 
     def value_r(self, latent: Latent) -> Tensor:
         return 3.0 * latent.h[..., 0]
 
     def value_c(self, latent: Latent) -> Tensor:
-        return 0.02 * latent.h[..., 0]
+        return BEYOND * latent.h[..., 0]
 
 
 class Case(NamedTuple):
     """A decision, with all numbers that the literal reading needs."""
 
     world: PointWorld
-    config: WASPConfig
+    config: PrintedConfig
     start: Start
     gusts: list[list[list[float]]]
     """Gumbel draws [H][M][A]"""
 
 
 def case(kind: Kind, start: Start, steps: int, **changes: object) -> Case:
-    sizes = SMALL | {"horizon": H, "residual_steps": steps, "rollouts": M, "bootstrap_reward": True} | changes
+    sizes = SMALL | {"horizon": H, "residual_steps": steps, "rollouts": M, "initial_std": 0.5} | changes
     gusts = np.random.default_rng(0).gumbel(size=(H, M, kind.action_size)).tolist()
     return Case(kind(jitter=0.02, dtype=torch.float64), scene_drives.settings(**sizes), start, gusts)
 
 
 def plan(case: Case, seed: int) -> Plan:
-    """WASP's own answer, on the rollouts that the literal reading takes too."""
+    """The printed WASP's own answer, on the rollouts that the literal reading takes too."""
     world, actions = case.world, case.world.action_size
     operator = scene_worlds.driver(world, scene_worlds.careful(world), DELAY * scene_worlds.STEP)
     assert isinstance(operator, DelayedOperator)
@@ -77,12 +81,10 @@ def plan(case: Case, seed: int) -> Plan:
     forward[0, 0] = case.start.queue
     operator.memory = {"queue": forward.repeat(1, DELAY).view(1, DELAY, actions)}
     start = Situation(world.at((*case.start.place, *case.start.speed)), forward, operator, torch.zeros(1, dtype=torch.long))
-    source = torch.Generator().manual_seed(seed)
-    size = (1, case.config.iterations, case.config.candidates, case.config.residual_steps, actions)
-    normals = torch.randn(*size, generator=source, dtype=torch.float64)
     draws = Draws(torch.tensor([case.gusts], dtype=torch.float64), torch.zeros(1, H, M, 0))
-    imagination = Imagination(world, Beyond(), case.config, GAMMA_R, GAMMA_C, LAM)
-    return plan_residuals(imagination, start, torch.zeros(1, *size[3:], dtype=torch.float64), normals, draws, case.config.tau_c)
+    printed = Printed(case.config, Imagination(world, Beyond(), scene_worlds.careful(world), GAMMA_R, GAMMA_C, LAM), {})
+    printed.reset(torch.ones(1, dtype=torch.bool), [seed])
+    return printed.plan(start, printed.nominal(start, draws), draws, printed.noise.streams())
 
 
 def clip(value: float) -> float:
@@ -124,11 +126,11 @@ class Value(NamedTuple):
     """G^(c), mean over M"""
     effort: float
 
-    def s_task(self, config: WASPConfig) -> float:
+    def s_task(self, config: PrintedConfig) -> float:
         """Eq. 16, minus infinity where Eq. 14 does not hold."""
         return self.reward - config.alpha * self.effort if self.cost <= config.tau_c else -math.inf
 
-    def s_safe(self, config: WASPConfig) -> float:
+    def s_safe(self, config: PrintedConfig) -> float:
         """Eq. 17"""
         return max(self.cost - config.tau_c, 0.0) + config.alpha * self.effort
 
@@ -154,8 +156,8 @@ def literal(case: Case, residuals: Residuals) -> Value:
                 command, queue = queue[0], queue[1:]
             action = command
             if k < config.residual_steps:
-                action = [clip(c + r) for c, r in zip(command, residuals[k], strict=True)]
-                effort += sum((a - c) ** 2 for a, c in zip(action, command, strict=True))
+                action = [clip(c + r) for c, r in zip(ahead, residuals[k], strict=True)]
+                effort += sum(r**2 for r in residuals[k])
             before = math.dist(goal, place)
             for i in range(size):
                 gust = (case.gusts[k][m][i] - 0.5772) * math.sqrt(6) / math.pi
@@ -166,13 +168,10 @@ def literal(case: Case, residuals: Residuals) -> Value:
             costs.append(cost_probability(world, place))
             keeps.append(float(after > 0.15))
             firsts.append(place[0])
-        g_r = 3.0 * firsts[-1] if config.bootstrap_reward else 0.0
-        g_c = 0.02 * firsts[-1] if config.bootstrap_cost else 0.0
+        g_r, g_c = 3.0 * firsts[-1], BEYOND * firsts[-1]
         for k in reversed(range(H)):
-            further = (1 - LAM) * 3.0 * firsts[k] + LAM * g_r if config.bootstrap_reward else g_r
-            g_r = rewards[k] + GAMMA_R * keeps[k] * further
-            behind = (1 - LAM) * 0.02 * firsts[k] + LAM * g_c if config.bootstrap_cost else g_c
-            g_c = costs[k] + GAMMA_C * keeps[k] * behind
+            g_r = rewards[k] + GAMMA_R * keeps[k] * ((1 - LAM) * 3.0 * firsts[k] + LAM * g_r)
+            g_c = costs[k] + GAMMA_C * keeps[k] * ((1 - LAM) * BEYOND * firsts[k] + LAM * g_c)
         total = [old + new / M for old, new in zip(total, (g_r, g_c, effort), strict=True)]
     return Value(*total)
 
@@ -203,18 +202,18 @@ def best(case: Case, score: Callable[[Value], float]) -> float:
 
 
 @cache
-def optimum(kind: Kind, start: Start, steps: int, bootstrap: bool) -> tuple[float, float]:
+def optimum(kind: Kind, start: Start, steps: int) -> tuple[float, float]:
     """The largest S_task subject to Eq. 14 (minus infinity if nothing is feasible), and the smallest S_safe where nothing is."""
-    asked = case(kind, start, steps, bootstrap_cost=bootstrap)
+    asked = case(kind, start, steps)
     s_task = best(asked, lambda value: value.s_task(asked.config))
     return s_task, -best(asked, lambda value: -value.s_safe(asked.config)) if s_task == -math.inf else math.nan
 
 
 def of_plan(case: Case, seed: int) -> tuple[Plan, Value]:
-    """WASP's plan, and what the literal reading says of it."""
+    """The plan, and what the literal reading says of it."""
     found = plan(case, seed)
     value = literal(case, tuple(tuple(residual) for residual in found.residuals[0].tolist()))
-    assert [float(field) for field in found.predicted] == pytest.approx(list(value), abs=1e-9)
+    assert (float(found.reward), float(found.cost)) == pytest.approx((value.reward, value.cost), abs=1e-9)
     return found, value
 
 
@@ -227,44 +226,44 @@ ROOMY = [
 ]
 """Far from the hazard; moving towards it (the constraint decides, except in the first and the last); standing beside it."""
 TIGHT = [
-    (Corridor, Start((1.3,), (0.6,), 1.0), 2),
-    (Corridor, Start((1.25,), (0.7,), 1.0), 3),
-    (Corridor, Start((1.2,), (0.7,), 1.0), 3),
-    (Fork, Start((0.6, 0.0), (0.8, 0.0), 1.0), 2),
+    (Corridor, Start((1.4,), (0.8,), 1.0), 2),
+    (Corridor, Start((1.4,), (0.9,), 1.0), 3),
+    (Corridor, Start((1.5,), (0.8,), 1.0), 3),
+    (Fork, Start((0.9, 0.0), (0.9, 0.0), 1.0), 2),
 ]
-"""So near that at most two of three hundred random sequences are safe."""
+"""So near that at most ten of three hundred random sequences are safe, and in some draws none."""
 TRAPPED = [
-    (Corridor, Start((1.45,), (0.9,), 1.0), 2),
+    (Corridor, Start((1.6,), (1.0,), 1.0), 2),
     (Corridor, Start((2.3,), (0.1,), 0.0), 2),
     (Fork, Start((1.7, 0.15), (0.2, 0.0), 1.0), 2),
 ]
 """Too fast to stop, or in the hazard."""
 BETWEEN = 0.1
 """A plan may be better than the exhaustive search by what lies between its points; 0.1 is the reward of a centimetre."""
-PAPER = {"candidates": 300, "probe": 300, "elites": 100, "feasible": 100, "iterations": 6, "elites_kept": 0.0, "shrink": 1.0}
+PAPER = {"candidates": 300, "probe": 300, "elites": 100, "feasible": 100, "iterations": 6}
 SIZES = [pytest.param(SMALL, 0.15, id="small"), pytest.param(PAPER, 0.05, id="paper")]
 
 
 @pytest.mark.parametrize(("sizes", "tolerance"), SIZES)
 @pytest.mark.parametrize(("kind", "start", "steps"), ROOMY)
 def test_a_plan_is_as_good_as_an_exhaustive_search(kind: Kind, start: Start, steps: int, sizes: dict[str, int], tolerance: float) -> None:
-    s_task, _ = optimum(kind, start, steps, False)
+    s_task, _ = optimum(kind, start, steps)
     for seed in range(4):
         asked = case(kind, start, steps, **sizes)
-        found, value = of_plan(asked, seed)
-        assert found.found_safe
+        _, value = of_plan(asked, seed)
+        assert value.cost <= asked.config.tau_c
         assert s_task - tolerance <= value.s_task(asked.config) <= s_task + BETWEEN
 
 
 @pytest.mark.parametrize(("kind", "start", "steps"), TIGHT)
 def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, start: Start, steps: int) -> None:
-    s_task, _ = optimum(kind, start, steps, False)
+    s_task, _ = optimum(kind, start, steps)
     for seed in range(4):
         asked = case(kind, start, steps, **PAPER)
         found, value = of_plan(asked, seed)
         assert found.case2[0, 0]
-        assert found.safe[0, 0] <= 2
-        assert found.found_safe
+        assert found.safe[0, 0] <= 20
+        assert value.cost <= asked.config.tau_c
         # Of about 6: where two candidates in a hundred are safe, six iterations come this close and no closer.
         assert s_task - 0.1 <= value.s_task(asked.config) <= s_task + BETWEEN
 
@@ -272,22 +271,12 @@ def test_with_the_papers_sizes_a_plan_is_found_where_few_are_safe(kind: Kind, st
 @pytest.mark.parametrize(("kind", "start", "steps"), TRAPPED)
 def test_where_nothing_is_safe_a_plan_gains_most_of_what_can_be_gained(kind: Kind, start: Start, steps: int) -> None:
     """By S_safe (Eq. 17), from doing nothing to the least of the exhaustive search."""
-    s_task, s_safe = optimum(kind, start, steps, False)
+    s_task, s_safe = optimum(kind, start, steps)
     assert s_task == -math.inf
     for seed in range(4):
         asked = case(kind, start, steps, **PAPER)
         found, value = of_plan(asked, seed)
         nothing = literal(asked, ((0.0,) * kind.action_size,) * steps).s_safe(asked.config)
         assert found.case2.all()
-        assert not found.found_safe
+        assert value.cost > asked.config.tau_c
         assert s_safe - 0.01 <= value.s_safe(asked.config) <= s_safe + 0.25 * (nothing - s_safe)
-
-
-def test_with_critics_beyond_the_horizon_it_is_the_same() -> None:
-    """Eq. 8 in full, for the cost too."""
-    kind, start, steps = ROOMY[4]
-    s_task, _ = optimum(kind, start, steps, True)
-    asked = case(kind, start, steps, **PAPER, bootstrap_cost=True)
-    found, value = of_plan(asked, 0)
-    assert found.found_safe
-    assert s_task - 0.05 <= value.s_task(asked.config) <= s_task + BETWEEN

@@ -1,4 +1,4 @@
-"""Worlds with a known answer: the paper's Fig. 1 in closed loop, and what is imagined on the way.
+"""Worlds with a known answer: the paper's Fig. 1 in closed loop under the printed WASP, and what is imagined on the way.
 
 Dimension letters: H horizon, A action size, B episodes.
 """
@@ -20,6 +20,7 @@ from scene_worlds import Corridor, Fork, PointWorld
 from torch import Tensor
 
 from wasp_cli.methods.wasp.imagine import Draws, Situation
+from wasp_cli.methods.wasp.printed import Printed
 from wasp_cli.metrics.episode import GATE_NONE, GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
@@ -91,11 +92,10 @@ def test_the_safety_gate_alone_brakes_and_stays_and_both_gates_steer_around() ->
     assert (safety.costs == 0).all()
     assert (full.costs == 0).all()
     assert full.arrived.all()
-    assert safety.arrived.sum() <= 1  # a gust may carry one around
     assert full.returns.mean() > 1.8 * safety.returns.mean()
     assert full.returns.mean() > 0.95 * alone.returns.mean()
-    stuck = ~safety.arrived
-    assert (safety.state[-1, stuck, 0] < 1.8).all()
+    stuck = safety.state[-1, :, 0] < 1.8
+    assert stuck.sum() >= ROWS - 1  # a gust may carry one around
     assert (np.abs(safety.state[-10:, stuck, 2:]) < 0.35).all()
     # The task gate took part, and the way led over the hazard's upper edge.
     assert ((full.gate == GATE_TASK) & full.alive).any(0).all()
@@ -113,7 +113,7 @@ def test_an_expert_who_avoids_the_hazard_is_left_alone() -> None:
     drive = scene_drives.drive(world, around, scene_drives.settings(**SMALL), 60)
     assert (drive.costs == 0).all()
     assert drive.arrived.all()
-    assert drive.int_rate <= 0.05
+    assert drive.int_rate <= 0.1  # the best of 64 random plans gains a little at times
     assert not ((drive.gate == GATE_SAFETY) & drive.alive).any()
 
 
@@ -196,7 +196,8 @@ def test_a_late_driver_is_foreseen_only_with_his_memory(kind: Kind) -> None:
             wrong.append(float(np.abs(states - truth.state[t : t + config.horizon + 1, 0]).max()))
             start = Situation(latent, a_h, operator, torch.zeros(1, dtype=torch.long))
             draws = Draws(torch.zeros(1, config.horizon, 1, world.noise_size), torch.zeros(1, config.horizon, 1, 0))
-            fired.append(float(scene_drives.imagination(world, config).nominal(start, draws).cost) > config.tau_c)
+            printed = Printed(config, scene_drives.imagination(world), {})
+            fired.append(float(printed.nominal(start, draws).cost) > scene_drives.TAU_C)
         errors[name], alarms[name] = max(wrong), fired
     assert errors["own"] < 1e-4
     assert errors["prompt"] > 0.2

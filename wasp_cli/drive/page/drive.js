@@ -77,7 +77,7 @@ function begin(block) {
   if (world) {
     entry("robot", world.robot.colour, "");
     for (const kind of world.kinds) entry(kind.name, kind.colour, "");
-    if (shown.has("imagined")) { entry("imagined: command alone", COMMAND, "line"); entry("with the correction", DONE, "line"); }
+    if (shown.has("imagined")) { entry("imagined: uncorrected", COMMAND, "line"); entry("with the correction", DONE, "line"); }
   }
   arrange();
 }

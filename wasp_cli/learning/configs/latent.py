@@ -84,13 +84,10 @@ class CriticsConfig(Config):
 
 
 class CloneConfig(Config):
-    """A policy fitted to recorded commands of one operator, for planners that are not to know its rule."""
+    """A policy fitted to the recorded commands of a person."""
 
-    episodes: int = assumed(20, "Human-only episodes of the operator to learn from, on seeds of their own", ge=1)
-    heldout_episodes: int = assumed(8, "others that judge the clone", ge=1)
     hidden: Layers = assumed((64,), "layers of the correction of the expert's command")
     updates: int = assumed(1000, "gradient steps", ge=1)
     batch: int = assumed(256, "commands per update", ge=1)
     learning_rate: float = assumed(2e-3, "Adam; decays linearly", gt=0.0)
     weight_decay: float = assumed(0.1, "AdamW: episodes are few", ge=0.0)
-    draws: int = assumed(256, "of the next command, by which every model of the operator is judged", ge=1)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
-from wasp_cli.methods.configs import WASPConfig
+from wasp_cli.methods.configs import Coverage, WASPConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import chosen
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Scored, Situation, corrected, imagination_of
@@ -177,14 +177,14 @@ class WASP:
         return Draws.of(streams, purpose, start, self.horizon, self.config.rollouts, self.imagination.model.noise_size)
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Return tau_c and tau_r, and the distributions that they stand in.
+        """Return tau_c and tau_r, and the distributions that they stand in, from K held-out decisions and their costs ahead [K].
 
         tau_r is what putting right a random command gains on average, at decisions of the unimpaired expert from which both futures are
         safe: smaller gains are those of commands that are no worse than most. It follows a task's scale of rewards, and knows no operator.
         """
         cost = self._everywhere(heldout, heldout.a_h, operator, seed).futures.cost[:, 0]  # [K]
         free = cost[cost_ahead == 0]
-        if self.single:
+        if self.single and not isinstance(self.config.tau_c, Coverage):
             # In the unit of one step: it lets through as many of the expert's decisions as the whole method.
             whole = WASP(self.config.model_copy(update={"variant": "full"}), self.imagination, {}, self.motors, self.device)
             rate = whole.calibrate(heldout, cost_ahead, operator, seed)["safety_rate"]

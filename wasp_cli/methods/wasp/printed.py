@@ -191,7 +191,7 @@ class Printed:
         )  # fmt: skip
 
     def calibrate(self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int) -> dict[str, float]:
-        """Return tau_c and tau_r, which the paper does not give: quantiles of both gates' signals under the unimpaired expert.
+        """Return tau_c and tau_r, which the paper does not give: quantiles of both gates' signals [K] under the unimpaired expert.
 
         tau_c is one of the nominal cost return over decisions after which nothing cost, tau_r one of Delta G_t where safety is silent.
         """

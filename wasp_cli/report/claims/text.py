@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from wasp_cli.plan.reasons import few
-from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin
+from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin, stood_for
 from wasp_cli.report.render.files import rendered
 from wasp_cli.report.render.text import markdown_row
 from wasp_cli.report.stats.bootstrap import Estimate
@@ -73,7 +73,7 @@ def second_headlines(verdict: VerdictReport) -> list[str]:
         counts = Counter(outcome for _, outcome in pairs)
         said = [_counted(counts[outcome], outcome, verdict) for outcome in ("holds", "fails", "undecided") if counts[outcome]]
         changed = sum(own != other for own, other in pairs)
-        place = f"{title_of(who)} in place of {title_of(Who(who.method))}"
+        place = f"{title_of(who)} in place of {title_of(stood_for(who))}"
         sentences.append(f"Judged by {place}: {'; '.join(said)}; {changed} of {len(pairs)} verdicts differ." if pairs else "")
     return [text for text in sentences if text]
 

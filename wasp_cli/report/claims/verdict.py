@@ -15,8 +15,8 @@ narrow: the t interval of the trainings' contrasts stands beside it as a warning
 A claim holds when all of its questions do, and does not hold when one does not. One whose rows are not all there is not tested; what
 the others say is kept beside it. With the models of a single training a verdict is about these models, and says so.
 
-A method may have a second row that is no ablation, as the method of the paper has its own section as printed. Claims are judged a second
-time with that row in the method's place. Claims that name an ablation are not: the ablation has no second row.
+A method may have a further row: a variant that is no ablation, or another method that stands for it, as the printed WASP does for WASP.
+Claims are judged again with each of these rows in the method's place. Claims that name an ablation are not.
 """
 
 from __future__ import annotations
@@ -121,7 +121,8 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
     """
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
-    others = tuple(Who(name, variant) for name, info in METHODS.items() for variant in info.rows if rows.has(Who(name, variant)))
+    further = [Who(name, variant) for name, info in METHODS.items() for variant in (*(["full"] if info.instead_of else []), *info.rows)]
+    others = tuple(filter(rows.has, further))
     judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
         paper=paper,
@@ -217,11 +218,17 @@ def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
     return Judged(claim, all_of([any_of(each) for each in answers]), answers)
 
 
+def stood_for(who: Who) -> Who:
+    """Return the row in whose place a further one is judged."""
+    return Who(METHODS[who.method].instead_of or who.method)
+
+
 def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | None:
-    """Judge a claim with another row of its method in the method's place; None where it says nothing of the method, or of an ablation."""
+    """Judge a claim with a further row of a method in its place; None where it says nothing of the method, or of an ablation."""
+    place = stood_for(who)
     named = {side for question in claim.questions() for asked in question for side in (asked.left, asked.right) if side is not None}
-    own = {side for side in named if side.method == who.method}
-    if own != {Who(who.method)}:
+    own = {side for side in named if side.method == place.method}
+    if own != {place} or who in named:
         return None
 
     def placed(sides: tuple[Who, ...] | None) -> tuple[Who, ...] | None:

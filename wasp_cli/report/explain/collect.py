@@ -21,6 +21,7 @@ from wasp_cli.report.explain.facts import (
     State,
     Totals,
     Who,
+    exceeds,
 )
 from wasp_cli.report.explain.stored import GATES, PREDICTED, Bools, Episode, Floats, number
 
@@ -169,24 +170,26 @@ def _task(episode: Episode, t: int) -> Gate:
     state: State = "silent"
     if episode.gate[t] == GATE_TASK:
         state = "fired"
-    elif episode.row["assistant_variant"] == "safety-only":
+    elif episode.row["assistant_variant"] == "safety-only" or (episode.constants.takeover and episode.thresholds.tau_r is None):
         state = "off"
     elif episode.gate[t] == GATE_LATE:
         state = "late"
     elif episode.gate[t] == GATE_SAFETY:
         state = "not asked"
+    elif episode.constants.takeover and exceeds(value, episode.thresholds.tau_r):
+        state = "withheld"
     elif value is None:  # where a cost return is known the decision has been recorded, and so would be a gain
         state = "unknown" if episode.gate[t] == GATE_METHOD or episode.at("g_cost", t) is None else "no candidate"
     return Gate(state, value, episode.thresholds.tau_r)
 
 
 def _plan(episode: Episode, t: int) -> Planned | None:
-    safe, case2, plan = episode.safe[t], episode.case2[t], episode.plan[t]
-    if safe is None or case2 is None or plan is None:
+    plan = episode.plan[t]
+    if plan is None:
         return None
     actions = episode.a.shape[1]
     residuals = tuple(plan[k : k + actions] for k in range(0, len(plan), actions))
-    return Planned(safe, case2, residuals, *(episode.at(name, t) for name in PREDICTED))
+    return Planned(episode.safe[t] or (), episode.case2[t] or (), residuals, *(episode.at(name, t) for name in PREDICTED))
 
 
 def _happened(episode: Episode, t: int, window: int) -> Happened:

@@ -32,6 +32,7 @@ FIRES = {
     "silent": "no",
     "not asked": "not asked: the safety gate fired",
     "no candidate": "no: no correction is predicted safe (Eq. 11)",
+    "withheld": "no: the correction is not predicted safe, or changes no force",
     "late": "not asked: the assistant was late",
     "off": "off in this variant",
     "unknown": "not recorded",
@@ -76,8 +77,9 @@ def _action(facts: DecisionFacts, width: int) -> list[Text]:
         how = "the method's own action"
     elif facts.intervened and facts.plan is not None:
         wished = [command + residual for command, residual in zip(facts.command, facts.plan.residuals[0], strict=True)]
-        cut = any(abs(wish - done) > 1e-4 for wish, done in zip(wished, facts.executed, strict=True))
-        how = f"command and first correction{', cut off at the bounds' if cut else ''} (Eq. 18)"
+        cut = ", cut off at the bounds" if any(abs(wish) > 1 + 1e-4 for wish in wished) else ""
+        least = any(abs(min(max(wish, -1.0), 1.0) - done) > 1e-4 for wish, done in zip(wished, facts.executed, strict=True))
+        how = f"command and first correction{cut}{', as the least action of that force' if least else ''} (Eq. 18)"
     rows = [
         ["command", action(facts.command), "a^H, from the operator"],
         ["executed", action(facts.executed), f"a, {how}"],
@@ -110,7 +112,10 @@ def _plan(facts: DecisionFacts, width: int) -> list[Text]:
         older = " (the file has an older table version)" if fired and facts.unknown else ""
         why = "the assistant was late" if facts.gate == "late" else "no gate fired"
         return fields([("search", f"not recorded{older}" if fired else f"none: {why}")], width)
-    known = facts.constants.task_batches if facts.gate == "task" else facts.constants.batches
+    if not plan.searched:
+        said = [("search", "none: the correction that the gate compared with the command is predicted safe, and is carried out")]
+        return fields(said, width) + _corrections(facts, plan, width) + _predicted(facts, plan, width)
+    known = facts.constants.batches
     cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made; how many candidates these had is not recorded then
     made = len(plan.safe) - cut
     sizes = [None] * made if known is None or cut else known[:made]
@@ -118,20 +123,19 @@ def _plan(facts: DecisionFacts, width: int) -> list[Text]:
         [str(i + 1), "-" if size is None else str(size), str(safe), "II" if case2 else "I"]
         for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe[cut:], plan.case2[cut:], strict=True))
     ]
-    if not cut and plan.safe[0] < 0:  # nothing was searched: what the task gate had found is carried out
-        asked = facts.constants.asked
-        rows = [["probe", "-" if asked is None else str(asked), str(plan.safe[-1]), "I"]]
     lines = table(["iteration", "candidates", "safe (|F_s|)", "case"], rows, width)
     lines += notes(width, *(_case(facts, case2) for case2 in sorted(set(plan.case2[cut:]))))
     lines += notes(width, f"the search was cut off before its last {count(cut, 'iteration')}: its time was up" if cut else "")
+    return lines + _corrections(facts, plan, width) + _predicted(facts, plan, width)
+
+
+def _corrections(facts: DecisionFacts, plan: Planned, width: int) -> list[Text]:
     if plan.empty:
-        lines += fields([("correction", f"none: {_no_correction(facts, plan)}")], width)
-    else:
-        rows = [[f"+{k}", action(residual), "not executed: planned again then"] for k, residual in enumerate(plan.residuals)]
-        rows[0][::2] = "now", "executed"
-        lines.append(Text())
-        lines += table(["step", "correction δa (Eq. 13)", "use"], rows, width)
-    return lines + _predicted(facts, plan, width)
+        return fields([("correction", f"none: {_no_correction(facts, plan)}")], width)
+    many = len(plan.residuals) if plan.searched else max(k for k, residual in enumerate(plan.residuals) if any(residual)) + 1
+    rows = [[f"+{k}", action(residual), "not executed: planned again then"] for k, residual in enumerate(plan.residuals[:many])]
+    rows[0][::2] = "now", "executed"
+    return [Text(), *table(["step", "correction δa (Eq. 13)", "use"], rows, width)]
 
 
 def _case(facts: DecisionFacts, case2: bool) -> str:
@@ -155,7 +159,7 @@ def _no_correction(facts: DecisionFacts, plan: Planned) -> str:
 
 def _predicted(facts: DecisionFacts, plan: Planned, width: int) -> list[Text]:
     limit = None if facts.safety is None else facts.safety.threshold
-    sequences = [("commands alone", plan.alone_cost, plan.alone_return)]
+    sequences = [("command alone" if facts.constants.expert_goes_on else "commands alone", plan.alone_cost, plan.alone_return)]
     if not plan.empty:
         sequences.insert(0, ("with the correction", plan.cost, plan.return_))
     rows = []
@@ -163,9 +167,11 @@ def _predicted(facts: DecisionFacts, plan: Planned, width: int) -> list[Text]:
         value, bound = beside(cost, limit)
         within = "-" if cost is None or limit is None else f"no, above {bound}" if exceeds(cost, limit) else "yes"
         rows.append([name, value, within, short(gain)])
+    # The printed WASP plans on the rollouts of its gates; a correction without a search is one of the futures that they compared.
+    again = facts.gate == "safety" and plan.searched and facts.who.method != "printed"
     lines = [Text()]
     lines += table(["predicted", "cost (G^c)", f"within τ_c {short(limit)}", "return (G^r)"], rows, width)
-    return lines + notes(width, "the gate used other rollouts, so its G^c may differ" if facts.gate == "safety" else "")
+    return lines + notes(width, "the gate used other rollouts, so its G^c may differ" if again else "")
 
 
 def _happened(facts: DecisionFacts, width: int) -> list[Text]:
@@ -181,7 +187,8 @@ def _happened(facts: DecisionFacts, width: int) -> list[Text]:
     comparable = facts.constants.horizon == facts.window and facts.constants.bootstrap_cost is False
     if facts.safety is not None and facts.safety.value is not None and ahead.discounted is not None and comparable:
         came = f"observed{', with the interventions' if ahead.intervened else ''}"
-        rows = [["expected of the operator alone (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
+        expected = "command, then the expert" if facts.constants.expert_goes_on else "operator alone"
+        rows = [[f"expected of the {expected} (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
         lines += table(["costly decisions", f"discounted (γ_c {short(facts.constants.gamma_c)})"], rows, width)
     return lines
 

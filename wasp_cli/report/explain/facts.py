@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from wasp_cli.report.explain.stored import Constants
 from wasp_cli.store.tables import Thresholds
 
-State = Literal["fired", "silent", "not asked", "no candidate", "late", "off", "unknown"]
-"""Of a gate. `no candidate`: no tried correction was predicted to be safe. `late`: nor was any gate
-asked in time. `off`: this variant of the method does without it."""
+State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
+"""Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
+`late`: nor was any gate asked in time. `off`: this variant of the method does without it."""
 
 Range = tuple[float, float]
 """Least and greatest."""
@@ -150,7 +150,7 @@ class Planned:
     """What the planner did at one decision."""
 
     safe: tuple[int, ...]
-    """[I] |F_s| (Eq. 14)"""
+    """[I] |F_s| (Eq. 14); empty where the plan was carried out without a search"""
     case2: tuple[bool, ...]
     """[I]"""
     residuals: tuple[tuple[float, ...], ...]
@@ -161,6 +161,11 @@ class Planned:
     alone_cost: float | None
     """without it, on the same rollouts"""
     alone_return: float | None
+
+    @property
+    def searched(self) -> bool:
+        """Tell whether a search found the sequence. Files of earlier versions have -1 in the first iteration where none did."""
+        return bool(self.safe) and self.safe[0] != -1
 
     @property
     def empty(self) -> bool:

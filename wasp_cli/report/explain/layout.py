@@ -114,14 +114,21 @@ def decider(method: str) -> str:
 def cost_meaning(constants: Constants) -> str:
     """Return what a value of G^c means."""
     if constants.bootstrap_cost:
-        return "G^c: expected discounted cost if the operator goes on alone, with the critic beyond the horizon (Eq. 9)"
+        return f"G^c: expected discounted cost if {goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
     within = "the horizon H" if constants.horizon is None else f"the next {count(constants.horizon, 'decision')}"
-    return f"G^c: expected costly decisions within {within}, discounted, if the operator goes on alone (Eq. 9)"
+    return f"G^c: expected costly decisions within {within}, discounted, if {goes_on(constants)} (Eq. 9)"
+
+
+def goes_on(constants: Constants) -> str:
+    """Say who is imagined behind the command."""
+    return "the expert follows" if constants.expert_goes_on else "the operator goes on alone"
 
 
 def gain_meaning(constants: Constants) -> str:
     """Return what a value of ΔG means."""
-    tried = "" if constants.asked is None else f" of {constants.asked} that are tried"
+    if constants.takeover:
+        return "ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)"
+    tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
     return f"ΔG: expected gain in return by the best safe correction{tried}, where the safety gate is silent (Eq. 12)"
 
 

@@ -32,6 +32,9 @@ GATES = {GATE_NONE: "none", GATE_SAFETY: "safety", GATE_TASK: "task", GATE_METHO
 NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
 THRESHOLDS = ("tau_c", "tau_r", "tau_q")
 PREDICTED = ("plan_cost", "plan_return", "alone_cost", "alone_return")
+KEPT = 6
+"""Elites that WASP's search classifies again beside the candidates of the next iteration (`methods.wasp.search`, which needs torch)."""
+MOST_ITERATIONS = 32
 
 
 @dataclass(frozen=True)
@@ -45,17 +48,17 @@ class Constants:
     candidates: int | None = None
     """N"""
     probe: int | None = None
-    """N_probe"""
+    """N_probe: random corrections that the task gate judges"""
     feasible: int | None = None
     """N_f"""
     batches: tuple[int, ...] | None = None
     """candidates that each iteration of the search classifies"""
-    task_batches: tuple[int, ...] | None = None
-    """the same after the task gate, whose random probe may be the first iteration"""
-    asked: int | None = None
-    """corrections that the task gate judges"""
+    takeover: bool = False
+    """whether the gates look at one correction, the expert's action now"""
+    expert_goes_on: bool = False
+    """whether the expert is imagined behind every command, not the operator"""
     bootstrap_cost: bool | None = None
-    """whether V_c stands for what lies behind H (Eq. 7)"""
+    """whether V_c stands for what lies behind H in costs (Eq. 7)"""
     gamma_c: float | None = None
     vote: float | None = None
     """share of IDA's ensemble, from -1 to 1, above which it takes over"""
@@ -87,7 +90,7 @@ class Episode:
     numbers: Mapping[str, Floats]
     """NUMBERS and PREDICTED, [T] each; NaN is undefined"""
     safe: tuple[tuple[int, ...] | None, ...]
-    """T times: I counts |F_s|, or None where nothing was planned"""
+    """T times: I counts |F_s|, or None where nothing was searched"""
     case2: tuple[tuple[bool, ...] | None, ...]
     """T times: I"""
     plan: tuple[tuple[float, ...] | None, ...]
@@ -233,10 +236,13 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
         return value if type(value) is kind else None
 
     counts = {name: of(name, int) for name in ("horizon", "residual_steps", "candidates", "probe", "feasible")}
-    bootstrap = of("bootstrap_cost", bool)
+    takeover, printed = of("search_rollouts", int) is not None, row["method"] == "printed"
+    bootstrap = False if takeover else True if printed else of("bootstrap_cost", bool)
     if row["assistant_variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
         counts["horizon"] = counts["residual_steps"] = 1
         bootstrap = True
+    if of("probe_with", str) not in (None, "random"):  # of an earlier version, which judged others too
+        counts["probe"] = None
     # With one gamma for both (recipe of the paper) costs may be discounted as rewards are.
     gamma = "gamma_r" if of("discounts", str) == "reward" else "gamma_c"
     gamma_c, repeat = cell.setting("settings", "returns", gamma), cell.setting("settings", "action_repeat")
@@ -244,9 +250,9 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(
         **counts,
-        batches=_batches(of, counts, counts["candidates"]),
-        task_batches=_batches(of, counts, counts["probe"] if _probe_is_first(of) else counts["candidates"]),
-        asked=_asked(of, counts),
+        batches=_batches(of, counts["candidates"], takeover=takeover, printed=printed),
+        takeover=takeover,
+        expert_goes_on=imagines_expert(cell),
         bootstrap_cost=bootstrap,
         gamma_c=gamma_c if isinstance(gamma_c, float) else None,
         vote=of("vote", float),
@@ -255,33 +261,19 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     )
 
 
-def _probe_is_first(of: Callable[[str, type], Any]) -> bool:
-    """Whether a probe that fired is the first iteration of the search; in files of older versions it always is."""
-    return of("probe_with", str) in (None, "random", "both") and of("probe_first", bool) is not False
+def imagines_expert(cell: FoundCell) -> bool:
+    """Tell whether the method imagines the expert behind every command: WASP, but for the variant that knows the operator."""
+    config = cell.setting("axes", "method_config")
+    return isinstance(config, dict) and type(config.get("search_rollouts")) is int and config.get("variant") != "knows-operator"
 
 
-def _batches(of: Callable[[str, type], Any], counts: Mapping[str, int | None], first: int | None) -> tuple[int, ...] | None:
+def _batches(of: Callable[[str, type], Any], candidates: int | None, *, takeover: bool, printed: bool) -> tuple[int, ...] | None:
     """How many candidates each iteration of the search classifies, if there are so many; None where the file does not say."""
-    many, elites, iterations = counts["candidates"], of("elites", int), 32  # as many as there may be
-    kept, shrink, shares = of("elites_kept", float), of("shrink", float), of("takeover_shares", list)
-    if first is None or many is None:
+    if candidates is None or not (takeover or printed):
         return None
-    if elites is None or kept is None or shrink is None or shares is None:  # of a version without them
-        return (first, *[many] * (iterations - 1))
-    least = min(many, max(elites, counts["feasible"] or 0))
-    taken = (counts["residual_steps"] or 0) * (len(shares) + bool(of("braking", bool)))
-    further = [max(round(many / shrink**i), least) + int(kept * elites) for i in range(1, iterations)]
-    return (first + taken, *further)
-
-
-def _asked(of: Callable[[str, type], Any], counts: Mapping[str, int | None]) -> int | None:
-    """How many corrections the task gate judges; None where the file does not say."""
-    how, shares, steps = of("probe_with", str), of("takeover_shares", list), counts["residual_steps"]
-    if how is None or shares is None or steps is None:
-        return counts["probe"]
-    taken = steps * (len(shares) + bool(of("braking", bool)))
-    random = counts["probe"]
-    return taken if how == "takeovers" else None if random is None else random + (taken if how == "both" else 0)
+    elites = [count for name in ("elites", "feasible") if (count := of(name, int)) is not None]
+    kept = min(KEPT, max(elites, default=0)) if takeover else 0
+    return (candidates, *[candidates + kept] * MOST_ITERATIONS)
 
 
 def number(value: float | None) -> float | None:

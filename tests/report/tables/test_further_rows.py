@@ -1,9 +1,11 @@
-"""The recipe of the paper as a row of its own, in what a spec asks for and in every table and figure of the methods."""
+"""The variant of WASP that knows the operator, a row of its own in every table and figure, and the printed WASP, a method of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+
+import pytest
 
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure
@@ -16,9 +18,9 @@ from wasp_cli.report.tables.titles import who_title
 from wasp_cli.spec.derived import ablation
 from wasp_cli.spec.model import validate
 
-TITLE = "WASP (as printed)"
+TITLE = "WASP (knows the operator)"
 SPEC = {
-    "name": "both", "preset": "smoke", "tasks": ["goal1"], "methods": ["wasp"], "variants": ["full", "as-printed"],
+    "name": "both", "preset": "smoke", "tasks": ["goal1"], "methods": ["wasp", "printed"], "variants": ["full", "knows-operator"],
     "operators": {"laggy": {"moderate": 0.7}}, "seeds": [1],
 }  # fmt: skip
 
@@ -29,7 +31,7 @@ def labels(table: Table | None) -> list[str]:
 
 
 def test_it_has_a_row_of_its_own_in_every_table_of_the_methods(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
-    frame = read_frame(grid(ablations=("as-printed", "no-case2")))
+    frame = read_frame(grid(ablations=("knows-operator", "no-case2")))
     tables = [
         main_table(frame), detail_table(frame), latency_table(frame), threshold_table(frame), operator_table(frame), severity_table(frame),
         ablation_table(frame), *comparison_tables(frame),
@@ -38,35 +40,28 @@ def test_it_has_a_row_of_its_own_in_every_table_of_the_methods(grid: Callable[..
         assert TITLE in labels(table)
     assert "WASP, no Case II recovery" not in labels(main_table(frame))  # an ablation stays among ablations
     assert {"WASP, full", TITLE, "WASP, no Case II recovery"} <= set(labels(ablation_table(frame)))
-    assert who_title("wasp", "as-printed") == TITLE
+    assert who_title("wasp", "knows-operator") == TITLE
     pictures = [*cost_return_figure(frame, tmp_path), *latency_figure(frame, tmp_path)]
     assert all(TITLE in path.read_text() for path in pictures if path.suffix == ".svg")
 
 
 def test_alone_beside_the_whole_it_is_compared_with_it(grid: Callable[..., list[Wanted]]) -> None:
-    table = ablation_table(read_frame(grid(ablations=("as-printed",))))
+    table = ablation_table(read_frame(grid(ablations=("knows-operator",))))
     assert labels(table) == ["Goal1", "WASP, full", "Goal1", TITLE]
     assert table is not None
     assert all(value.delta is not None for value in table.rows[1].values[:1])
 
 
-def test_a_spec_runs_it_beside_the_whole_with_a_calibration_of_its_own() -> None:
-    cells = {cell.assistant: node for cell, node in lay_out(validate(SPEC)).cells}
-    assert {name: node.axes["method_config"]["recipe"] for name, node in cells.items()} == {"full": "own", "as-printed": "paper"}
-    own, printed = (cells[name].needs["calibration"] for name in ("full", "as-printed"))
-    assert own.key != printed.key
-    assert printed.axes["method_config"]["tau_c"] == "calibrated"
+def test_it_has_the_thresholds_of_the_whole_and_the_printed_one_its_own() -> None:
+    cells = {(cell.method, cell.assistant): node.needs["calibration"] for cell, node in lay_out(validate(SPEC)).cells}
+    assert list(cells) == [("wasp", "full"), ("wasp", "knows-operator"), ("printed", "full")]
+    assert cells["wasp", "full"].key == cells["wasp", "knows-operator"].key != cells["printed", "full"].key
 
 
-def test_a_section_with_the_recipe_is_the_variant() -> None:
-    """Two ways to say the same never disagree: all that differs is the name of the variant."""
-    section = validate(SPEC | {"variants": ["full"], "wasp": {"recipe": "paper"}}).method("wasp").model_dump()
-    variant = validate(SPEC).method("wasp", "as-printed").model_dump()
-    assert section.pop("variant") == "full"
-    assert variant.pop("variant") == "as-printed"
-    assert section == variant
-
-
-def test_ablate_runs_the_two_beside_the_operators_alone() -> None:
-    spec = ablation(Path("specs/quickstart.yaml"), "as-printed").spec
-    assert (spec.methods, spec.variants) == (("human", "wasp"), ("full", "as-printed"))
+@pytest.mark.parametrize(("variant", "methods", "variants"), [
+    ("as-printed", ("human", "wasp", "printed"), ("full",)),
+    ("knows-operator", ("human", "wasp"), ("full", "knows-operator")),
+])  # fmt: skip
+def test_ablate_runs_the_two_beside_the_operators_alone(variant: str, methods: tuple[str, ...], variants: tuple[str, ...]) -> None:
+    spec = ablation(Path("specs/quickstart.yaml"), variant).spec
+    assert (spec.methods, spec.variants) == (methods, variants)
