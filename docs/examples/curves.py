@@ -7,7 +7,7 @@ python docs/examples/curves.py ROWS RESULTS     first measure them, with the mod
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,8 @@ KNOBS = {
     "wasp": Knob("tau_r, times", (0.5, 0.7, 1.0, 1.4, 2.0)),
 }
 LEAST_RETURN = 0.98
-"""The operating point is the value of least cost among those that keep this share of the best return of the curve."""
+"""The operating point is the value of least effective intervention rate among those that keep this share of the best return of the curve;
+both are means over the tasks."""
 
 
 class Scaled:
@@ -128,10 +129,14 @@ def point(rows: pa.Table, task: str, method: str, value: float) -> dict[str, flo
     return {name: float(np.mean(values)) for name, values in found.items()}
 
 
-def chosen(points: dict[float, dict[str, float]]) -> float:
-    """Return the operating point by the rule of LEAST_RETURN."""
-    best = max(each["return"] for each in points.values())
-    return min((each["cost"], value) for value, each in points.items() if each["return"] >= LEAST_RETURN * best)[1]
+def chosen(curves: Sequence[Mapping[float, Mapping[str, float]]]) -> float:
+    """Return the operating point of an assistant by the rule of LEAST_RETURN, from its points on every task."""
+
+    def mean(value: float, name: str, unit: Callable[[Mapping[float, Mapping[str, float]]], float]) -> float:
+        return float(np.mean([points[value][name] / unit(points) for points in curves]))
+
+    shares = {value: mean(value, "return", lambda points: max(each["return"] for each in points.values())) for value in curves[0]}
+    return min((mean(value, "effective", lambda points: 1.0), value) for value, share in shares.items() if share >= LEAST_RETURN)[1]
 
 
 def shown(rows: pa.Table) -> str:
@@ -140,13 +145,14 @@ def shown(rows: pa.Table) -> str:
         "| task | assistant | knob | return | cost | Int. | effective | Mag. | |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
     ]
-    for task in TASKS_SHOWN:
-        for method, knob in KNOBS.items():
-            points = {value: point(rows, task, method, value) for value in knob.values}
+    for method, knob in KNOBS.items():
+        curves = {task: {value: point(rows, task, method, value) for value in knob.values} for task in TASKS_SHOWN}
+        rule = chosen(list(curves.values()))
+        for task, points in curves.items():
             for value, each in points.items():
                 shares = (f"{each[name]:.2f}" for name in ("interventions", "effective", "deviation"))
                 numbers = " | ".join((f"{each['return']:.1f}", f"{each['cost']:.1f}", *shares))
-                marks = ["default"] * (value == knob.default) + ["by the rule"] * (value == chosen(points))
+                marks = ["default"] * (value == knob.default) + ["by the rule"] * (value == rule)
                 lines.append(
                     f"| {TASKS[task].title} | {METHODS[method].title} | {knob.symbol} {value:g} | {numbers} | {', '.join(marks)} |"
                 )
