@@ -140,7 +140,7 @@ def chosen(curves: Sequence[Mapping[float, Mapping[str, float]]]) -> float:
 
 
 def shown(rows: pa.Table) -> str:
-    """Write the table of the curves."""
+    """Write the table of the defaults and of the operating points."""
     lines = [
         "| task | assistant | knob | return | cost | Int. | effective | Mag. | |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
@@ -153,9 +153,8 @@ def shown(rows: pa.Table) -> str:
                 shares = (f"{each[name]:.2f}" for name in ("interventions", "effective", "deviation"))
                 numbers = " | ".join((f"{each['return']:.1f}", f"{each['cost']:.1f}", *shares))
                 marks = ["default"] * (value == knob.default) + ["by the rule"] * (value == rule)
-                lines.append(
-                    f"| {TASKS[task].title} | {METHODS[method].title} | {knob.symbol} {value:g} | {numbers} | {', '.join(marks)} |"
-                )
+                title = f"{TASKS[task].title} | {METHODS[method].title} | {knob.symbol} {value:g}"
+                lines += [f"| {title} | {numbers} | {', '.join(marks)} |"] * bool(marks)
     return "\n".join(lines)
 
 
