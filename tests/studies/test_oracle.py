@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from wasp_cli.errors import TaskError
-from wasp_cli.methods.configs import WASPConfig
-from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation
+from wasp_cli.methods.wasp.imagine import Draws, Imagination, Situation, corrected
+from wasp_cli.methods.wasp.returns import discounted_sum
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, Operator, OperatorContext, build_operator
@@ -112,8 +112,9 @@ def test_returns_of_the_planner_are_those_of_the_task(variant: str, value: float
     latent = of.see()
     now = of.command(latent)
     draws = Draws(torch.zeros(BATCH, HORIZON, 1, 0), of.draws_to_come().transpose(0, 1).unsqueeze(2))
-    imagination = Imagination(of.model, NoCritics(), WASPConfig(), 0.99, 0.95, 1.0)
-    found = imagination.returns(Situation(latent, now, of.operator, torch.arange(BATCH)), residuals, draws)
+    imagination = Imagination(of.model, NoCritics(), of.operator.policy, 0.99, 0.95, 1.0)
+    imagined = imagination.roll(Situation(latent, now, of.operator, torch.arange(BATCH)), 1, corrected(residuals, draws), draws)
+    found_reward, found_cost = discounted_sum(imagined.reward(), 0.99), discounted_sum(imagined.cost(), 0.95)
     reward, cost = np.zeros(BATCH), np.zeros(BATCH)
     for k in range(HORIZON):
         command = now if k == 0 else of.command(of.see())
@@ -122,8 +123,8 @@ def test_returns_of_the_planner_are_those_of_the_task(variant: str, value: float
         step = of.task.step(action.numpy())
         reward += 0.99**k * step.reward
         cost += 0.95**k * step.cost
-    assert found.reward[:, 0].numpy() == pytest.approx(reward, abs=1e-5)
-    assert found.cost[:, 0].numpy() == pytest.approx(cost, abs=1e-5)
+    assert found_reward[:, 0, 0].numpy() == pytest.approx(reward, abs=1e-5)
+    assert found_cost[:, 0, 0].numpy() == pytest.approx(cost, abs=1e-5)
 
 
 @pytest.mark.parametrize("name", ["goal1", "race1"])
