@@ -97,7 +97,7 @@ def test_when_the_code_has_moved_on_the_plan_names_it(
 
 
 def test_what_was_computed_from_other_code_is_other_code(here: Path, small_spec: Path, moved: Callable[[str], None]) -> None:
-    module = "wasp_cli.methods.wasp.gates"
+    module = "wasp_cli.methods.wasp.search"
     moved(module)
     calibration, *_ = [step for step in plan(small_spec, here).steps if step.node.label == "goal1 s0 calibration wasp"]
     assert module in closure(calibration.node.modules)
@@ -184,7 +184,7 @@ def test_nothing_is_spent_where_nothing_is_reused(fakes: Fakes, small_spec: Path
 
 def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
     moved(COMMON)
-    swept = read_sweep(small_spec, "wasp.tau_c=0.3,0.7", ("human", "wasp"), ("reuse=published",))
+    swept = read_sweep(small_spec, "wasp.tau_c=0.3,1.0", ("human", "wasp"), ("reuse=published",))
     done = run_sweep(swept, here, RunOptions(jobs=0))
     assert done.session.summary.complete
     # Nothing is trained, Human-only is there, and so is WASP under one of the values.
