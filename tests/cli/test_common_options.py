@@ -81,7 +81,7 @@ def test_tasks_methods_and_preset_restrict_a_spec() -> None:
     loaded = load(Path("specs/assistants.yaml"), sized("smoke", ["episodes=3"]))
     assert (loaded.spec.preset, loaded.spec.episodes) == ("smoke", 3)
     some = restricted(loaded, ["race1", "goal1"], ["wasp", "human"]).spec
-    assert (some.tasks, some.methods) == (("goal1", "race1"), ("human", "wasp"))
+    assert (some.tasks, some.methods) == (("race1", "goal1"), ("human", "wasp"))
     assert restricted(loaded, None, None) is loaded
     with pytest.raises(UnknownName):
         restricted(loaded, None, ["nobody"])

@@ -89,7 +89,7 @@ def test_what_changed_in_the_spec_is_named_for_the_cells_that_it_reaches(first: 
     second = write_results(tmp_path / "results", wasp={"tau_c": 0.9})
     compared = compare(first, second)
     assert states(compared) == NONE | {"same": 4, "same rows": 4}
-    assert compared.causes == [("spec changed: wasp.tau_c 0.7 -> 0.9", 4)]
+    assert compared.causes == [("spec changed: wasp.tau_c 1.0 -> 0.9", 4)]
     assert compared.alike
 
 
@@ -109,7 +109,7 @@ def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) 
     causes = dict(compare(first, second).causes)
     assert causes["library changed: torch 2.13.0 -> 2.14.0"] == 4
     assert causes["code changed: wasp_cli.new, wasp_cli.tasks.base"] == 1
-    assert causes["spec changed: wasp.tau_c 0.7 -> 0.9"] == 4
+    assert causes["spec changed: wasp.tau_c 1.0 -> 0.9"] == 4
 
 
 def test_the_machine_is_named_where_one_key_has_other_rows(first: Side, tmp_path: Path) -> None:
