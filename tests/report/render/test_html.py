@@ -50,7 +50,7 @@ def test_numbers_to_sort_by() -> None:
     reader = Reader(html(Table("t", "T", ("Task",), (Column("a", "A", "up", digits=1), Column("b", "B")), (Row(("x",), values),))))
     first, second = reader.all("td")
     assert first == {
-        "class": "number", "data-value": "0.333333333333", "data-low": "-0.25", "data-high": "0.5", "title": "95 % interval over 3 seeds",
+        "class": "number", "data-value": "0.333333333333", "data-low": "-0.25", "data-high": "0.5", "title": "range of three trainings",
     }  # fmt: skip
     assert second == {"class": "number", "data-value": ""}
     assert "0.3 [-0.2, 0.5]" in reader.texts
