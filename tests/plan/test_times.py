@@ -64,13 +64,16 @@ def test_what_is_published_says_how_long_its_like_takes(tmp_path: Path, capsys: 
 
     layout = Layout(tmp_path / "absent")
     grid = lay_out_over(
-        load(ROOT / "specs/table1.yaml", ["tasks=[goal1]", "seeds=[1]", "methods=[wasp]", "variants=[full, no-case2]"]).spec, layout
+        load(
+            ROOT / "specs/table1.yaml", ["tasks=[goal1]", "seeds=[1]", "methods=[ida]", "operators.noisy={moderate: 0.45, extreme: 0.7}"]
+        ).spec,
+        layout,
     )
     plan = plan_against(grid, layout)
-    assert plan.count("published", "evaluate"), "the whole method is published"
-    assert {node.axes["method_config"]["variant"] for node in plan.to_run() if node.kind == "evaluate"} == {"no-case2"}
+    assert plan.count("published", "evaluate"), "the moderate operators are published"
+    assert {node.axes["value"] for node in plan.to_run() if node.kind == "evaluate"} == {0.7}
     seconds, unknown = plan.estimate(1)
-    assert (seconds > 60, unknown) == (True, 0)
+    assert (seconds > 1, unknown) == (True, 0)
     show(plan, Console(width=200), 1)
     assert "an estimate, from times of nodes like them" in capsys.readouterr().out
 

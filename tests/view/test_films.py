@@ -29,7 +29,7 @@ def layout(tmp_path_factory: pytest.TempPathFactory) -> Layout:
     return Layout(brought(tmp_path_factory.mktemp("view") / "results", WASP))
 
 
-def finished(films: Films, key: str, kind: str = FILM, seconds: float = 90.0) -> dict[str, object]:
+def finished(films: Films, key: str, kind: str = FILM, seconds: float = 600.0) -> dict[str, object]:
     end = time.monotonic() + seconds
     films.ask(key, 0, kind)
     while (state := films.state(key, 0, kind))["state"] not in ("done", "failed"):
