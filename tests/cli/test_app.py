@@ -162,7 +162,8 @@ def test_plan_as_json_is_json_alone() -> None:
 
 
 def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fakes, tmp_path: Path) -> None:
-    spec, results = spec_with(tmp_path, "methods: [human, ida, diffusion, saferl, filter, wasp, expert]", "methods: []"), tmp_path / "out"
+    methods = "methods: [human, ida, ida-least, ida-guarded, diffusion, saferl, filter, wasp, printed, expert]"
+    spec, results = spec_with(tmp_path, methods, "methods: []"), tmp_path / "out"
     spec.write_text(spec.read_text(encoding="utf-8").replace("[diagnostics, counterfactual]", "[critics]"), encoding="utf-8")
     assert wasp("check", spec).stdout == f"{spec}: ok, training only\n"
     assert "nothing to evaluate" in wasp("plan", spec, "--results", results).stdout
@@ -173,7 +174,7 @@ def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fake
     assert "Main results" not in shown.stdout
     page = (results / "reports" / "smoke" / "report.md").read_text(encoding="utf-8")
     assert "- Training only: the spec lists no methods." in page
-    assert page.count("| Goal1 | 0 | ") == 6
+    assert page.count("| Goal1 | 0 | ") == 7
     assert "| world_model | " in page
     assert not (results / "reports" / "smoke" / "table1.md").exists()
 
