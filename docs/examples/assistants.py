@@ -1,0 +1,156 @@
+"""How do the assistants compare on fresh seeds, and under operators that no choice has seen? Print the tables of docs/assistants.md.
+
+python docs/examples/assistants.py             from the published rows
+python docs/examples/assistants.py RESULTS     first take the rows from RESULTS, where `wasp run assistants` has run
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+import wasp_cli
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.tasks.registry import TASKS
+
+ROOT = Path(__file__).parents[2]
+ROWS = ROOT / "results" / "published" / "assistants.parquet"
+TASKS_SHOWN = ("race1", "formula1", "goal1")
+UNIMPAIRED = "unimpaired"
+GROUPS = {
+    "Operators on which choices were made": ("noisy", "laggy", "limited-skill", "reaction-time"),
+    "Operators that no choice has seen": ("noisy-gaussian", "noisy-burst", "delayed-noisy", "reactive"),
+    "The unimpaired expert": (UNIMPAIRED,),
+}
+KNOWS = "knows-operator"
+OPPONENTS = ("ida", "ida-guarded", "diffusion", "saferl", "printed", KNOWS)
+SUMS = ("decisions", "intervened", "effective", "deviation", "branched", "unnecessary", "swapped")
+RESAMPLES = 1000
+
+Cells = Mapping[tuple[str, str, str], Mapping[tuple[int, int], list[float]]]
+"""Of every task, method and operator what each world (seed, episode) came to."""
+Sums = NDArray[np.float64]
+"""[operators, worlds, measures]: return, success and cost of an episode, then SUMS."""
+
+
+def rows_of(results: Path) -> Iterator[dict[str, Any]]:
+    """Yield a row for each episode of a run of specs/assistants.yaml, with what its branches say."""
+    run = wasp_cli.results(results, spec="assistants")
+    branches: dict[tuple[Any, ...], list[tuple[bool, bool]]] = {}
+    for row in run.branches().to_pylist():
+        branches.setdefault((row["key"], row["episode"]), []).append((row["unnecessary"], row["unnecessary_swapped"]))
+    judged = {key for key, _ in branches}
+    for row in run.episodes().to_pylist():
+        tested = branches.get((row["key"], row["episode"]), []) if row["key"] in judged else None
+        method = row["method"] if row["variant"] == "full" else row["variant"]
+        yield {
+            "task": row["task"], "method": method, "operator": row["operator"] if row["value"] else UNIMPAIRED, "seed": row["seed"],
+            "episode": row["episode"], "return": row["return"], "success": float(row["success"]),
+            "cost": float(row["cost"]), "decisions": row["decisions"], "intervened": row["intervened"],
+            "effective": round(row["int_eff"] * row["decisions"]), "deviation": row["mag"] * row["decisions"],
+            "branched": None if tested is None else len(tested),
+            "unnecessary": None if tested is None else sum(alone for alone, _ in tested),
+            "swapped": None if tested is None else sum(mirror for _, mirror in tested),
+        }  # fmt: skip
+
+
+def sums_of(rows: pa.Table) -> Cells:
+    """Return what every world came to."""
+    cells: dict[tuple[str, str, str], dict[tuple[int, int], list[float]]] = {}
+    for row in rows.to_pylist():
+        numbers = [np.nan if row[name] is None else float(row[name]) for name in ("return", "success", "cost", *SUMS)]
+        cells.setdefault((row["task"], row["method"], row["operator"]), {})[row["seed"], row["episode"]] = numbers
+    return cells
+
+
+def cube(cells: Cells, task: str, method: str, group: tuple[str, ...]) -> Sums:
+    """Return [operators, worlds, measures] of those operators of a group that a method met; the expert met nobody but itself."""
+    operators = [name for name in ((UNIMPAIRED,) if method == "expert" else group) if (task, method, name) in cells]
+    return np.array([[numbers for _, numbers in sorted(cells[task, method, name].items())] for name in operators])
+
+
+def measures(sums: Sums) -> dict[str, float]:
+    """Pool the worlds [operators, worlds, measures] of each operator, and average over operators."""
+    mean, total = sums.mean(1), sums.sum(1)
+    share = {name: (total[:, 3 + SUMS.index(name)] / total[:, 3]).mean() for name in ("intervened", "effective", "deviation")}
+    with np.errstate(invalid="ignore"):  # a method without interventions, or without branches, has no UIR
+        uir, mirror = (total[:, 3 + SUMS.index(name)].sum() / total[:, 7].sum() for name in ("unnecessary", "swapped"))
+    return {
+        "return": mean[:, 0].mean(),
+        "success": 100 * mean[:, 1].mean(),
+        "cost": mean[:, 2].mean(),
+        **share,
+        "uir": uir,
+        "mirror": mirror,
+    }
+
+
+def title(method: str) -> str:
+    """Return how a table calls a method."""
+    return "WASP (knows the operator)" if method == KNOWS else METHODS[method].title
+
+
+def table(rows: pa.Table, group: str) -> str:
+    """Write what every assistant came to under a group of operators."""
+    cells = sums_of(rows)
+    lines = [
+        "| Task | Method | Return | Succ. (%) | Cost | Int. | effective | Mag. | UIR | mirror |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for task in TASKS_SHOWN:
+        first = TASKS[task].title
+        for method in dict.fromkeys(name for place, name, _ in cells if place == task):
+            sums = cube(cells, task, method, GROUPS[group])
+            if sums.size:
+                m = measures(sums)
+                numbers = [f"{m['return']:.1f}", f"{m['success']:.0f}", f"{m['cost']:.1f}"]
+                numbers += [
+                    "" if np.isnan(m[key]) else f"{m[key]:.2f}" for key in ("intervened", "effective", "deviation", "uir", "mirror")
+                ]
+                lines.append(f"| {first} | {title(method)} | {' | '.join(numbers)} |")
+                first = ""
+    return "\n".join(lines)
+
+
+def differences(rows: pa.Table, group: str) -> str:
+    """Write WASP minus others: paired over the worlds, 95 % bootstrap over worlds, each with its operators."""
+    cells, shown = sums_of(rows), ("return", "cost", "intervened", "deviation", "uir")
+    lines = ["| Task | WASP minus | Return | Cost | Int. | Mag. | UIR |", "| --- | --- | ---: | ---: | ---: | ---: | ---: |"]
+    for task in TASKS_SHOWN:
+        first = TASKS[task].title
+        for method in OPPONENTS:
+            met = tuple(name for name in GROUPS[group] if (task, method, name) in cells)
+            if not met:
+                continue
+            other = cube(cells, task, method, met)
+            ours = cube(cells, task, "wasp", met)[:, : other.shape[1]]
+            random = np.random.default_rng(0)
+            drawn = random.integers(ours.shape[1], size=(RESAMPLES, ours.shape[1]))
+            texts = []
+            here, there = measures(ours), measures(other)
+            resampled = [(measures(ours[:, worlds]), measures(other[:, worlds])) for worlds in drawn]
+            for key in shown:
+                if np.isnan(here[key] - there[key]):
+                    texts.append("")
+                    continue
+                low, high = np.nanpercentile([left[key] - right[key] for left, right in resampled], [2.5, 97.5])
+                digits = 1 if key in ("return", "cost") else 2
+                texts.append(f"{here[key] - there[key]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]")
+            lines.append(f"| {first} | {title(method)} | {' | '.join(texts)} |")
+            first = ""
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        pq.write_table(pa.Table.from_pylist(list(rows_of(Path(sys.argv[1])))), ROWS, compression="zstd")
+    published = pq.read_table(ROWS)
+    for name in GROUPS:
+        print(f"### {name}\n\n{table(published, name)}\n\n{differences(published, name)}\n")
