@@ -1,7 +1,7 @@
 """How do the assistants compare on fresh seeds, and under operators that no choice has seen? Print the tables of docs/assistants.md.
 
 python docs/examples/assistants.py             from the published rows
-python docs/examples/assistants.py RESULTS     first take the rows from RESULTS, where `wasp run assistants` has run
+python docs/examples/assistants.py RESULTS ... first take the rows from folders in which `wasp run assistants` ran last, or parts of it
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def differences(rows: pa.Table, group: str) -> str:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        pq.write_table(pa.Table.from_pylist(list(rows_of(Path(sys.argv[1])))), ROWS, compression="zstd")
+        pq.write_table(pa.Table.from_pylist([row for folder in sys.argv[1:] for row in rows_of(Path(folder))]), ROWS, compression="zstd")
     published = pq.read_table(ROWS)
     for name in GROUPS:
         print(f"### {name}\n\n{table(published, name)}\n\n{differences(published, name)}\n")

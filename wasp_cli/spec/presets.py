@@ -13,7 +13,7 @@ Document = Mapping[str, Any]
 _CPU: Document = {
     "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
     "ida-guarded": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
-    "printed": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64},
+    "printed": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64, "rollouts": 2},
 }
 
 # Everything runs, nothing is learned: the code paths of every stage and method in about a minute.
@@ -74,7 +74,7 @@ _QUICK: Document = {
     "counterfactual": {"most": 30},
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
     "ida-guarded": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
-    "printed": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32, "rollouts": 4},
+    "printed": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32, "rollouts": 1},
 }  # fmt: skip
 
 # Sizes for a large GPU, and the planner's are the paper's. The world model trains, latents are filtered and assistants are evaluated on one
