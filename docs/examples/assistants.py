@@ -71,9 +71,13 @@ def sums_of(rows: pa.Table) -> Cells:
 
 
 def cube(cells: Cells, task: str, method: str, group: tuple[str, ...]) -> Sums:
-    """Return [operators, worlds, measures] of those operators of a group that a method met; the expert met nobody but itself."""
+    """Return [operators, worlds, measures] of the operators of a group that a method met, in the worlds of all of them.
+
+    The expert met nobody but itself.
+    """
     operators = [name for name in ((UNIMPAIRED,) if method == "expert" else group) if (task, method, name) in cells]
-    return np.array([[numbers for _, numbers in sorted(cells[task, method, name].items())] for name in operators])
+    worlds = sorted(set.intersection(*(set(cells[task, method, name]) for name in operators))) if operators else []
+    return np.array([[cells[task, method, name][world] for world in worlds] for name in operators])
 
 
 def measures(sums: Sums) -> dict[str, float]:
