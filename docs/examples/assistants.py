@@ -70,13 +70,14 @@ def sums_of(rows: pa.Table) -> Cells:
     return cells
 
 
-def cube(cells: Cells, task: str, method: str, group: tuple[str, ...]) -> Sums:
-    """Return [operators, worlds, measures] of the operators of a group that a method met, in the worlds of all of them.
+def cube(cells: Cells, task: str, method: str, group: tuple[str, ...], beside: str = "") -> Sums:
+    """Return [operators, worlds, measures] of the operators of a group that a method met, in worlds common to them and another one.
 
     The expert met nobody but itself.
     """
     operators = [name for name in ((UNIMPAIRED,) if method == "expert" else group) if (task, method, name) in cells]
-    worlds = sorted(set.intersection(*(set(cells[task, method, name]) for name in operators))) if operators else []
+    met = [set(cells[task, each, name]) for each in (method, beside or method) for name in operators]
+    worlds = sorted(set.intersection(*met)) if met else []
     return np.array([[cells[task, method, name][world] for world in worlds] for name in operators])
 
 
@@ -133,8 +134,7 @@ def differences(rows: pa.Table, group: str) -> str:
             met = tuple(name for name in GROUPS[group] if (task, method, name) in cells)
             if not met:
                 continue
-            other = cube(cells, task, method, met)
-            ours = cube(cells, task, "wasp", met)[:, : other.shape[1]]
+            other, ours = cube(cells, task, method, met, "wasp"), cube(cells, task, "wasp", met, method)
             random = np.random.default_rng(0)
             drawn = random.integers(ours.shape[1], size=(RESAMPLES, ours.shape[1]))
             texts = []
