@@ -69,8 +69,9 @@ def train_expert(
 
     state = TrainingState(work / "training.safetensors", model, env, normalised, seeds)
     rule = MultiplierRule(
-        config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit, floor=config.multiplier_min
-    )
+        config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit,
+        floor=config.multiplier_min, later=(config.interactions // 2, config.late_cost_limit),
+    )  # fmt: skip
     early = {int(f * config.interactions): functools.partial(store, f) for f in config.checkpoints if f < 1.0}
     callback = LagrangianCallback(
         env, rule, config.interactions, progress, log_std_floor=config.log_std_floor, checkpoints=early,

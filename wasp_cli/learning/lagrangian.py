@@ -26,7 +26,7 @@ class Rule(Protocol):
     @property
     def delay(self) -> int: ...
 
-    def next(self, value: float, measured: float) -> float: ...
+    def next(self, value: float, measured: float, at: int = 0) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,13 @@ class MultiplierRule:
     """Cost per 1000 env steps."""
     delay: int = 0
     floor: float = 0.0
+    later: tuple[int, float] | None = None
+    """Another limit from so many interactions on."""
 
-    def next(self, value: float, cost: float) -> float:
-        """Return the multiplier after one of `value`, where the latest cost was that per 1000 env steps."""
-        excess = cost / max(self.limit, 1e-9) - 1.0
+    def next(self, value: float, cost: float, at: int = 0) -> float:
+        """Return the multiplier after one of `value`, where the latest cost was that per 1000 env steps, `at` so many interactions."""
+        limit = self.later[1] if self.later is not None and at >= self.later[0] else self.limit
+        excess = cost / max(limit, 1e-9) - 1.0
         return min(self.bound, max(self.floor, value + self.rate * excess))
 
 
@@ -67,8 +70,8 @@ class ReturnRule:
         if self.least <= 0:
             raise ValueError(f"the least return is {self.least:g}, and only a positive one can be asked for")
 
-    def next(self, value: float, measured: float) -> float:
-        """Return the multiplier after one of `value`, where the latest episodes returned `measured`."""
+    def next(self, value: float, measured: float, at: int = 0) -> float:
+        """Return the multiplier after one of `value`, where the latest episodes returned `measured`; whenever that is."""
         return min(self.bound, max(0.0, value + self.rate * (1.0 - measured / self.least)))
 
 
@@ -131,7 +134,7 @@ class LagrangianCallback(BaseCallback):
         self.curve.append(row)
         measured = self._average()
         if self.num_timesteps >= self._rule.delay and not math.isnan(measured):
-            self._tasks.multiplier = self._rule.next(self._tasks.multiplier, measured)
+            self._tasks.multiplier = self._rule.next(self._tasks.multiplier, measured, self.num_timesteps)
         text = f"return {row['return']:.1f}, cost {row['cost']:.1f}, multiplier {row['multiplier']:.2f}"
         self._progress(min(1.0, self.num_timesteps / self._total), text)
 

@@ -49,6 +49,9 @@ class OperatorContext:
     """A"""
     decision_seconds: float
     """Seconds between two commands."""
+    informed: Callable[[float], Policy] | None = None
+    """The policy of one who knows more than any assistant perceives, of privileged observations; None: operators perceive what assistants
+    do. Imagination has `skill` alone."""
 
 
 class Operator:
@@ -62,11 +65,20 @@ class Operator:
     def __init__(self, policy: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
         self.policy, self.action_size, self.noise, self.batch = policy, action_size, noise, batch
         self.memory = self.initial(batch)
+        self.informed: Policy | None = None
+        """[B, P] privileged observations to the intended command [B, A]; None: `policy` intends it"""
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
         """Build an operator of severity `value`."""
-        return cls(context.skill(1.0), context.action_size, noise, batch)
+        return cls.skilled(1.0, context, noise, batch)
+
+    @classmethod
+    def skilled(cls, fraction: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        """Build an operator with the skill at a fraction of the expert's training."""
+        operator = cls(context.skill(fraction), context.action_size, noise, batch)
+        operator.informed = None if context.informed is None else context.informed(fraction)
+        return operator
 
     @property
     def draws(self) -> int:
@@ -81,9 +93,12 @@ class Operator:
         """Turn the intended command [B, A] and uniforms [B, draws] into the issued command [B, A] and the next memory."""
         return intended, memory
 
-    def command(self, features: Tensor) -> Tensor:
-        """Return a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision."""
-        intended = self.policy(features)
+    def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
+        """Return a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision.
+
+        An informed operator in the task reads privileged observations [B, P] instead; in imagination there are none.
+        """
+        intended = self.policy(features) if self.informed is None or privileged is None else self.informed(privileged)
         issued, self.memory = self.act(intended, self.memory, self.noise.next(self.draws).to(intended.device))
         return issued
 

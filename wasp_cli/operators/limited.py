@@ -12,4 +12,4 @@ class LimitedSkillOperator(Operator):
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
-        return cls(context.skill(value), context.action_size, noise, batch)
+        return cls.skilled(value, context, noise, batch)

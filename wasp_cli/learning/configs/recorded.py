@@ -24,6 +24,7 @@ class ExpertConfig(Config):
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
     cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
+    late_cost_limit: float = assumed(5.0, "kappa from half of the training on: an expert that costs kappa is not worth imitating", ge=0.0)
     multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
     multiplier_lr: float = assumed(0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
     multiplier_min: float = assumed(
@@ -31,7 +32,7 @@ class ExpertConfig(Config):
         "bound of the multiplier from below: untrained policies cost little, and would lower it to nothing before it is needed",
         ge=0.0,
     )
-    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+    multiplier_max: float = assumed(0.7, "bound of the multiplier; under a small kappa it winds up, and the policy stands still", gt=0.0)
     checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
     evaluation_episodes: int = assumed(64, "episodes of the final evaluation of each checkpoint", ge=1)
 
