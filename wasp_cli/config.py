@@ -16,21 +16,26 @@ class Config(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
     def identity(self) -> dict[str, Any]:
-        """Return the values as JSON values, without those that can move no result."""
+        """Return the values as JSON values, without those that can move no result, and without optional ones at their defaults."""
         values = self.model_dump(mode="json")
         for name, info in type(self).model_fields.items():
             value, extra = getattr(self, name), info.json_schema_extra
-            if isinstance(extra, dict) and extra.get("in_key") is False:
+            of_key = extra.get("in_key", True) if isinstance(extra, dict) else True
+            if of_key is False or (of_key == OPTIONAL and value == info.default):
                 del values[name]
             elif isinstance(value, Config):
                 values[name] = value.identity()
         return values
 
 
-def assumed(default: Any, why: str, *, in_key: bool = True, **constraints: Any) -> Any:
+OPTIONAL = "unless default"
+"""Of a field that came later: at its default, which does what was done without it, results keep the keys from before."""
+
+
+def assumed(default: Any, why: str, *, in_key: bool | str = True, **constraints: Any) -> Any:
     """Declare a field whose value is not in the paper. `why` says where the value comes from; reports list it.
 
-    One that can move no result (`in_key` false) enters no key: changing it runs nothing again.
+    One that can move no result (`in_key` false) enters no key: changing it runs nothing again. `OPTIONAL` enters none at its default.
     """
     return Field(default=default, description=why, json_schema_extra={"in_paper": False, "in_key": in_key}, **constraints)
 

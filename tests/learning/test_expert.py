@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 from pathlib import Path
@@ -15,8 +16,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from tests.learning.test_loops import Staggered
 from wasp_cli.errors import ArtifactError, TaskError
-from wasp_cli.learning.configs import ExpertConfig
-from wasp_cli.learning.expert import TrainingState, best_checkpoint
+from wasp_cli.learning.configs.recorded import Bars, ExpertConfig
+from wasp_cli.learning.expert import TrainingState
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv
@@ -26,7 +27,11 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.expert import ExpertStage
 from wasp_cli.tasks.make import make_task
 
-TINY = ExpertConfig(interactions=600, envs=4, rollout=25, epochs=2, batch=50, hidden=(8,), evaluation_episodes=2, checkpoints=(0.25, 1.0))
+TINY = ExpertConfig(
+    interactions=600, envs=4, rollout=25, epochs=2, batch=50, hidden=(8,), evaluation_episodes=2, checkpoints=(0.25, 1.0),
+    bars={"race1": Bars(least_return=1e6)}, acceptance_episodes=2, extension=200, extensions=1,
+)  # fmt: skip
+"""Nobody reaches its bar: its one further training is always needed."""
 
 
 def silent(share: float, text: str) -> None:
@@ -95,7 +100,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rollouts", [1, 4])
+@pytest.mark.parametrize("rollouts", [1, 4, 7, 8])
 def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, Any], tmp_path: Path, rollouts: int) -> None:
     count = 0
 
@@ -112,12 +117,13 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained: tuple[Path, A
     np.random.seed(99)  # noqa: NPY002
     shares: list[float] = []
     summary = ExpertStage().run(job(tmp_path, lambda share, text: shares.append(share)))
-    assert len(shares) == 7 - rollouts  # six rollouts; the interrupted one is made again
+    assert len(shares) == 9 - rollouts  # six rollouts, two more; the interrupted one is made again
     whole, expected = trained
     assert summary == expected
     names = sorted(path.name for path in whole.iterdir())
     assert names == [
-        "curve.json", "evaluation.json", "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors"
+        "acceptance.json", "curve.json", "evaluation.json",
+        "skill-0.25.json", "skill-0.25.safetensors", "skill-1.json", "skill-1.safetensors",
     ]  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     for name in names:
@@ -155,8 +161,22 @@ def test_the_artifact_says_how_every_checkpoint_does(trained: tuple[Path, Any]) 
     assert summary["return"] == evaluation["1"]["return"]
     assert summary["return_at_0.25"] == evaluation["0.25"]["return"]
     rows = json.loads((out / "curve.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    assert [row["interactions"] for row in rows] == [100.0 * (k + 1) for k in range(6)]
+    assert [row["interactions"] for row in rows] == [100.0 * (k + 1) for k in range(8)]
     assert rows[0]["multiplier"] == TINY.multiplier_init  # it acts from the first rollout
+    asked = json.loads((out / "acceptance.json").read_text())
+    assert [(row["interactions"], row["accepted"]) for row in asked] == [(600, False), (800, False)]
+    fresh = [derive("expert-acceptance", "race1", 0, i) for i in range(2)]
+    assert asked[-1]["return"] == evaluate_privileged(judge, load_privileged(out, 1.0), fresh).statistics(1)["return"]
+    assert (summary["interactions"], summary["accepted"]) == (800, False)
+
+
+def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path: Path) -> None:
+    easy = TINY.model_copy(update={"bars": {"race1": Bars(most_cost=1e6)}})
+    summary = ExpertStage().run(dataclasses.replace(job(tmp_path), config=easy))
+    assert (summary["interactions"], summary["accepted"]) == (600, True)
+    without = ExpertStage().run(dataclasses.replace(job(tmp_path / "none"), config=TINY.model_copy(update={"bars": {}})))
+    assert "accepted" not in without
+    assert without["interactions"] == 600
 
 
 def test_statistics_of_episodes() -> None:
@@ -165,18 +185,17 @@ def test_statistics_of_episodes() -> None:
         "return": 3.0, "return_sd": pytest.approx(np.sqrt(8)), "cost": 15.0, "cost_sd": pytest.approx(np.sqrt(450)),
         "goals": 6.5, "goals_sd": pytest.approx(np.sqrt(0.5)), "cost_per_1000": 20.0, "success": 0.5, "episodes": 2,
     }  # fmt: skip
-    assert sums.penalised(0.5).tolist() == [-4.0, 5.0]
     one = EpisodeSums(*(field[:1] for field in sums))
     assert one.statistics(7)["return_sd"] is None
 
 
-def test_an_earlier_checkpoint_is_named_when_it_is_better_beyond_chance() -> None:
-    noise = np.random.default_rng(0).normal(size=40)
-    assert best_checkpoint({0.5: noise + 1.0, 1.0: noise}) == 0.5
-    assert best_checkpoint({0.5: noise - 1.0, 1.0: noise}) == 1.0
-    assert best_checkpoint({0.5: noise + 0.05, 1.0: noise[::-1]}) == 1.0  # within chance
-    assert best_checkpoint({0.1: noise + 1.0, 0.5: noise + 2.0, 1.0: noise}) == 0.5
-    assert best_checkpoint({0.5: noise[:1] + 9.0, 1.0: noise[:1]}) == 1.0  # one episode says nothing
+def test_bars_are_asked_for_one_by_one() -> None:
+    bars = Bars(least_return=18.0, most_cost=10.0)
+    assert bars.reached(18.0, 0.0, 10.0)
+    assert not bars.reached(17.9, 1.0, 0.0)
+    assert not bars.reached(30.0, 1.0, 10.1)
+    assert not Bars(least_success=0.68).reached(99.0, 0.67, 0.0)
+    assert Bars().reached(-1.0, 0.0, 99.0)
 
 
 def test_streams_of_seeds_go_on_where_they_stood() -> None:

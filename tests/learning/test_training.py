@@ -183,6 +183,9 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
     assert rule.next(0.05, 0.0) == 0.0
     assert rule.next(0.55, 500.0) == 0.6
     assert MultiplierRule(initial=0.3, rate=0.1, bound=0.6, limit=25.0, floor=0.1).next(0.15, 0.0) == 0.1
+    staged = MultiplierRule(initial=0.3, rate=0.1, bound=5.0, limit=25.0, later=(1000, 5.0))
+    assert staged.next(0.3, 25.0, 999) == pytest.approx(0.3)
+    assert staged.next(0.3, 25.0, 1000) == pytest.approx(0.7)  # five times the second limit
 
 
 def test_demonstrations_are_the_careful_near_expert_episodes() -> None:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.methods.base import Assistant, Decision, checked
-from wasp_cli.models.base import Latent
-from wasp_cli.models.world_model import SafetyWorldModel
+from wasp_cli.models.base import Latent, WorldModel
 from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.base import Observation, VectorTask
 
@@ -59,7 +58,7 @@ def batches(begin: int, episodes: int, size: int) -> list[range]:
 class Filter:
     """The world model's filter over a running batch of episodes."""
 
-    def __init__(self, model: SafetyWorldModel, batch: int) -> None:
+    def __init__(self, model: WorldModel, batch: int) -> None:
         self.model = model
         self.latent = model.initial(batch)
         self.device = self.latent.h.device
@@ -67,9 +66,8 @@ class Filter:
 
     def see(self, observation: Observation, first: Tensor) -> Latent:
         """Return the latents [B, .] after a new observation; rows with `first` [B] start anew."""
-        assert observation.pixels is not None
-        pixels = torch.from_numpy(observation.pixels).to(self.device)
-        self.latent = self.model.filter(self.latent, self._action, pixels, first.to(self.device))
+        read = getattr(observation, self.model.reads)
+        self.latent = self.model.filter(self.latent, self._action, torch.from_numpy(read).to(self.device), first.to(self.device))
         return self.latent
 
     def executed(self, action: Tensor) -> None:
@@ -77,10 +75,18 @@ class Filter:
         self._action = action
 
 
+def told(operator: Operator, observation: Observation) -> Tensor | None:
+    """Return what an operator who knows more than assistants perceive reads, [B, P]; None for one who does not."""
+    if not operator.knows_more:
+        return None
+    assert observation.privileged is not None
+    return torch.from_numpy(observation.privileged)
+
+
 @torch.inference_mode()
 def run_episodes(
     task: VectorTask,
-    model: SafetyWorldModel,
+    model: WorldModel,
     operator: Operator,
     assistant: Assistant,
     layout_seeds: Sequence[int],
@@ -92,7 +98,7 @@ def run_episodes(
     """Run one episode per row, until all have ended.
 
     Args:
-        task: B episodes with pixels.
+        task: B episodes with what the model reads, and for an informed operator with privileged observations.
         model: the frozen world model, used as the filter.
         operator: of B rows, fresh.
         assistant: decides; it is reset for all rows.
@@ -119,7 +125,7 @@ def run_episodes(
     for t in range(task.max_decisions):
         latent = filter_.see(seen, first)
         first = torch.zeros(batch)
-        a_h = operator.command(latent.features).clamp(-1, 1)
+        a_h = operator.command(latent.features, told(operator, seen)).clamp(-1, 1)
         given = a_h.clone()
         begun = time.perf_counter()
         decision = assistant.decide(latent, a_h, operator)

@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from wasp_cli.learning.closed_loop import told
 from wasp_cli.learning.rerun import Moment, Rerun
 from wasp_cli.methods.base import Heldout
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
@@ -165,7 +166,8 @@ def _run(rerun: Rerun, rows: dict[int, _Start], name: str, window: int) -> Itera
         ended = step.ended.copy()
         if ended.all() or w + 1 == window:
             break
-        action = operator.command(rerun.filter.see(step.observation, on).features).clamp(-1, 1)
+        features = rerun.filter.see(step.observation, on).features
+        action = operator.command(features, told(operator, step.observation)).clamp(-1, 1)
     parts = [np.stack([getattr(step, field) for step in steps]) for field in ("cost", "cost_env", "reward")]
     for e, start in rows.items():
         cost, cost_env, reward = (part[: int(going[e]), e] for part in parts)

@@ -30,11 +30,23 @@ from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privi
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import VectorTask
 
+Accept = Callable[[PrivilegedPolicy, int], bool]
+"""Tells of a policy and its interactions whether it is good enough."""
+
 
 def train_expert(
-    task: VectorTask, config: ExpertConfig, work: Path, task_name: str, seed: int, progress: Callable[[float, str], None]
+    task: VectorTask,
+    config: ExpertConfig,
+    work: Path,
+    task_name: str,
+    seed: int,
+    progress: Callable[[float, str], None],
+    accept: Accept = lambda policy, interactions: True,
 ) -> list[dict[str, float]]:
     """Train and store a skill per checkpoint fraction (`skill-F.safetensors`); goes on from its own state in `work`.
+
+    Where the policy is not accepted, training goes on for `config.extension` interactions, at most `config.extensions` times. The learning
+    rate falls anew in each.
 
     Args:
         task: config.envs episodes with privileged observations.
@@ -43,6 +55,7 @@ def train_expert(
         task_name: names the streams of episode seeds.
         seed: of this training.
         progress: called after every rollout.
+        accept: asked at the end of the training and of every further one.
 
     Returns:
         The learning curve: a row per rollout.
@@ -70,7 +83,8 @@ def train_expert(
     state = TrainingState(work / "training.safetensors", model, env, normalised, seeds)
     rule = MultiplierRule(
         config.multiplier_init, config.multiplier_lr, config.multiplier_max, config.cost_limit,
-        floor=config.multiplier_min, later=(config.interactions // 2, config.late_cost_limit),
+        floor=config.multiplier_min,
+        later=None if config.late_cost_limit is None else (config.interactions // 2, config.late_cost_limit),
     )  # fmt: skip
     early = {int(f * config.interactions): functools.partial(store, f) for f in config.checkpoints if f < 1.0}
     callback = LagrangianCallback(
@@ -79,8 +93,14 @@ def train_expert(
     )  # fmt: skip
     callback.go_on(state.restore())
     model.set_logger(Logger(folder=None, output_formats=[]))  # the default one leaves folders in the temporary directory
-    done = model.num_timesteps
-    model.learn(config.interactions - done, callback=callback, reset_num_timesteps=done == 0)
+    restored = model.num_timesteps
+    for target in [config.interactions + k * config.extension for k in range(config.extensions + 1)]:
+        if target <= restored:  # it was not accepted there
+            continue
+        callback.total = target
+        model.learn(target - model.num_timesteps, callback=callback, reset_num_timesteps=model.num_timesteps == 0)
+        if accept(export_actor(model, normalised), model.num_timesteps):
+            break
     store(1.0)
     return callback.curve
 
@@ -100,22 +120,6 @@ def export_actor(model: PPO, normalised: VecNormalize) -> PrivilegedPolicy:
         policy.std.copy_(torch.as_tensor(np.sqrt(statistics.var + normalised.epsilon)))
         policy.log_std.copy_(model.policy.log_std)
     return policy
-
-
-def best_checkpoint(penalised: dict[float, np.ndarray[Any, Any]]) -> float:
-    """Choose the last checkpoint, unless an earlier one is better by two standard errors of the difference on the same seeds.
-
-    Args:
-        penalised: by fraction, the penalised return [episodes] on the same validation seeds.
-    """
-    last = penalised[max(penalised)]
-    better = {}
-    for fraction, values in penalised.items():
-        difference = values - last
-        error = difference.std(ddof=1) / len(difference) ** 0.5 if len(difference) > 1 else np.inf
-        if difference.mean() > 2.0 * error:
-            better[fraction] = difference.mean()
-    return max(better, key=lambda fraction: better[fraction]) if better else max(penalised)
 
 
 class TrainingState:

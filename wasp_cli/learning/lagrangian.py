@@ -103,7 +103,7 @@ class LagrangianCallback(BaseCallback):
         before_rollout: Callable[[], None] | None = None,
     ) -> None:
         super().__init__()
-        self._tasks, self._rule, self._total, self._progress = env, rule, total, progress
+        self._tasks, self._rule, self.total, self._progress = env, rule, total, progress
         self._floor, self._checkpoints = log_std_floor, dict(checkpoints or {})
         self._before_rollout = before_rollout
         self.curve: list[dict[str, float]] = []
@@ -136,7 +136,7 @@ class LagrangianCallback(BaseCallback):
         if self.num_timesteps >= self._rule.delay and not math.isnan(measured):
             self._tasks.multiplier = self._rule.next(self._tasks.multiplier, measured, self.num_timesteps)
         text = f"return {row['return']:.1f}, cost {row['cost']:.1f}, multiplier {row['multiplier']:.2f}"
-        self._progress(min(1.0, self.num_timesteps / self._total), text)
+        self._progress(min(1.0, self.num_timesteps / self.total), text)
 
     def _average(self) -> float:
         """What the rule follows, over about the length of an episode; NaN where no episode ended. All rollouts are equally long."""

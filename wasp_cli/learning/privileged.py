@@ -33,10 +33,6 @@ class EpisodeSums(NamedTuple):
             "episodes": len(self.goals),
         }
 
-    def penalised(self, multiplier: float) -> np.ndarray[Any, Any]:
-        """Subtract `multiplier` per costly decision step from the returns [episodes]: what training maximises without discount."""
-        return self.returns - multiplier * self.costly
-
 
 def evaluate_privileged(task: VectorTask, policy: PrivilegedPolicy, seeds: list[int]) -> EpisodeSums:
     """Run one episode per row under the deterministic policy."""

@@ -20,6 +20,7 @@ from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from wasp_cli.errors import TrainingError
+from wasp_cli.learning.closed_loop import told
 from wasp_cli.learning.configs.baselines import ResidualConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule, ReturnRule, Rule
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
@@ -27,7 +28,7 @@ from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+from wasp_cli.operators.base import EpisodeNoise, OperatorContext, Policy, build_operator
 from wasp_cli.operators.mixed import MixedOperator
 from wasp_cli.seeds import derive
 from wasp_cli.tasks.base import Observation, Step, VectorTask
@@ -39,11 +40,20 @@ class AssistedTask(FilteredTask):
     The operator of every episode is drawn from all variants and severities.
     """
 
-    def __init__(self, task: VectorTask, model: SafetyWorldModel, skills: Skills, config: ResidualConfig, name: str, seed: int) -> None:
+    def __init__(
+        self,
+        task: VectorTask,
+        model: SafetyWorldModel,
+        skills: Skills,
+        config: ResidualConfig,
+        name: str,
+        seed: int,
+        informed: Callable[[float], Policy] | None = None,
+    ) -> None:
         self._alpha, self._rsa = config.alpha, config.mode == "rsa"
         self._command = torch.zeros(task.batch, task.action_size)
         self._noise = EpisodeNoise([0] * task.batch)
-        context = OperatorContext(skills.at, task.action_size, task.decision_seconds)
+        context = OperatorContext(skills.at, task.action_size, task.decision_seconds, informed)
         operators = []
         for variant, values in sorted(config.operators.items()):
             for value in values:
@@ -63,16 +73,16 @@ class AssistedTask(FilteredTask):
             self._operator.observe(torch.from_numpy(executed))
         features = self.features(seen, first, executed)
         if rows.any() and not rows.all():
-            self._command = self._restarted(features, first)
+            self._command = self._restarted(features, told(self._operator, seen), first)
         else:
-            self._command = self._operator.command(features).clamp(-1, 1)
+            self._command = self._operator.command(features, told(self._operator, seen)).clamp(-1, 1)
         return torch.cat([features, self._command], -1).numpy()
 
-    def _restarted(self, features: torch.Tensor, first: torch.Tensor) -> torch.Tensor:
+    def _restarted(self, features: torch.Tensor, privileged: torch.Tensor | None, first: torch.Tensor) -> torch.Tensor:
         """Commands [B, A] where new episodes begin in some rows only: the others have been issued already and must not move on twice."""
         states = [(operator, dict(operator.memory)) for operator in self._operator.operators]
         steps = list(self._noise.step)
-        issued = self._operator.command(features).clamp(-1, 1)
+        issued = self._operator.command(features, privileged).clamp(-1, 1)
         for operator, memory in states:
             operator.memory = {
                 n: torch.where(first.view(-1, *([1] * (v.dim() - 1))), operator.memory[n], v) for n, v in memory.items()
@@ -107,6 +117,7 @@ def train_residual(
     seed: int,
     report: Callable[[float, str], None],
     expert_return: float = math.nan,
+    informed: Callable[[float], Policy] | None = None,
 ) -> tuple[ResidualPolicy, list[dict[str, float]]]:
     """Train the residual policy in one of its modes, see the module.
 
@@ -119,12 +130,13 @@ def train_residual(
         seed: of this training.
         report: called after every rollout.
         expert_return: per episode of the unimpaired expert; mode `rsa` asks for a share of it.
+        informed: privileged policies of operators who know more than assistants perceive, as in `OperatorContext`.
 
     Returns:
         The mean residual as a plain module, and the learning curve.
     """
     torch.manual_seed(derive("residual-weights", name, seed))
-    env = AssistedTask(task, model, skills, config, name, seed)
+    env = AssistedTask(task, model, skills, config, name, seed, informed)
     env.normalise = env.spread = True
     ppo = PPO(
         "MlpPolicy", env, device="cpu", seed=derive("residual-ppo", name, seed),

@@ -7,7 +7,7 @@ Dimension letters: B batch rows (any leading shape works), A actions, D determin
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -68,10 +68,13 @@ class Dynamics(Protocol):
 class WorldModel(Dynamics, Protocol):
     """What the closed loop asks of a world model besides."""
 
+    reads: ClassVar[str]
+    """Which field of an observation it perceives (`tasks.base.Observation`): `pixels` or `state`."""
+
     def initial(self, batch: int) -> Latent: ...
 
-    def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
-        """Return the posterior after executing `action` [B, A] and seeing `pixels` uint8 [B, 6, 64, 64].
+    def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
+        """Return the posterior after executing `action` [B, A] and seeing `seen` [B, ...]: pixels are uint8 [B, 6, 64, 64].
 
         Rows with `first` [B] start anew: h, z and the action are masked.
         """

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -78,6 +78,7 @@ class Ahead(NamedTuple):
 class SafetyWorldModel(nn.Module):
     """Implements `models.base.WorldModel`; also its own losses."""
 
+    reads: ClassVar[str] = "pixels"
     mean_image: Tensor
 
     def __init__(self, sizes: Sizes) -> None:
@@ -110,11 +111,11 @@ class SafetyWorldModel(nn.Module):
         """Return the latent [B, .] before an episode."""
         return self.rssm.initial(batch)
 
-    def filter(self, latent: Latent, action: Tensor, pixels: Tensor, first: Tensor) -> Latent:
+    def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
         """See `models.base.WorldModel.filter`. Takes the posterior's mode, so that filtering draws nothing."""
         keep = (1.0 - first.to(latent.h.dtype)).unsqueeze(-1)
         h = self.rssm.recur(Latent(latent.h * keep, latent.z * keep), action * keep)
-        return Latent(h, self.rssm.sample(self.rssm.posterior(h, self.embed(pixels)), None))
+        return Latent(h, self.rssm.sample(self.rssm.posterior(h, self.embed(seen)), None))
 
     def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
         """See `models.base.WorldModel.imagine`."""

@@ -81,6 +81,11 @@ class Operator:
         return operator
 
     @property
+    def knows_more(self) -> bool:
+        """Say whether commands in the task need privileged observations."""
+        return self.informed is not None
+
+    @property
     def draws(self) -> int:
         """Uniforms per decision and row."""
         return self.noise_size + (self.action_size if self.draws_action else 0)
@@ -98,9 +103,13 @@ class Operator:
 
         An informed operator in the task reads privileged observations [B, P] instead; in imagination there are none.
         """
-        intended = self.policy(features) if self.informed is None or privileged is None else self.informed(privileged)
+        intended = self.intended(features, privileged)
         issued, self.memory = self.act(intended, self.memory, self.noise.next(self.draws).to(intended.device))
         return issued
+
+    def intended(self, features: Tensor, privileged: Tensor | None) -> Tensor:
+        """Return the command [B, A] before the impairment."""
+        return self.policy(features) if self.informed is None or privileged is None else self.informed(privileged)
 
     def react(self, executed: Tensor, memory: Memory) -> Memory:
         """Return the next memory of one who has seen that `executed` [B, A] was carried out instead of the command; here the same one."""

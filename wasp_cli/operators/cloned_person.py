@@ -55,9 +55,9 @@ class ContinuedPerson(CloneOfPerson):
     _t: int
     _branching: bool
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
         if self._branching:
-            return super().command(features)
+            return super().command(features, privileged)
         issued = self._said[min(self._t, len(self._said) - 1)].to(features.device)
         self._t += 1
         self.noise.next(self.draws)  # a branch draws what its decision would have drawn

@@ -27,6 +27,10 @@ class MixedOperator(Operator):
         self.choice = torch.zeros(first.batch, dtype=torch.long)
 
     @property
+    def knows_more(self) -> bool:
+        return any(operator.knows_more for operator in self.operators)
+
+    @property
     def draws(self) -> int:
         return max(operator.draws for operator in self.operators)
 
@@ -37,16 +41,16 @@ class MixedOperator(Operator):
         for operator in self.operators:
             operator.reset(rows)
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
         """Return the commands [B, A] of the operators that drive the rows, at features [B, F]."""
         uniforms = self.noise.next(self.draws).to(features.device)
         intended: dict[int, Tensor] = {}
         issued = []
         for operator in self.operators:
-            policy = id(operator.policy)
-            if policy not in intended:
-                intended[policy] = operator.policy(features)
-            command, operator.memory = operator.act(intended[policy], operator.memory, uniforms[:, : operator.draws])
+            mind = id(operator.policy)  # one for each skill, informed or not
+            if mind not in intended:
+                intended[mind] = operator.intended(features, privileged)
+            command, operator.memory = operator.act(intended[mind], operator.memory, uniforms[:, : operator.draws])
             issued.append(command)
         return torch.stack(issued)[self.choice, torch.arange(len(self.choice), device=self.choice.device)]
 

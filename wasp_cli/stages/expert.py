@@ -1,11 +1,13 @@
 """Expert: PPO with an adaptive Lagrange multiplier on privileged observations; a skill per checkpoint.
 
-Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, `curve.json` (a row per rollout), `evaluation.json` (a row per
-checkpoint; episodes of the deterministic policy on seeds of their own).
+An expert that misses the bars of its task on fresh layouts is trained on, up to a stated budget. Artifact: `skill-F.safetensors` (+ .json)
+per checkpoint fraction F, the last one with whatever training was added; `curve.json` (a row per rollout), `acceptance.json` (a row each
+time the bars were asked), `evaluation.json` (a row per checkpoint). All episodes are of the deterministic policy, on seeds of their own.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Mapping
 from typing import Any, cast
@@ -24,36 +26,48 @@ class ExpertStage:
     needs: tuple[str, ...] = ()
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train, then evaluate every checkpoint on seeds of its own; goes on from its own state in the work folder."""
-        from wasp_cli.learning.expert import best_checkpoint, train_expert
+        """Train until the bars are reached, then evaluate every checkpoint; goes on from its own state in the work folder."""
+        from wasp_cli.learning.expert import train_expert
         from wasp_cli.learning.privileged import evaluate_privileged
-        from wasp_cli.models.policy import load_privileged
+        from wasp_cli.models.policy import PrivilegedPolicy, load_privileged
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(ExpertConfig, job.config)
         options: dict[str, Any] = {"action_repeat": job.settings["action_repeat"], "observe": ("privileged",), "threads": job.threads}
-        curve = train_expert(make_task(job.task, config.envs, **options), config, job.work_dir, job.task, job.seed, job.progress)
-        for path in sorted(job.work_dir.glob("skill-*")):
+        bars, asked = config.bars.get(job.task), job.work_dir / "acceptance.json"
+
+        def measured(policy: PrivilegedPolicy, stream: str, episodes: int) -> dict[str, float | None]:
+            seeds = [derive(stream, job.task, job.seed, i) for i in range(episodes)]
+            return evaluate_privileged(make_task(job.task, episodes, **options), policy, seeds).statistics(TASKS[job.task].success_goals)
+
+        def accept(policy: PrivilegedPolicy, interactions: int) -> bool:
+            if bars is None:
+                return True
+            row = measured(policy, "expert-acceptance", config.acceptance_episodes)
+            accepted = bars.reached(*(float(row[name] or 0) for name in ("return", "success", "cost")))
+            rows = json.loads(asked.read_text()) if asked.exists() else []
+            rows = [earlier for earlier in rows if earlier["interactions"] < interactions]  # an interrupted training asks again
+            asked.write_text(finite_json([*rows, {"interactions": interactions, "accepted": accepted, **row}]))
+            return accepted
+
+        training = make_task(job.task, config.envs, **options)
+        curve = train_expert(training, config, job.work_dir, job.task, job.seed, job.progress, accept)
+        for path in [*sorted(job.work_dir.glob("skill-*")), *([asked] if asked.exists() else [])]:
             shutil.copy(path, job.out_dir)
         (job.out_dir / "curve.json").write_text(finite_json(curve))  # no episode may have ended in a rollout: its mean is undefined
-        judge = make_task(job.task, config.evaluation_episodes, **options)
-        multiplier = sum(row["multiplier"] for row in curve) / len(curve)  # of the whole training
-        evaluation, validation = {}, {}
-        for fraction in config.checkpoints:
-            skill = load_privileged(job.out_dir, fraction)
-            sums, checked = (
-                evaluate_privileged(judge, skill, [derive(stream, job.task, job.seed, i) for i in range(config.evaluation_episodes)])
-                for stream in ("expert-evaluation", "expert-validation")
-            )
-            evaluation[fraction] = sums.statistics(TASKS[job.task].success_goals)
-            validation[fraction] = checked.penalised(multiplier)
+        evaluation = {
+            fraction: measured(load_privileged(job.out_dir, fraction), "expert-evaluation", config.evaluation_episodes)
+            for fraction in config.checkpoints
+        }
         (job.out_dir / "evaluation.json").write_text(finite_json({f"{f:g}": row for f, row in evaluation.items()}))
         first, last = config.checkpoints[0], config.checkpoints[-1]
+        verdict = {"accepted": json.loads(asked.read_text())[-1]["accepted"]} if asked.exists() else {}
         return {
             **{name: evaluation[last][name] for name in ("return", "cost", "success")},
             f"return_at_{first:g}": evaluation[first]["return"],
             "multiplier": curve[-1]["multiplier"],
-            "best_checkpoint": best_checkpoint(validation),
+            "interactions": int(curve[-1]["interactions"]),
+            **verdict,
         }

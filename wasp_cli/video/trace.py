@@ -90,8 +90,12 @@ class AsRecorded(Operator):
     def draws(self) -> int:
         return self._operator.draws
 
-    def command(self, features: Tensor) -> Tensor:
-        self._operator.command(features)
+    @property
+    def knows_more(self) -> bool:
+        return self._operator.knows_more
+
+    def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
+        self._operator.command(features, privileged)
         recorded: Tensor = next(self._commands)
         return recorded
 
@@ -110,10 +114,10 @@ class SaidAgain(PersonOperator):
         super().__init__(lambda features: features.new_zeros(len(features), action_size), action_size, nothing, len(recorded.a_h))
         self._commands = iter(torch.from_numpy(side_by_side(recorded.a_h)))
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
         if not self.imagined:
             self.say(next(self._commands))
-        return super().command(features)
+        return super().command(features, privileged)
 
 
 @contextmanager

@@ -4,12 +4,28 @@ from __future__ import annotations
 
 from pydantic import model_validator
 
-from wasp_cli.config import Config, assumed
+from wasp_cli.config import OPTIONAL, Config, assumed
 from wasp_cli.learning.configs.shared import Layers
 
 
+class Bars(Config):
+    """What an expert has to reach on fresh layouts, in means over episodes."""
+
+    least_return: float | None = assumed(None, "return")
+    least_success: float | None = assumed(None, "share of successful episodes", ge=0.0, le=1.0)
+    most_cost: float | None = assumed(None, "env steps that cost", ge=0.0)
+
+    def reached(self, return_: float, success: float, cost: float) -> bool:
+        """Tell whether means over episodes reach all bars that there are."""
+        return (
+            (self.least_return is None or return_ >= self.least_return)
+            and (self.least_success is None or success >= self.least_success)
+            and (self.most_cost is None or cost <= self.most_cost)
+        )
+
+
 class ExpertConfig(Config):
-    """PPO with an adaptive Lagrange multiplier on privileged observations."""
+    """PPO with an adaptive Lagrange multiplier on privileged observations, until its task's bars are reached."""
 
     interactions: int = assumed(400_000, "decision steps", ge=1)
     envs: int = assumed(32, "episodes side by side", ge=1)
@@ -24,7 +40,9 @@ class ExpertConfig(Config):
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
     cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
-    late_cost_limit: float = assumed(5.0, "kappa from half of the training on: an expert that costs kappa is not worth imitating", ge=0.0)
+    late_cost_limit: float | None = assumed(
+        None, "another kappa from half of the training on: an expert that costs kappa is hardly worth imitating", ge=0.0, in_key=OPTIONAL
+    )
     multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
     multiplier_lr: float = assumed(0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
     multiplier_min: float = assumed(
@@ -32,9 +50,15 @@ class ExpertConfig(Config):
         "bound of the multiplier from below: untrained policies cost little, and would lower it to nothing before it is needed",
         ge=0.0,
     )
-    multiplier_max: float = assumed(0.7, "bound of the multiplier; under a small kappa it winds up, and the policy stands still", gt=0.0)
+    multiplier_max: float = assumed(5.0, "bound of the multiplier; under a small kappa it winds up, and a policy may stand still", gt=0.0)
     checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
     evaluation_episodes: int = assumed(64, "episodes of the final evaluation of each checkpoint", ge=1)
+    bars: dict[str, Bars] = assumed({}, "by task: what the expert is trained on for; others are taken as they are", in_key=OPTIONAL)
+    acceptance_episodes: int = assumed(
+        256, "fresh layouts on which that is seen; a share of .7 is then known to .03", ge=1, in_key=OPTIONAL
+    )
+    extension: int = assumed(200_000, "decision steps of each further training of an expert that falls short", ge=1, in_key=OPTIONAL)
+    extensions: int = assumed(2, "such trainings at most", ge=0, in_key=OPTIONAL)
 
     @model_validator(mode="after")
     def _checkpoints_rise_to_one(self) -> ExpertConfig:

@@ -18,6 +18,7 @@ COLUMNS = (
     ("expert", Column("return", "Expert return", digits=1)),
     ("expert", Column("cost", "Expert cost", digits=1)),
     ("expert", Column("success", "Expert succ. (%)", digits=0, scale=100.0, spread=False)),
+    ("expert", Column("accepted", "Expert accepted (%)", digits=0, scale=100.0, spread=False, optional=True)),
     ("dataset", Column("costly_share", "Costly data (%)", digits=1, scale=100.0, spread=False)),
     ("policies", Column("return", "Latent return", digits=1)),
     ("policies", Column("privileged_return", "privileged", digits=1, spread=False, optional=True)),
