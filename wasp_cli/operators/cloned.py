@@ -23,7 +23,7 @@ class ClonedOperator(Operator):
     def initial(self, batch: int) -> Memory:
         return {"last": torch.full((batch, self.action_size), torch.nan)}
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor) -> Tensor:  # type: ignore[override]
         """Draw a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by one decision."""
         uniforms = self.noise.next(self.draws).to(features.device)
         issued = self.clone.sample(features, self.memory["last"], self.policy(features), uniforms)

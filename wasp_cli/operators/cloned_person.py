@@ -55,7 +55,7 @@ class ContinuedPerson(CloneOfPerson):
     _t: int
     _branching: bool
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor) -> Tensor:  # type: ignore[override]
         if self._branching:
             return super().command(features)
         issued = self._said[min(self._t, len(self._said) - 1)].to(features.device)

@@ -37,7 +37,7 @@ class MixedOperator(Operator):
         for operator in self.operators:
             operator.reset(rows)
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor) -> Tensor:  # type: ignore[override]
         """Return the commands [B, A] of the operators that drive the rows, at features [B, F]."""
         uniforms = self.noise.next(self.draws).to(features.device)
         intended: dict[int, Tensor] = {}

@@ -35,7 +35,7 @@ class PersonOperator(Operator):
         """Take the command [B, A] of the next decision."""
         self._next = command
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor) -> Tensor:  # type: ignore[override]
         """Return what was said for this decision, [B, A]; in imagination what was said last.
 
         Raises:

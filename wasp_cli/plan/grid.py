@@ -239,7 +239,7 @@ class _Builder:
         return {OPERATOR_CLONE: self.clone(task, seed, value)}
 
     def _inputs(self, kind: str, task: str, seed: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
-        needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))
+        needed = dict.fromkeys((*_known(stage_class(kind, task).needs, f"the stage '{kind}'"), *further))
         return {name: self.training(name, task, seed) for name in needed}
 
     def _operators(self, kind: str, task: str) -> dict[str, str]:
@@ -289,7 +289,7 @@ class _Builder:
 
 def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
     """Where the code of a node begins."""
-    return tuple(sorted({module_of(STAGES[kind].target), *_task_modules(task), *roots}))
+    return tuple(sorted({module_of(stage_target(kind, task)), *_task_modules(task), *roots}))
 
 
 def _operator_targets(names: Iterable[str]) -> dict[str, str]:
@@ -327,10 +327,15 @@ def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:
     return needs
 
 
+def stage_target(kind: str, task: str) -> str:
+    """Return the import string of a stage's class on a task."""
+    return STAGES[kind].target_on(TASKS[task].informed)
+
+
 @cache
-def stage_class(kind: str) -> type[Stage]:
-    """Return the class of a stage (light: heavy imports are inside its `run`)."""
-    stage: type[Stage] = load_target(STAGES[kind].target)
+def stage_class(kind: str, task: str | None = None) -> type[Stage]:
+    """Return the class of a stage (light: heavy imports are inside its `run`), on a task or as on most of them."""
+    stage: type[Stage] = load_target(STAGES[kind].target if task is None else stage_target(kind, task))
     return stage
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.closure import source_hashes
+from wasp_cli.plan.grid import stage_target
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
@@ -21,7 +22,6 @@ from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
 from wasp_cli.run.record import Journal
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
-from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest, read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
@@ -356,7 +356,7 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
         label=node.label,
         task=node.task,
         seed=node.seed,
-        stage=STAGES[node.kind].target,
+        stage=stage_target(node.kind, node.task),
         axes=node.axes,
         config=node.config,
         settings=node.settings,

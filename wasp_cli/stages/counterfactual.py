@@ -34,11 +34,13 @@ class CounterfactualStage:
         from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.world_model import load_world_model
-        from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+        from wasp_cli.operators.base import EpisodeNoise
+        from wasp_cli.operators.informed import operator_in
         from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, read_branches, write_branches
         from wasp_cli.store.recorded import read_recorded
         from wasp_cli.store.tables import CellIdentity, cell_file, read_steps
         from wasp_cli.tasks.make import make_task
+        from wasp_cli.tasks.registry import TASKS
 
         config = cast(CounterfactualConfig, job.config)
         variant, value = job.axes["variant"], job.axes["value"]
@@ -59,6 +61,7 @@ class CounterfactualStage:
         stride = config.stride if config.most is None else max(config.stride, math.ceil(interventions / config.most))
         chosen = sampled(intervened, stride)
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
+        expert = job.inputs["expert"] if TASKS[job.task].informed else None
         found: list[Branch] = []
         for episodes in batches(0, count, job.settings["side_by_side"]):  # as they were evaluated
 
@@ -68,9 +71,9 @@ class CounterfactualStage:
 
             batch = len(episodes)
             task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
-            context = OperatorContext(skills.at, task.action_size, task.decision_seconds)
             mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
-            rerun = Rerun(task, model, build_operator(variant, value, context, mistakes, batch), recorded.of(episodes))
+            operator = operator_in(task, skills.at, variant, value, mistakes, expert)
+            rerun = Rerun(task, model, operator, recorded.of(episodes))
             begun = branches(rerun, [chosen[e] for e in episodes], config.window, during)
             found += [branch._replace(episode=episodes[branch.episode]) for branch in begun]
 
@@ -91,3 +94,9 @@ class CounterfactualStage:
         }
         numbers = {name: round(float(values.mean()), 4) if len(values) else None for name, values in shown.items()}
         return {"interventions": interventions, "branched": len(stored.t), **numbers, "tau_R": round(tau_R, 4)}
+
+
+class InformedCounterfactualStage(CounterfactualStage):
+    """On tasks whose operators know more than assistants perceive."""
+
+    needs = (*CounterfactualStage.needs, "expert")

@@ -30,7 +30,8 @@ class EvaluateStage:
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.evaluation import trajectories
         from wasp_cli.metrics.episode import episode_metrics
-        from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+        from wasp_cli.operators.base import EpisodeNoise
+        from wasp_cli.operators.informed import operator_in
         from wasp_cli.store.tables import VERSION, CellIdentity, cell_file, first_rows, read_episodes, read_version, write_cell
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
@@ -41,6 +42,7 @@ class EvaluateStage:
         parts = load_parts(job.inputs, job.settings["returns"], device, motors=TASKS[job.task].motors)
         goals = config.success_goals or TASKS[job.task].success_goals
         motors = TASKS[job.task].motors
+        expert = job.inputs["expert"] if TASKS[job.task].informed else None
         batch: int = job.settings["side_by_side"]
         # Rows of an earlier version lack columns: in the rows of one cell a column is defined in all, or in none.
         earlier = first_rows(job.earlier, batch) if job.earlier and read_version(cell_file(job.earlier)) == VERSION else None
@@ -58,8 +60,7 @@ class EvaluateStage:
             worlds = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
             mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
             own = [seeds.method_seed(job.task, variant, job.seed, e, method) for e in episodes]
-            context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
-            operator = build_operator(variant, value, context, mistakes, len(episodes)).to(device)
+            operator = operator_in(task, parts.skills.at, variant, value, mistakes, expert).to(device)
             loop = run_episodes(task, parts.world_model, operator, assistant, worlds, own, progress=during)
             new, new_times = trajectories(loop)
             found += new
@@ -70,6 +71,12 @@ class EvaluateStage:
         numbers = read_episodes([path])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
         return {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
+
+
+class InformedEvaluateStage(EvaluateStage):
+    """On tasks whose operators know more than assistants perceive."""
+
+    needs = (*EvaluateStage.needs, "expert")
 
 
 def thresholds_of(assistant: object) -> Any:

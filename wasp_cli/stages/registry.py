@@ -34,8 +34,14 @@ class StageInfo:
     """Whether it leaves out a limited skill that is no checkpoint of the expert, instead of refusing the spec."""
     weight: int = 10
     """Where no time was measured, nodes of heavier stages start first, so that a run does not end with one busy worker."""
+    informed: str | None = None
+    """Import string of the class on tasks whose operators know more than assistants perceive (`TaskInfo.informed`); None: the same one."""
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """By preset, what that preset says instead of the defaults of the config. Presets of this package are in `spec.presets`."""
+
+    def target_on(self, informed: bool) -> str:
+        """Return the import string of its class on a task whose operators know more than assistants perceive, or on another."""
+        return self.informed if informed and self.informed is not None else self.target
 
     def __post_init__(self) -> None:
         """Refuse a name that cannot be a folder and a key of YAML alike.
@@ -58,17 +64,29 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
-        StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
+        StageInfo(
+            "heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4,
+            informed="wasp_cli.stages.informed_heldout:InformedHeldoutStage",
+        ),
         StageInfo("coverage", "wasp_cli.stages.coverage:CoverageStage", skips_missing_skills=True, weight=6),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
-        StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
+        StageInfo(
+            "residual", "wasp_cli.stages.residual:ResidualStage", weight=11,
+            informed="wasp_cli.stages.informed_residual:InformedResidualStage",
+        ),
         StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "person", weight=4),
         StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3),
-        StageInfo("evaluate", "wasp_cli.stages.evaluate:EvaluateStage", "method", weight=1),
-        StageInfo("counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2),
+        StageInfo(
+            "evaluate", "wasp_cli.stages.evaluate:EvaluateStage", "method", weight=1,
+            informed="wasp_cli.stages.evaluate:InformedEvaluateStage",
+        ),
+        StageInfo(
+            "counterfactual", "wasp_cli.stages.counterfactual:CounterfactualStage", "cell", weight=2,
+            informed="wasp_cli.stages.counterfactual:InformedCounterfactualStage",
+        ),
     ),
-)
+)  # fmt: skip
 
 
 def stages_of(*units: Unit) -> tuple[str, ...]:

@@ -21,8 +21,9 @@ from wasp_cli.learning.playback import side_by_side
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import SafetyWorldModel, load_world_model
-from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, NoiseSource, Operator, OperatorContext, build_operator
+from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, NoiseSource, Operator
 from wasp_cli.operators.clones import PlacedClone, placed
+from wasp_cli.operators.informed import operator_in
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.stages.evaluate import EvaluateStage
@@ -52,6 +53,8 @@ class Source:
     """of the simulator; they change nothing"""
     first: int = 0
     """number of the first of the episodes within their cell"""
+    expert: Path | None = None
+    """whose privileged policies operators follow that know more than assistants perceive; None: they do not"""
     clone: Path | None = None
     """of the person in whose place an operator drove"""
     rounded: bool = False
@@ -69,9 +72,9 @@ class Source:
         if self.variant == PERSON:
             return SaidAgain(self.recorded, world.action_size)
         mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, self.first + row) for row in range(batch)]
-        context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
+        skill, noise = load_skills(self.policies).at, EpisodeNoise(mistakes)
         with placed(None if self.clone is None else PlacedClone(self.clone)):
-            operator = build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
+            operator = operator_in(world, skill, self.variant, self.value, noise, self.expert)
         return AsRecorded(operator, self.recorded) if self.rounded else operator
 
 
@@ -90,7 +93,7 @@ class AsRecorded(Operator):
     def draws(self) -> int:
         return self._operator.draws
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor) -> Tensor:  # type: ignore[override]
         self._operator.command(features)
         recorded: Tensor = next(self._commands)
         return recorded
@@ -110,7 +113,7 @@ class SaidAgain(PersonOperator):
         super().__init__(lambda features: features.new_zeros(len(features), action_size), action_size, nothing, len(recorded.a_h))
         self._commands = iter(torch.from_numpy(side_by_side(recorded.a_h)))
 
-    def command(self, features: Tensor) -> Tensor:
+    def command(self, features: Tensor) -> Tensor:  # type: ignore[override]
         if not self.imagined:
             self.say(next(self._commands))
         return super().command(features)
