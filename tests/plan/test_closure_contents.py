@@ -73,14 +73,15 @@ MAY_HAVE = {
         f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values "
         "metrics metrics.ranking"
     ),
-    "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
+    "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal operators.informed stages.informed_heldout",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
     "denoiser": (
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
     "residual": (
-        f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
+        f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite "
+        "stages.informed_residual"
     ),
     "clone": f"{OPERATOR} {WEIGHTS} models.base models.clone operators.* learning.clone learning.sampling",
     "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
@@ -126,6 +127,16 @@ def test_a_node_s_key_covers_what_it_runs_and_no_more(kind: str) -> None:
     allowed = {module for module in reached if any(fnmatchcase(module, pattern) for pattern in patterns(kind))}
     assert reached - allowed == set()
     assert {module for module in reached if any(fnmatchcase(module, pattern) for pattern in NEVER)} == set()
+
+
+@pytest.mark.parametrize("kind", ["heldout", "residual"])
+def test_knowing_operators_are_in_the_keys_of_their_tasks_alone(kind: str) -> None:
+    document = {"name": "all", "preset": "smoke", "tasks": list(TASKS), "methods": ["wasp", "saferl"], "seeds": [0],
+                "operators": {"laggy": {"some": 0.5}}}  # fmt: skip
+    nodes = [node for node in lay_out(validate(document)).nodes if node.kind == kind]
+    having = {node.task for node in nodes if f"stages.informed_{kind}" in short(closure(node.modules))}
+    assert having == {"goal1-two"}
+    assert {node.task for node in nodes if "operators.informed" in short(closure(node.modules))} == having
 
 
 @pytest.mark.parametrize("kind", sorted(MAY_HAVE))
