@@ -70,6 +70,14 @@ def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell: Eval
         list(again(cell, None))
 
 
+def test_a_cell_says_how_often_the_wrong_goal_was_entered(cell: Evaluated) -> None:
+    rerun = again(cell, cell.inputs["expert"])
+    for _ in rerun:
+        pass
+    counts = rerun.task.tallies()["wrong_goals"]  # type: ignore[attr-defined]
+    assert cell.summary["wrong_goals"] == round(float(counts.mean()), 2)
+
+
 def test_the_expert_of_a_cell_is_the_privileged_one(inputs: Mapping[str, Path], tmp_path: Path) -> None:
     done = evaluated(inputs, tmp_path, "expert", {}, "none", None, task=TASK)  # type: ignore[arg-type]
     recorded, policy = Recorded(**read_recorded(done.path)), load_privileged(inputs["expert"], 1.0)

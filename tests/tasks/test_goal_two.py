@@ -81,10 +81,10 @@ def test_only_the_operators_goal_is_rewarded() -> None:
     assert (np.linalg.norm(after["other"] - after["qpos"][:, :2], axis=1) < task.goal_radius).all(), "the other one is reached"
     np.testing.assert_allclose(step.reward, away - np.linalg.norm(after["goal"] - after["qpos"][:, :2], axis=1), atol=1e-12)
     assert (step.goals == 0).all()
-    assert (task.wrong_goals() == 1).all()
+    assert (task.tallies()["wrong_goals"] == 1).all()
     np.testing.assert_array_equal(after["other"], before["other"])
     task.step(forward)
-    assert (task.wrong_goals() == 1).all(), "staying there is no second visit"
+    assert (task.tallies()["wrong_goals"] == 1).all(), "staying there is no second visit"
 
     put_before(task, "goal")
     before, step = task.snapshot(), task.step(forward)
@@ -94,7 +94,7 @@ def test_only_the_operators_goal_is_rewarded() -> None:
     assert (after["goal"] != before["goal"]).any(axis=1).all()
     assert (after["other"] != before["other"]).any(axis=1).all()
     task.reset([9], np.arange(BATCH) == 2)
-    assert task.wrong_goals().tolist() == [1, 1, 0, 1, 1, 1]
+    assert task.tallies()["wrong_goals"].tolist() == [1, 1, 0, 1, 1, 1]
 
 
 def test_a_seed_names_the_layout_of_goal1_and_a_free_place_for_the_second_goal() -> None:

@@ -48,6 +48,7 @@ class EvaluateStage:
         earlier = first_rows(job.earlier, batch) if job.earlier and read_version(cell_file(job.earlier)) == VERSION else None
         begin = 0 if earlier is None else len(earlier.episodes)
         found, rows, times, layouts = [], [], [], [seeds.layout_seed(job.task, job.seed, e) for e in range(begin, config.episodes)]
+        tallied: dict[str, list[int]] = {}
         for episodes in batches(begin, config.episodes, batch):
 
             def during(share: float, text: str, episodes: range = episodes) -> None:
@@ -65,12 +66,16 @@ class EvaluateStage:
             new, new_times = trajectories(loop)
             found += new
             times += new_times
+            for name, counts in getattr(task, "tallies", dict)().items():
+                tallied.setdefault(name, []).extend(counts.tolist())
             rows += [episode_metrics(trajectory, goals, config.safe_cost, motors.force) for trajectory in new]
         identity = CellIdentity(job.task, method, job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
         path = write_cell(job.out_dir, identity, found, rows, thresholds_of(assistant), times, layouts, earlier)
         numbers = read_episodes([path])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
-        return {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
+        means = {name: round(float(np.mean(numbers[column])), digits) for name, (column, digits) in shown.items()}
+        # No column of a row: of episodes that were there already nothing is known.
+        return means | {name: round(float(np.mean(counts)), 2) for name, counts in tallied.items() if not begin}
 
 
 class InformedEvaluateStage(EvaluateStage):

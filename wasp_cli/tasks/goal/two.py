@@ -49,9 +49,9 @@ class TwoGoals(Goal):
         """Return the privileged observation [B, P] of the present state: what an operator reads who knows the goal."""
         return self._privileged()
 
-    def wrong_goals(self) -> NDArray[np.int64]:
-        """Return how often [B] each robot has entered the goal that is not the operator's, in its present episode."""
-        return self._wrong.copy()
+    def tallies(self) -> dict[str, NDArray[np.int64]]:
+        """Return what else was counted in the present episodes [B], by name: how often the goal was entered that is not the operator's."""
+        return {"wrong_goals": self._wrong.copy()}
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         super()._start(row, stream)
