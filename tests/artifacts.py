@@ -10,7 +10,7 @@ import torch
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble
-from wasp_cli.models.policy import Skills, save_skills
+from wasp_cli.models.policy import PrivilegedPolicy, Skills, checkpoint_name, save_privileged, save_skills
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.weights import save_weights
 from wasp_cli.models.world_model import SafetyWorldModel, Sizes, save_world_model
@@ -43,3 +43,13 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     save_weights(ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual)
     (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.0}))
     return folders
+
+
+def tiny_expert(folder: Path, inputs: int) -> Path:
+    """The untrained privileged policies, of observations [B, inputs], of the two skills above; returns their folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(1)
+    for fraction in (0.25, 1.0):
+        policy = PrivilegedPolicy(inputs, [8], 2)
+        save_privileged(policy, folder / checkpoint_name(fraction), inputs, [8], 2)
+    return folder

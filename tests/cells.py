@@ -31,6 +31,7 @@ class Evaluated(NamedTuple):
     episodes: int
     seed: int
     inputs: Mapping[str, Path]
+    summary: Mapping[str, Any]
 
     def world(self) -> VectorTask:
         """The task as the cell was evaluated in."""
@@ -62,5 +63,5 @@ def evaluated(
     axes = {"method": method, "method_config": dict(config or {}), "variant": variant, "value": value}
     settings = {**SETTINGS, "side_by_side": side_by_side}
     own = EvaluateConfig(episodes=episodes)
-    EvaluateStage().run(Job("evaluate", task, seed, own, settings, axes, inputs, folder, folder, earlier=earlier))
-    return Evaluated(folder / "episodes.parquet", task, variant, value, episodes, seed, inputs)
+    summary = EvaluateStage().run(Job("evaluate", task, seed, own, settings, axes, inputs, folder, folder, earlier=earlier))
+    return Evaluated(folder / "episodes.parquet", task, variant, value, episodes, seed, inputs, summary)

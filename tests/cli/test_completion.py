@@ -43,7 +43,7 @@ def offered(line: str, folder: Path = ROOT) -> list[str]:
 @pytest.mark.parametrize(
     ("line", "names"),
     [
-        ("wasp run --task g", ["goal0", "goal1", "goal2"]),
+        ("wasp run --task g", ["goal0", "goal1", "goal1-two", "goal2"]),
         ("wasp run specs/smoke.yaml -t ", list(TASKS)),
         ("wasp plan specs/smoke.yaml --task race", ["race0", "race1"]),
         ("wasp tasks show formula", ["formula0", "formula1"]),

@@ -56,6 +56,7 @@ def test_the_levels_differ_in_what_costs():
         "formula0": (),
         "goal0": (),
         "goal2": ("hazards", "vases_contact", "vases_velocity"),
+        "goal1-two": ("hazards",),
     }
 
 

@@ -73,14 +73,15 @@ MAY_HAVE = {
         f"{ASSISTANT} {LATENTS} {CRITICS} learning.critics learning.critic_quality learning.heldout learning.recorded_values "
         "metrics metrics.ranking"
     ),
-    "heldout": f"{DRIVING} methods.human learning.heldout learning.nominal",
+    "heldout": f"{DRIVING} methods.human learning.heldout learning.informed learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
     "denoiser": (
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
     "residual": (
-        f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
+        f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite "
+        "learning.informed"
     ),
     "clone": f"{OPERATOR} {WEIGHTS} models.base models.clone operators.* learning.clone learning.sampling",
     "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -13,13 +13,22 @@ from wasp_cli.methods.human import HumanOnly
 from wasp_cli.models.base import Latent
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, Policy
 from wasp_cli.tasks.base import VectorTask
 
 
-def expert_episodes(task: VectorTask, model: SafetyWorldModel, skills: Skills, seeds: Sequence[int], *, keep_latents: bool = False) -> Loop:
-    """Run an episode per seed of the unimpaired latent expert without assistance."""
-    operator = Operator.build(1.0, OperatorContext(skills.at, task.action_size, task.decision_seconds), EpisodeNoise(seeds), task.batch)
+def expert_episodes(
+    task: VectorTask,
+    model: SafetyWorldModel,
+    skills: Skills,
+    seeds: Sequence[int],
+    *,
+    keep_latents: bool = False,
+    informed: Callable[[float], Policy] | None = None,
+) -> Loop:
+    """Run an episode per seed of the unimpaired operator without assistance: the latent expert, or one of the `informed` policies."""
+    context = OperatorContext(skills.at, task.action_size, task.decision_seconds, informed)
+    operator = Operator.build(1.0, context, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds, keep_latents=keep_latents)
 
 

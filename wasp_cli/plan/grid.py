@@ -239,7 +239,9 @@ class _Builder:
         return {OPERATOR_CLONE: self.clone(task, seed, value)}
 
     def _inputs(self, kind: str, task: str, seed: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
-        needed = dict.fromkeys((*_known(stage_class(kind).needs, f"the stage '{kind}'"), *further))
+        stage = stage_class(kind)
+        own = (*stage.needs, *(getattr(stage, "needs_informed", ()) if TASKS[task].informed else ()))
+        needed = dict.fromkeys((*_known(own, f"the stage '{kind}'"), *further))
         return {name: self.training(name, task, seed) for name in needed}
 
     def _operators(self, kind: str, task: str) -> dict[str, str]:

@@ -47,6 +47,8 @@ class Job:
 class Stage(Protocol):
     """A node kind. Heavy imports go inside `run`, so that planning needs no torch.
 
+    A class may name further `needs_informed`, which it reads on tasks whose operators know more than assistants perceive.
+
     A class may set `torch_threads` (1 where it does not): threads of linear algebra in this stage. It is a constant of the stage and not
     an option of the run, because another number may round differently, and the same key must give the same bytes.
     """

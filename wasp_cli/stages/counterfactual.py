@@ -20,6 +20,7 @@ class CounterfactualStage:
     config = CounterfactualConfig
     settings = ("action_repeat", "side_by_side")
     needs: tuple[str, ...] = ("world_model", "policies", "heldout")
+    needs_informed = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Play the episodes of the cell again, and branch at their interventions."""
@@ -30,6 +31,7 @@ class CounterfactualStage:
         from wasp_cli.learning.closed_loop import batches
         from wasp_cli.learning.counterfactual import Branch, branches, least_gain, sampled
         from wasp_cli.learning.heldout import load_heldout
+        from wasp_cli.learning.informed import informed_policies, observed
         from wasp_cli.learning.rerun import Recorded, Rerun
         from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
         from wasp_cli.models.policy import load_skills
@@ -58,6 +60,7 @@ class CounterfactualStage:
         interventions = int(sum(steps.sum() for steps in intervened))
         stride = config.stride if config.most is None else max(config.stride, math.ceil(interventions / config.most))
         chosen = sampled(intervened, stride)
+        informed = informed_policies(job.task, job.inputs)
         model, skills = load_world_model(job.inputs["world_model"]), load_skills(job.inputs["policies"])
         found: list[Branch] = []
         for episodes in batches(0, count, job.settings["side_by_side"]):  # as they were evaluated
@@ -67,8 +70,8 @@ class CounterfactualStage:
                 job.progress(done, f"episodes {episodes.start}-{episodes[-1]}: {text}")
 
             batch = len(episodes)
-            task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
-            context = OperatorContext(skills.at, task.action_size, task.decision_seconds)
+            task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=observed(job.task), threads=job.threads)
+            context = OperatorContext(skills.at, task.action_size, task.decision_seconds, informed)
             mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
             rerun = Rerun(task, model, build_operator(variant, value, context, mistakes, batch), recorded.of(episodes))
             begun = branches(rerun, [chosen[e] for e in episodes], config.window, during)

@@ -21,9 +21,11 @@ class ResidualStage:
     config = ResidualConfig
     settings = ("action_repeat",)
     needs: tuple[str, ...] = ("world_model", "policies")
+    needs_informed = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train and store the mean residual."""
+        from wasp_cli.learning.informed import informed_policies, observed
         from wasp_cli.learning.residual import train_residual
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
@@ -32,11 +34,13 @@ class ResidualStage:
 
         config = cast(ResidualConfig, job.config)
         model = load_world_model(job.inputs["world_model"])
-        task = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=("pixels",), threads=job.threads)
+        repeat, shown = job.settings["action_repeat"], observed(job.task)
+        task = make_task(job.task, config.envs, action_repeat=repeat, observe=shown, threads=job.threads)
+        informed = informed_policies(job.task, job.inputs)
         skills = json.loads((job.inputs["policies"] / "evaluation.json").read_text())["skills"]
-        expert = skills[max(skills, key=float)]["latent"]["return"]
+        expert = skills[max(skills, key=float)]["latent" if informed is None else "privileged"]["return"]
         policy, curve = train_residual(
-            task, model, load_skills(job.inputs["policies"]), config, job.task, job.seed, job.progress, expert_return=expert
+            task, model, load_skills(job.inputs["policies"]), config, job.task, job.seed, job.progress, expert, informed
         )
         save_weights(
             policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)

@@ -61,6 +61,9 @@ class TaskInfo(_Named):
 
     motors: Motors = UNKNOWN
     """Which commands are one and the same force."""
+    informed: bool = False
+    """Whether operators know more than the cameras show: they read the privileged observation. Assistants imagine them by what the cameras
+    show."""
 
     def facts(self) -> dict[str, Any]:
         """Return what the registry says of a task and moves results (the time limit, what counts as success); its titles do not."""
@@ -77,6 +80,7 @@ class ForeignInfo(_Named):
     mirror: ClassVar[Matrix | None] = None
     """Nothing is known of the symmetries of others' environments."""
     motors: ClassVar[Motors] = UNKNOWN
+    informed: ClassVar[bool] = False
 
     def __init__(self, name: str) -> None:
         gym_id = name.rpartition(":")[2]
@@ -156,6 +160,7 @@ _TURNING: Matrix = ((1.0, 0.0), (0.0, -1.0))
 _WHEELS, _POINT = Motors((0.02, 0.02)), Motors((0.05, 1.0))
 """Of the cars' left and right wheel; of the point robot's throttle and turn rate."""
 
+_TWO = "wasp_cli.tasks.goal.two:TwoGoals"
 _GOAL, _RACE, _FORMULA = "wasp_cli.tasks.goal.task:Goal", "wasp_cli.tasks.race.task:Race", "wasp_cli.tasks.formula.task:Formula"
 
 TASKS: Registry[AnyTaskInfo] = TaskRegistry(
@@ -169,6 +174,7 @@ TASKS: Registry[AnyTaskInfo] = TaskRegistry(
         TaskInfo("formula0", "FormulaOne0", "wasp/SafetyCarFormulaOne0-v0", _FORMULA, 0.04, 1000, 1, {"level": 0}, motors=_WHEELS),
         TaskInfo("goal0", "Goal0", "wasp/SafetyPointGoal0-v0", _GOAL, 0.02, 1000, 7, {"level": 0}, _TURNING, _POINT),
         TaskInfo("goal2", "Goal2", "wasp/SafetyPointGoal2-v0", _GOAL, 0.02, 1000, 7, {"level": 2}, _TURNING, _POINT),
+        TaskInfo("goal1-two", "Goal1-Two", "wasp/SafetyPointGoalTwo1-v0", _TWO, 0.02, 1000, 7, {}, _TURNING, _POINT, informed=True),
     ),
 )
 

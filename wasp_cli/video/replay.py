@@ -39,6 +39,8 @@ FRAMES = 125
 """Of a video for which nothing else is said: some megabytes."""
 MODELS = ("world_model", "policies")
 """Kinds of the artifacts that a cell is played again with."""
+EXPERT = "expert"
+"""Is read by cells of tasks whose operators know more than assistants perceive."""
 SAID: dict[str, tuple[type, ...]] = {
     "task": (str,), "action_repeat": (int,), "seed": (int,), "variant": (str,), "value": (int, float, type(None)),
 }  # fmt: skip
@@ -137,6 +139,7 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     # Of a cell that is published in part, the episode is played alone.
     rounded = without_steps(cell.manifest)
     world_model, policies = (_model(layout, kind, upstream[kind], rounded=rounded) for kind in MODELS)
+    expert = _model(layout, EXPERT, upstream[EXPERT], rounded=rounded) if EXPERT in upstream else None
     require_size(cell.path)
     recorded = _alone(cell, episode) if rounded else Recorded(**read_recorded(cell.path))
     # Cells of earlier versions were evaluated as one batch.
@@ -149,6 +152,7 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
         **known, recorded=recorded if rounded else recorded.of(range(first, first + size)), first=first,
         world_model=world_model,
         policies=policies,
+        expert=expert,
         threads=threads if isinstance(threads, int) and threads > 0 else 1,
         clone=layout.artifact("clone", clone) if isinstance(clone, str) else None,
         rounded=rounded,

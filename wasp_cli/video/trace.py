@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli import seeds
+from wasp_cli.learning.informed import informed_policies, observed
 from wasp_cli.learning.playback import side_by_side
 from wasp_cli.learning.rerun import Recorded, Rerun
 from wasp_cli.models.policy import load_skills
@@ -52,6 +53,8 @@ class Source:
     """of the simulator; they change nothing"""
     first: int = 0
     """number of the first of the episodes within their cell"""
+    expert: Path | None = None
+    """whose privileged policies operators follow who know more than assistants perceive; None: they do not"""
     clone: Path | None = None
     """of the person in whose place an operator drove"""
     rounded: bool = False
@@ -61,7 +64,8 @@ class Source:
 
     def world(self) -> VectorTask:
         """Build the task as the cell was evaluated in."""
-        return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=("pixels",), threads=self.threads)
+        shown = observed(self.task)
+        return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=shown, threads=self.threads)
 
     def operator(self, world: VectorTask) -> Operator:
         """Build the operator of the cell, fresh."""
@@ -69,7 +73,8 @@ class Source:
         if self.variant == PERSON:
             return SaidAgain(self.recorded, world.action_size)
         mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, self.first + row) for row in range(batch)]
-        context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds)
+        informed = None if self.expert is None else informed_policies(self.task, {"expert": self.expert})
+        context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds, informed)
         with placed(None if self.clone is None else PlacedClone(self.clone)):
             operator = build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
         return AsRecorded(operator, self.recorded) if self.rounded else operator

@@ -1,0 +1,160 @@
+"""Stages on a task whose operators know more than assistants perceive, with tiny untrained models."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.artifacts import tiny_artifacts, tiny_expert
+from tests.cells import REPEAT, SETTINGS, Evaluated, evaluated
+from wasp_cli.errors import ArtifactError
+from wasp_cli.learning.configs import CounterfactualConfig, HeldoutConfig
+from wasp_cli.learning.configs.baselines import ResidualConfig
+from wasp_cli.learning.counterfactual import branches
+from wasp_cli.learning.heldout import load_heldout
+from wasp_cli.learning.rerun import Recorded, Rerun
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.models.policy import load_privileged, load_skills
+from wasp_cli.models.world_model import load_world_model
+from wasp_cli.plan.grid import lay_out, stage_class
+from wasp_cli.seeds import derive
+from wasp_cli.spec.load import load
+from wasp_cli.spec.places import InvalidSpec
+from wasp_cli.stages.base import Job
+from wasp_cli.store.branches import BRANCHES_FILE, read_branches
+from wasp_cli.store.recorded import read_recorded
+from wasp_cli.tasks.make import make_task
+from wasp_cli.video.trace import Source
+
+TASK = "goal1-two"
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("artifacts")
+    size = make_task(TASK, 1, observe=()).privileged_size
+    found = tiny_artifacts(root) | {"expert": tiny_expert(root / "expert", size), "heldout": root / "heldout"}
+    judged = {"1": {"latent": {"return": 1.0}, "privileged": {"return": 2.0}}}
+    (found["policies"] / "evaluation.json").write_text(json.dumps({"skills": judged}))
+    found["heldout"].mkdir()
+    job = Job("heldout", TASK, 0, HeldoutConfig(episodes=2), SETTINGS, {}, found, found["heldout"], found["heldout"])
+    stage_class("heldout")().run(job)
+    return found
+
+
+@pytest.fixture(scope="module")
+def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
+    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "saferl", {}, "laggy", 0.5, task=TASK)
+
+
+def source_of(cell: Evaluated, expert: Path | None) -> Source:
+    recorded = Recorded(**read_recorded(cell.path))
+    models = cell.inputs["world_model"], cell.inputs["policies"]
+    return Source(TASK, REPEAT, cell.seed, cell.variant, cell.value, recorded, *models, expert=expert)
+
+
+def again(cell: Evaluated, expert: Path | None) -> Rerun:
+    source = source_of(cell, expert)
+    world = source.world()
+    return Rerun(world, load_world_model(source.world_model), source.operator(world), source.recorded)
+
+
+def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell: Evaluated) -> None:
+    assert sum(1 for _ in again(cell, cell.inputs["expert"])) == 1000 // REPEAT
+    with pytest.raises(ArtifactError, match="the command of the operator"):
+        list(again(cell, None))
+
+
+def test_a_cell_says_how_often_the_wrong_goal_was_entered(cell: Evaluated) -> None:
+    rerun = again(cell, cell.inputs["expert"])
+    for _ in rerun:
+        pass
+    counts = rerun.task.tallies()["wrong_goals"]  # type: ignore[attr-defined]
+    assert cell.summary["wrong_goals"] == round(float(counts.mean()), 2)
+
+
+def test_the_expert_of_a_cell_is_the_privileged_one(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    done = evaluated(inputs, tmp_path, "expert", {}, "none", None, task=TASK)  # type: ignore[arg-type]
+    recorded, policy = Recorded(**read_recorded(done.path)), load_privileged(inputs["expert"], 1.0)
+    world = make_task(TASK, 3, action_repeat=REPEAT, observe=("privileged",))
+    seen = world.reset(recorded.layouts)
+    for t in range(10):
+        assert seen.privileged is not None
+        with torch.inference_mode():
+            wanted = policy(torch.from_numpy(seen.privileged)).numpy()
+        np.testing.assert_array_equal(np.stack([commands[t] for commands in recorded.a_h]), wanted)
+        seen = world.step(wanted).observation
+
+
+def test_branches_without_an_assistant_are_the_episode_itself(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    alone = evaluated(inputs, tmp_path, variant="laggy", value=0.5, task=TASK)
+    rewards = Recorded(**read_recorded(alone.path)).reward
+    found = branches(again(alone, inputs["expert"]), [[3, 7], [], [5]], 4, lambda share, text: None)
+    assert len(found) == 6
+    for branch in found:
+        wanted = rewards[branch.episode][branch.t : branch.t + 4]
+        np.testing.assert_array_equal(branch.reward.astype(np.float32), wanted)
+
+
+@pytest.mark.parametrize("method", ["ida", "diffusion", "wasp"])
+def test_cells_are_evaluated_and_branched(method: str, inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    small = {"wasp": {"candidates": 4, "elites": 2, "feasible": 2, "iterations": 1, "rollouts": 1}, "ida": {"vote": 0.0}}
+    config = METHODS[method].config_model()(**small.get(method, {})).model_dump(mode="json")
+    done = evaluated(inputs, tmp_path / "cell", method, config, "noisy", 0.4, task=TASK, episodes=2)
+    axes = {"method": method, "method_config": config, "variant": "noisy", "value": 0.4}
+    folder, read = tmp_path / "branches", {**inputs, "evaluate": done.path.parent}
+    folder.mkdir()
+    job = Job("counterfactual", TASK, 0, CounterfactualConfig(window=3, most=4), SETTINGS, axes, read, folder, folder)
+    summary = stage_class("counterfactual")().run(job)
+    assert len(read_branches(folder / BRANCHES_FILE).t) == summary["branched"]
+    assert summary["branched"] > 0 or summary["interventions"] == 0
+
+
+def test_held_out_decisions_are_those_of_the_operator_who_knows(inputs: Mapping[str, Path]) -> None:
+    heldout, policy = load_heldout(inputs["heldout"]), load_privileged(inputs["expert"], 1.0)
+    world = make_task(TASK, 2, action_repeat=REPEAT, observe=("privileged",))
+    seen = world.reset([derive("heldout-episode", TASK, 0, i) for i in range(2)])
+    assert seen.privileged is not None
+    first = [int((heldout.episode < e).sum()) for e in range(2)]
+    with torch.inference_mode():
+        torch.testing.assert_close(heldout.a_h[first], policy(torch.from_numpy(seen.privileged)), rtol=0, atol=0)
+        assumed = load_skills(inputs["policies"]).expert(heldout.latent.features[first])
+    assert not torch.allclose(assumed, heldout.a_h[first])
+
+
+def test_the_residual_is_trained_behind_operators_who_know(inputs: Mapping[str, Path], tmp_path: Path) -> None:
+    operators = {"laggy": (0.5,), "limited-skill": (0.25,)}
+    config = ResidualConfig(interactions=64, envs=2, rollout=16, batch=16, hidden=(8,), operators=operators)
+    job = Job("residual", TASK, 0, config, SETTINGS, {}, inputs, tmp_path, tmp_path)
+    summary = stage_class("residual")().run(job)
+    assert summary["interactions"] == 64
+    assert (tmp_path / "residual.safetensors").exists()
+
+
+def test_what_drives_there_reads_the_expert_and_elsewhere_does_not(tmp_path: Path) -> None:
+    """And the keys of another task are those that it has without this one."""
+    path = tmp_path / "both.yaml"
+    text = (
+        "name: both\npreset: smoke\ntasks: [TASKS]\nmethods: [human, saferl, wasp]\noperators: {laggy: {moderate: 0.7}}\n"
+        "stages: [counterfactual]\nseeds: [0]\n"
+    )
+    path.write_text(text.replace("TASKS", f"goal1, {TASK}"))
+    grid = lay_out(load(path).spec)
+    reading = {task: {node.kind for node in grid.nodes if node.task == task and "expert" in node.needs} for task in ("goal1", TASK)}
+    assert reading["goal1"] == {"dataset", "policies"}
+    assert reading[TASK] - reading["goal1"] == {"heldout", "residual", "evaluate", "counterfactual"}
+    path.write_text(text.replace("TASKS", "goal1"))
+    assert {node.key for node in lay_out(load(path).spec).nodes} == {node.key for node in grid.nodes if node.task == "goal1"}
+
+
+def test_a_threshold_with_a_guarantee_is_refused_there() -> None:
+    """It plays operators again over latents, which do not say what these intended."""
+    overrides = ["wasp.tau_c={coverage: 0.1}", "methods=[human, wasp]"]
+    with pytest.raises(InvalidSpec, match="a guarantee for tau_c is not known on 'goal1-two'"):
+        load(Path("smoke"), ["tasks=[goal1, goal1-two]", *overrides])
+    load(Path("smoke"), ["tasks=[goal1]", *overrides])

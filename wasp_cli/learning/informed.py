@@ -1,0 +1,50 @@
+"""Operators who know more than assistants perceive: in the task they follow the privileged policies (`TaskInfo.informed`).
+
+In imagination there is nothing privileged: there such an operator follows the latent policy of the same skill, which is all that an
+assistant may assume.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from wasp_cli.models.policy import load_privileged
+from wasp_cli.operators.base import Policy
+from wasp_cli.tasks.registry import TASKS
+
+
+def observed(task: str) -> tuple[str, ...]:
+    """Return what a task has to show where operators drive it through a camera."""
+    return ("pixels", "privileged") if TASKS[task].informed else ("pixels",)
+
+
+def informed_policies(task: str, inputs: Mapping[str, Path], device: torch.device | None = None) -> Callable[[float], Policy] | None:
+    """Return the policies of operators in a task by skill, on privileged observations [B, P]; None where they perceive what assistants do.
+
+    Args:
+        task: its name.
+        inputs: artifact folders by stage kind; that of the expert is read.
+        device: of the commands.
+
+    Raises:
+        ArtifactError: a checkpoint is missing or damaged.
+    """
+    if not TASKS[task].informed:
+        return None
+
+    @cache
+    def at(fraction: float) -> Policy:
+        policy = load_privileged(inputs["expert"], fraction).to(device)
+
+        def command(privileged: Tensor) -> Tensor:
+            intended: Tensor = policy(privileged.to(device))
+            return intended
+
+        return command
+
+    return at
