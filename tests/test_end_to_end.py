@@ -22,7 +22,7 @@ SPEC = """
 name: chain
 preset: smoke
 tasks: [goal1]
-methods: [human, ida, diffusion, saferl, wasp, printed, ida-guarded, ida-least, expert, filter]
+methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-least, expert, filter]
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
@@ -130,7 +130,7 @@ def test_no_two_methods_have_the_same_rows(results: Path) -> None:
         if variant == "full" and name not in ("expert", "ida-least", "ida-guarded")
     }
     actions = {name: str(read_steps(path)["a"].to_pylist()) for name, path in compared.items()}
-    assert len(set(actions.values())) == len(actions) == 7
+    assert len(set(actions.values())) == len(actions) == 8
 
 
 def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(results: Path) -> None:

@@ -51,6 +51,7 @@ SECTIONS = {
     "world": "world_model latents diagnostics",
     "latent": "policies critics clone",
     "baselines": "ida_q denoiser residual",
+    "consistency": "consistency",
     "judged": "heldout coverage calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
@@ -77,6 +78,11 @@ MAY_HAVE = {
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
     "denoiser": (
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
+        "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
+    ),
+    "consistency": (
+        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser models.consistency learning.denoiser learning.consistency "
+        "learning.configs.baselines "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
     "residual": (

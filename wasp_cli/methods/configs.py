@@ -34,6 +34,18 @@ class DiffusionConfig(Config):
     last_noise: bool = assumed(False, "noise at the last reverse step too, as in the original's code: then every command is changed")
 
 
+class CSAConfig(Config):
+    """CSA: the operator's command is denoised in one step."""
+
+    ratio: float = assumed(
+        0.69,
+        "level at which the command is denoised, as a share of the ladder: 9 of 30 from the top (sigma 11.5), as for the Lunar Lander in "
+        "the authors' code; theirs for PointGoal1 is .03 (sigma .0045), at which hardly a command is changed",
+        ge=0.0,
+        le=1.0,
+    )
+
+
 class FilterConfig(Config):
     """Safety filter (after Oh et al. 2025): the least correction that keeps one imagined step and V_c behind it below a threshold."""
 

@@ -38,6 +38,7 @@ _SMOKE: Document = {
     "coverage": {"episodes": 6, "fresh": 2},
     "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},
     "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
+    "consistency": {"teacher_updates": 50, "updates": 50, "batch": 64, "width": 32, "depth": 2},
     "residual": {"interactions": 512, "envs": 4, "rollout": 32, "batch": 64, "hidden": [32, 32]},
     "calibration": {"decisions": 20},
     "counterfactual": {"window": 4, "most": 3},
@@ -69,6 +70,7 @@ _QUICK: Document = {
     "heldout": {"episodes": 16},
     "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128]},
     "denoiser": {"updates": 3000, "batch": 256},
+    "consistency": {"teacher_updates": 1500, "updates": 2000, "batch": 256},
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
     "counterfactual": {"most": 30},
@@ -89,6 +91,7 @@ _GPU: Document = {
     "policies": {"updates": 5000, "hidden": [256, 256], "reinforce": {"interactions": 1_000_000, "envs": 32}},
     "critics": {"updates": 5000, "starts": 512, "hidden": [256, 256], "q_updates": 10_000, "q_batch": 512},
     "denoiser": {"updates": 30_000, "batch": 4096},
+    "consistency": {"teacher_updates": 15_000, "updates": 20_000, "batch": 4096, "width": 256, "depth": 4},
     "residual": {"interactions": 1_000_000, "envs": 32},
 }  # fmt: skip
 
@@ -103,6 +106,7 @@ _PAPER: Document = {
     "heldout": {"episodes": 30},
     "ida_q": {"updates": 10_000},
     "denoiser": {"updates": 30_000, "batch": 4096},
+    "consistency": {"teacher_updates": 15_000, "updates": 20_000, "batch": 4096, "width": 256, "depth": 4},
     "residual": {"interactions": 1_000_000},
     "wasp": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
     "ida-guarded": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},

@@ -62,6 +62,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("coverage", "wasp_cli.stages.coverage:CoverageStage", skips_missing_skills=True, weight=6),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
+        StageInfo("consistency", "wasp_cli.stages.consistency:ConsistencyStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
         StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "person", weight=4),
         StageInfo("calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3),

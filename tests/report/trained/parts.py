@@ -81,7 +81,7 @@ def artifact(layout: Layout, kind: str, seed: int = 0) -> Trained:
     folder.mkdir(parents=True)
     documents: dict[str, dict[str, Any]] = {
         "expert": {"curve.json": CURVE}, "residual": {"curve.json": CURVE}, "diagnostics": {"diagnostics.json": diagnosed()},
-        "denoiser": {"quality.json": QUALITY},
+        "denoiser": {"quality.json": QUALITY}, "consistency": {"quality.json": QUALITY},
     }  # fmt: skip
     for name, document in documents.get(kind, {}).items():
         (folder / name).write_text(json.dumps(document), encoding="utf-8")

@@ -35,6 +35,7 @@ EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
     "critics": (("critics.png", draw_value_reliability),),
     "ida_q": (("q.png", draw_value_reliability),),
     "denoiser": (("quality.md", write_quality),),
+    "consistency": (("quality.md", write_quality),),
     "residual": (("curve.png", draw_learning_curve),),
 }
 """By the kind of the artifact: the files and what writes each."""

@@ -1,0 +1,83 @@
+"""Consistency shared autonomy: one step, no draws, and a level at which nothing happens."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.artifacts import tiny_artifacts
+from wasp_cli.learning.assistants import build_assistant, load_parts
+from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.methods.base import Parts
+from wasp_cli.methods.configs import CSAConfig
+from wasp_cli.methods.csa import CSA
+from wasp_cli.metrics.episode import GATE_METHOD
+from wasp_cli.models.base import Latent
+from wasp_cli.models.consistency import sigma_at
+from wasp_cli.operators.base import EpisodeNoise, Operator
+
+ROWS = 5
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("artifacts")), ReturnsConfig())
+
+
+@pytest.fixture
+def latent() -> Latent:
+    source = torch.Generator().manual_seed(1)
+    return Latent(torch.randn(ROWS, 12, generator=source), torch.rand(ROWS, 8, generator=source))
+
+
+@pytest.fixture
+def commands() -> Tensor:
+    return 2 * torch.rand(ROWS, 2, generator=torch.Generator().manual_seed(2)) - 1
+
+
+def executed(made: CSA, latent: Latent, commands: Tensor, seed: int = 0) -> tuple[Tensor, list[int]]:
+    made.reset(torch.ones(len(commands), dtype=torch.bool), list(range(seed, seed + len(commands))))
+    operator = Operator(lambda f: f[:, :2], 2, EpisodeNoise([0] * len(commands)), len(commands))
+    decision = made.decide(latent, commands, operator)
+    return decision.action, [] if decision.record is None else decision.record.gate.tolist()
+
+
+def test_at_level_0_the_command_stands_bit_for_bit_and_nothing_intervened(parts: Parts, latent: Latent, commands: Tensor) -> None:
+    action, gates = executed(build_assistant("csa", {"ratio": 0.0}, parts), latent, commands)  # type: ignore[arg-type]
+    assert torch.equal(action, commands)
+    assert gates == []
+
+
+def test_the_same_command_gives_the_same_action_whatever_the_episode_and_the_draws(parts: Parts, latent: Latent, commands: Tensor) -> None:
+    made = build_assistant("csa", {"ratio": 0.4}, parts)
+    first, gates = executed(made, latent, commands)  # type: ignore[arg-type]
+    torch.manual_seed(99)
+    again, _ = executed(made, latent, commands, seed=7)  # type: ignore[arg-type]
+    assert torch.equal(first, again)
+    assert not torch.equal(first, commands)
+    assert gates == [GATE_METHOD] * ROWS
+
+
+def test_the_command_itself_is_the_noisy_sample_and_one_evaluation_at_its_level_is_the_action(latent: Latent, commands: Tensor) -> None:
+    asked: list[tuple[Tensor, Tensor]] = []
+
+    def network(features: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:
+        asked.append((noisy, sigma))
+        return 3 * noisy
+
+    made = object.__new__(CSA)
+    made.ratio, made.model = 0.4, network  # type: ignore[assignment]
+    action, _ = executed(made, latent, commands)
+    ((noisy, sigma),) = asked
+    assert torch.equal(noisy, commands)
+    assert sigma.tolist() == pytest.approx([sigma_at(0.4)] * ROWS)
+    assert torch.equal(action, (3 * commands).clamp(-1, 1))
+
+
+def test_it_acts_by_what_the_latent_holds(parts: Parts, latent: Latent, commands: Tensor) -> None:
+    made = build_assistant("csa", {}, parts)
+    here, _ = executed(made, latent, commands)  # type: ignore[arg-type]
+    there, _ = executed(made, Latent(latent.h + 1, latent.z), commands)  # type: ignore[arg-type]
+    assert not torch.equal(here, there)
+    assert CSAConfig().ratio == pytest.approx(20 / 29, abs=1e-3)  # level 9 of 30, counted from the top
