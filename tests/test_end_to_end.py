@@ -22,7 +22,7 @@ SPEC = """
 name: chain
 preset: smoke
 tasks: [goal1]
-methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-least, expert, filter]
+methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-least, expert, filter, mpmi, planner]
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
@@ -85,7 +85,7 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
     rates = {name: np.mean(read_episodes([path])["int_rate"].to_pylist()) for name, path in full.items()}
     assert rates["human"] == 0
     assert rates["expert"] == 0
-    for name in ("ida", "diffusion", "saferl", "filter", "wasp", "printed", "ida-guarded"):
+    for name in ("ida", "diffusion", "saferl", "filter", "wasp", "printed", "ida-guarded", "mpmi", "planner"):
         assert rates[name] > 0, f"{name} never acted"
 
 
@@ -110,7 +110,7 @@ def branches(results: Path) -> dict[str, Path]:
 
 def test_the_interventions_of_every_method_that_acts_are_branched(results: Path) -> None:
     found = {(b.cell.identity.method, b.cell.identity.assistant_variant): b for b in map(read_branches, branches(results).values())}
-    assert set(found) == {name for name in cells(results) if name[0] not in ("human", "expert")}
+    assert set(found) == {name for name in cells(results) if METHODS[name[0]].intervenes}
     for name, judged in found.items():
         steps = read_steps(cells(results)[name]).to_pylist()
         interventions = [(step["episode"], step["t"]) for step in steps if step["deviation"] > 0]
@@ -130,11 +130,11 @@ def test_no_two_methods_have_the_same_rows(results: Path) -> None:
         if variant == "full" and name not in ("expert", "ida-least", "ida-guarded")
     }
     actions = {name: str(read_steps(path)["a"].to_pylist()) for name, path in compared.items()}
-    assert len(set(actions.values())) == len(actions) == 8
+    assert len(set(actions.values())) == len(actions) == 10
 
 
 def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(results: Path) -> None:
-    impaired = {name: path for name, path in cells(results).items() if name[0] != "expert"}
+    impaired = {name: path for name, path in cells(results).items() if METHODS[name[0]].impaired}
     seeds = {tuple(read_episodes([path])["episode_seed"].to_pylist()) for path in impaired.values()}
     assert len(seeds) == 1
     first = {str(read_steps(path)["a_h"][0].as_py()) for path in impaired.values()}

@@ -23,6 +23,8 @@ SMALL: dict[str, dict[str, Any]] = {
     "wasp": {**SIZES, "tau_c": 1.2},
     "printed": {**SIZES, "probe": 12, "tau_c": 1.2},
     "ida-guarded": {**SIZES, "tau_c": 1.2},
+    "mpmi": {"horizon": 4, "candidates": 12, "rollouts": 2, "tau_c": 1.9},
+    "planner": {**SIZES, "tau_c": 1.2},
 }  # fmt: skip
 OPTIONS: dict[str, list[dict[str, Any]]] = {
     "ida": [{"copilot": "diffusion"}],

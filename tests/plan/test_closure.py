@@ -178,7 +178,7 @@ def test_orchestration_is_in_no_closure() -> None:
 def test_the_planner_belongs_to_those_who_plan_with_it() -> None:
     planner = {name for name in closure([module_of(METHODS["wasp"].target)]) if name.startswith("wasp_cli.methods.wasp")}
     assert planner
-    others = [module_of(info.target) for info in METHODS.values() if info.name not in ("wasp", "printed", "ida-guarded")]
+    others = [module_of(info.target) for info in METHODS.values() if info.name not in ("wasp", "printed", "ida-guarded", "mpmi", "planner")]
     assert not planner & closure(["wasp_cli.stages.evaluate", "wasp_cli.stages.calibration", *others])
 
 

@@ -62,6 +62,20 @@ class FilterConfig(Config):
     rollouts: int = assumed(8, "imagined next states over which Q_c is a mean, the same for every action", ge=1)
 
 
+class MPMIConfig(Config):
+    """MPMI (Broad et al. 2019): of many inputs that are held over the horizon, the safe one nearest to the command."""
+
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
+        "calibrated", "costly decision steps expected within H of holding an input; `calibrated`: a quantile of them under the expert"
+    )
+    quantile: float = assumed(
+        0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
+    )
+    horizon: int = assumed(15, "H, that of WASP; the original has .3 and .4 s", ge=1)
+    candidates: int = assumed(64, "inputs imagined where the command is unsafe; the original has 10,000 on a GPU", ge=1)
+    rollouts: int = assumed(4, "M: rollouts of each input, with common random numbers; the original's model has no chance in it", ge=1)
+
+
 class SafeRLConfig(Config):
     """SafeRL-Res: the deterministic mean of the residual policy."""
 
@@ -144,6 +158,14 @@ class PrintedConfig(Config):
 
 class GuardedIDAConfig(IDAConfig, WASPConfig):
     """IDA with the least correction, and WASP's safety gate behind it: the settings of both."""
+
+
+class PlannerConfig(WASPConfig):
+    """The planner alone: the settings of WASP's search."""
+
+    variant: Literal["full"] = "full"
+    tau_c: Annotated[float, Field(gt=0.0)] = assumed(1.0, "costly decision steps that a plan may be expected to have within H: WASP's")
+    tau_r: float = assumed(0.0, "return that a plan must gain over the expert's actions")
 
 
 def _check_sizes(config: WASPConfig | PrintedConfig) -> None:

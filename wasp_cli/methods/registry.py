@@ -47,9 +47,11 @@ class MethodInfo:
     calibrated: bool = False
     """Whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)."""
     impaired: bool = True
-    """False for the reference row: it runs the unimpaired operator, once for all variants."""
+    """False for a reference row: it runs the unimpaired operator, once for all variants."""
     intervenes: bool = True
-    """False where the operator's command is always executed, so that there is no intervention to ask about."""
+    """False where there is no intervention to ask about: the operator's command is always executed, or nobody is at the controls."""
+    attended: bool = True
+    """False where nobody is at the controls: no command is read, so that a distance to it means nothing, and tables have none."""
     variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
     """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
     rows: Mapping[str, str] = field(default_factory=dict)
@@ -211,6 +213,28 @@ METHODS: Registry[MethodInfo] = Registry(
             rule="The safety filter looks one imagined step ahead: where that step and V_c behind it cost more than τ_c, it makes "
             "the least correction towards the safest action that brings the cost below.",
             signal=Signal("Q_c", "costly decisions to be expected of the command, discounted", "tau_c"),
+        ),
+        MethodInfo(
+            "mpmi",
+            "MPMI",
+            "wasp_cli.methods.mpmi:MPMI",
+            "wasp_cli.methods.configs:MPMIConfig",
+            calibrated=True,
+            rule="MPMI imagines that inputs are held over the horizon: where the command costs more than τ_c, the nearest input that does not "
+            "is executed, and the command where there is none.",
+            signal=Signal("G_c", "costly decisions to be expected of holding the command, discounted", "tau_c"),
+        ),
+        MethodInfo(
+            "planner",
+            "Planner alone",
+            "wasp_cli.methods.planner:Planner",
+            "wasp_cli.methods.configs:PlannerConfig",
+            ("critics",),
+            impaired=False,
+            intervenes=False,
+            attended=False,
+            rule="WASP's search with nobody at the controls: at every decision the best plan of at most τ_c expected cost, from the expert's "
+            "actions on.",
         ),
     ),
 )

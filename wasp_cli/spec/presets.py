@@ -13,6 +13,7 @@ Document = Mapping[str, Any]
 _CPU: Document = {
     "wasp": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
     "ida-guarded": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
+    "planner": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20},
     "printed": {"candidates": 64, "elites": 20, "iterations": 3, "feasible": 20, "probe": 64, "rollouts": 2},
 }
 
@@ -47,6 +48,8 @@ _SMOKE: Document = {
     "filter": {"candidates": 8, "segment": 8, "rollouts": 2, "quantile": 0.5},
     "wasp": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1},
     "ida-guarded": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1, "vote": 0.0, "quantile": 0.5},
+    "mpmi": {"candidates": 8, "rollouts": 1, "quantile": 0.5},
+    "planner": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "rollouts": 1},
     "printed": {"candidates": 8, "elites": 3, "feasible": 3, "iterations": 2, "probe": 8, "rollouts": 1},
 }  # fmt: skip
 
@@ -76,6 +79,7 @@ _QUICK: Document = {
     "counterfactual": {"most": 30},
     "wasp": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
     "ida-guarded": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
+    "planner": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10},
     "printed": {"candidates": 32, "elites": 10, "iterations": 3, "feasible": 10, "probe": 32, "rollouts": 1},
 }  # fmt: skip
 
@@ -110,6 +114,7 @@ _PAPER: Document = {
     "residual": {"interactions": 1_000_000},
     "wasp": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
     "ida-guarded": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
+    "planner": {"candidates": 300, "elites": 100, "iterations": 6, "search_rollouts": 5, "feasible": 100},
     "printed": {"probe": 300, "candidates": 300, "elites": 100, "iterations": 6, "feasible": 100},
 }
 

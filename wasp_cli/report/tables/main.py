@@ -43,6 +43,8 @@ MORE_COLUMNS = (
 )
 AUTONOMY = frozenset({"int_rate", "mag", "mag_int", "int_eff", "mag_eff"})
 """Columns in which a method that never acts is not the best, only absent."""
+OF_COMMANDS = AUTONOMY | {"int_rate_05", "int_rate_10", "jump"}
+"""Columns that compare actions with commands: undefined where nobody is at the controls."""
 
 LABELS = ("Task", "Method")
 MEANINGS = (
@@ -54,6 +56,7 @@ MEANINGS = (
     "versions do not have them.",
 )
 REFERENCE_NOTE = "Expert is the unimpaired operator without assistance, for reference; it is never marked best."
+UNATTENDED_NOTE = "{} drives with nobody at the controls, for reference: it reads no command, so that Int. and Mag. mean nothing of it."
 
 
 def main_table(frame: Frame) -> Table:
@@ -61,9 +64,9 @@ def main_table(frame: Frame) -> Table:
     columns = PAPER_COLUMNS + MORE_COLUMNS
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
-    has_reference = any(not METHODS[group.method].impaired for group in full_groups(frame))
-    meanings = (*MEANINGS, REFERENCE_NOTE) if has_reference else MEANINGS
-    return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, meanings)
+    references = dict.fromkeys(group.method for group in full_groups(frame) if not METHODS[group.method].impaired)
+    told = [REFERENCE_NOTE if METHODS[method].attended else UNATTENDED_NOTE.format(METHODS[method].title) for method in references]
+    return Table("table1", "Main results", LABELS, columns, tuple(rows), notes, (*MEANINGS, *dict.fromkeys(told)))
 
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
@@ -89,7 +92,7 @@ def missing_notes(frame: Frame) -> list[str]:
 
 def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
     """Summarise a column over some of the cells of a row."""
-    if not cells:
+    if not cells or (column.key in OF_COMMANDS and not METHODS[group.method].attended):
         return UNDEFINED
     value = summarise(cells, column.key)
     # Neither the reference row, nor an incomplete one, nor the autonomy of a method that never acts can be the best.
@@ -228,7 +231,7 @@ def threshold_table(frame: Frame) -> Table:
         if any(value.mean is not None for value in numbers):
             rows.append(Row((task_title(group.task), assistant_title(group, ablation=group.assistant_variant != "full")), numbers))
     meanings = (
-        "tau_c: expected costly decision steps, within the horizon (WASP) or from here on (safety filter); tau_r: return; "
+        "tau_c: expected costly decision steps, within the horizon (WASP, MPMI) or from here on (safety filter); tau_r: return; "
         "tau_Q: IDA's advantage. The other methods have no threshold; what each was calibrated on stands under What was trained.",
     )
     return Table("thresholds", "Thresholds in force", ("Task", "Method"), THRESHOLD_COLUMNS, tuple(rows), meanings=meanings)

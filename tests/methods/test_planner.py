@@ -1,0 +1,131 @@
+"""The planner alone: nobody's command is read, and its plans are no worse than the expert on what it imagines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.artifacts import tiny_artifacts
+from wasp_cli.learning.assistants import build_assistant, load_parts
+from wasp_cli.learning.configs import ReturnsConfig
+from wasp_cli.methods.base import Decision, Parts, checked
+from wasp_cli.methods.planner import Planner
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.methods.wasp.imagine import Scored
+from wasp_cli.metrics.episode import GATE_METHOD
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+
+B, T = 6, 3
+SMALL: dict[str, Any] = {
+    "candidates": 24, "elites": 6, "feasible": 6, "iterations": 3, "rollouts": 2, "horizon": 6, "residual_steps": 3, "tau_c": 3.0
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
+    return load_parts(tiny_artifacts(tmp_path_factory.mktemp("planner")), ReturnsConfig())
+
+
+def latents(step: int) -> Latent:
+    source = torch.Generator().manual_seed(step)
+    z = torch.nn.functional.one_hot(torch.randint(4, (B, 2), generator=source), 4).float().flatten(1)
+    return Latent(torch.randn(B, 12, generator=source), z)
+
+
+def drive(planner: Planner, parts: Parts, commands: Tensor, operator: str = "none") -> list[Decision]:
+    """Decisions of T steps under commands [T, B, A] of some operator."""
+    who = build_operator(operator, 0.5, OperatorContext(parts.skills.at, 2, 0.08), EpisodeNoise(list(range(B))), B)
+    planner.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
+    with torch.inference_mode():
+        return [checked(planner.decide(latents(t), a_h, who), planner, a_h, a_h.clone()) for t, a_h in enumerate(commands)]
+
+
+def planner(parts: Parts, **changes: Any) -> Planner:
+    made = build_assistant("planner", SMALL | changes, parts)
+    assert isinstance(made, Planner)
+    return made
+
+
+def test_its_actions_are_the_same_whatever_is_commanded_and_by_whom(parts: Parts) -> None:
+    source = torch.Generator().manual_seed(9)
+    first, second = (2 * torch.rand(T, B, 2, generator=source) - 1 for _ in range(2))
+    one = drive(planner(parts), parts, first)
+    other = drive(planner(parts), parts, second, "noisy")
+    assert all(torch.equal(a.action, b.action) for a, b in zip(one, other, strict=True))
+    assert any((a.action - parts.skills.expert(latents(t).features)).abs().max() > 0.01 for t, a in enumerate(one))
+
+
+def test_the_gate_is_set_where_the_action_is_not_the_command(parts: Parts) -> None:
+    free = drive(planner(parts), parts, torch.zeros(T, B, 2))
+    same = drive(planner(parts), parts, torch.stack([each.action for each in free]))
+    for a, b in zip(free, same, strict=True):
+        assert a.record is not None
+        assert b.record is not None
+        assert (a.record.gate == GATE_METHOD).all()
+        assert (b.record.gate == 0).all()
+        assert torch.equal(a.action, b.action)
+
+
+def test_plans_gain_over_the_expert_and_keep_to_the_bound(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, chosen, alone = planner(parts, alpha=0.0), [], []
+    real = made._search
+
+    def search(*arguments: Any) -> Any:
+        plan = real(*arguments)
+        chosen.append((plan.reward, plan.cost))
+        alone.append((plan.alone_reward, plan.alone_cost))
+        return plan
+
+    monkeypatch.setattr(made, "_search", search)
+    drive(made, parts, torch.zeros(T, B, 2))
+    reward, cost = (torch.stack(each) for each in zip(*chosen, strict=True))
+    before, risk = (torch.stack(each) for each in zip(*alone, strict=True))
+    fine = risk <= 3.0
+    assert fine.any()
+    assert (reward >= before)[fine].all()
+    assert (reward > before)[fine].any()
+    assert (cost <= 3.0)[fine].all()
+
+
+def test_where_everything_costs_too_much_the_plan_costs_less_than_the_expert(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, found = planner(parts, tau_c=1e-6, alpha=0.0), []
+    real = made._search
+    monkeypatch.setattr(made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1])  # type: ignore[func-returns-value]
+    drive(made, parts, torch.zeros(T, B, 2))
+    assert all((plan.cost <= plan.alone_cost).all() for plan in found)
+    assert any((plan.cost < plan.alone_cost).any() for plan in found)
+
+
+def test_the_expert_drives_where_no_plan_gains(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = planner(parts, tau_r=1e6, tau_c=1e6)
+    decisions = drive(made, parts, torch.zeros(T, B, 2))
+    for t, each in enumerate(decisions):
+        assert torch.equal(each.action, parts.skills.expert(latents(t).features).clamp(-1, 1))
+
+
+def test_ended_episodes_cost_no_search(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, sizes = planner(parts), []
+    real = made._scored
+
+    def scored(start: Any, *arguments: Any, **named: Any) -> Scored:
+        sizes.append(len(start.a_h))
+        return real(start, *arguments, **named)
+
+    monkeypatch.setattr(made, "_scored", scored)
+    made.reset(torch.ones(B, dtype=torch.bool), list(range(B)))
+    made.rest(torch.arange(B) >= 2)
+    with torch.inference_mode():
+        made.decide(latents(0), torch.zeros(B, 2), Operator(parts.skills.expert, 2, EpisodeNoise([0] * B), B))
+    assert set(sizes) == {2}
+
+
+def test_it_is_a_reference_row_without_a_threshold(parts: Parts, tmp_path: Path) -> None:
+    info = METHODS["planner"]
+    assert (info.impaired, info.intervenes, info.attended, info.calibrated) == (False, False, False, False)
+    assert Planner(planner(parts).config, replace(parts, thresholds={"tau_c": 9.0})).tau_c == 3.0

@@ -1,0 +1,47 @@
+"""The planner with nobody at the controls: what WASP's own search reaches where no command has to stand.
+
+A ceiling, and a reference row. At every decision the constrained search of WASP (`methods.wasp.search`) looks for the best action sequence
+of which at most tau_c costly decisions are expected, by its imagined rewards with V_r behind the horizon. It starts from the expert's
+actions, as TD-MPC and SafeDreamer start from their policies: a candidate is what is added to them in the first L decisions, nothing
+added is a candidate of every iteration, and the expert goes on behind. Nothing of an operator is read. B episodes, L steps, A actions.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from wasp_cli.config import Config
+from wasp_cli.methods.base import Decision, Parts
+from wasp_cli.methods.configs import PlannerConfig
+from wasp_cli.methods.record import blank_record, chosen
+from wasp_cli.methods.wasp.assistant import GATES, WASP, Look
+from wasp_cli.methods.wasp.imagine import imagination_of
+from wasp_cli.metrics.episode import GATE_METHOD
+from wasp_cli.models.base import Latent
+from wasp_cli.operators.base import Operator
+
+
+class Planner(WASP):
+    """See the module. Imagination, search and memory of the last plan are WASP's."""
+
+    def __init__(self, config: Config, parts: Parts) -> None:
+        super().__init__(cast(PlannerConfig, config), imagination_of(parts), {}, parts.motors, parts.device)
+
+    def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Plan, whatever the commands a_h [B, A] are: `gate` says where the action is another one."""
+        streams, here = self.noise.streams(), chosen(~self.resting)
+        action = self.imagination.expert(latent.features).clamp(-1, 1)
+        start = self._situation(latent, action, operator, here)
+        draws = self._draws(streams, GATES, start)
+        alone = self._scored(start, self.plan.new_zeros(len(here), 1, *self.plan.shape[1:]), draws)
+        # Where WASP's search begins with what its gates saw, the command and a correction, this one has the expert alone.
+        twice = alone.take(torch.zeros(len(here), 2, dtype=torch.long, device=action.device))
+        found = self._search(start, Look(start.a_h, twice, draws), streams).residuals
+        self.plan = torch.zeros_like(self.plan)
+        self.plan[here] = found
+        action = (action + self.plan[:, 0]).clamp(-1, 1)
+        gate = GATE_METHOD * (action != a_h).any(-1)
+        return Decision(action, blank_record(len(a_h), device=a_h.device)._replace(gate=gate.to(torch.int8)))
