@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -13,11 +13,12 @@ from torch import Tensor
 
 from wasp_cli.methods.base import Assistant, Decision, checked
 from wasp_cli.models.base import Latent
-from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.base import Observation, VectorTask
 
 Array = NDArray[Any]
+Reads = Literal["pixels", "state"]
+"""The field of an observation that a world model is made for."""
 
 
 class Loop(NamedTuple):
@@ -56,20 +57,31 @@ def batches(begin: int, episodes: int, size: int) -> list[range]:
     return [range(first, min(first + size, episodes)) for first in range(begin, episodes, size)]
 
 
-class Filter:
-    """The world model's filter over a running batch of episodes."""
+class Perception(Protocol):
+    """What the loop asks of a world model (`models.base.WorldModel`, `models.state.StateWorld`)."""
 
-    def __init__(self, model: SafetyWorldModel, batch: int) -> None:
-        self.model = model
+    action_size: int
+
+    def initial(self, batch: int) -> Latent: ...
+
+    def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor, /) -> Latent: ...
+
+
+class Filter:
+    """The world model's filter over a running batch of episodes; it reads one field of what is observed."""
+
+    def __init__(self, model: Perception, batch: int, reads: Reads = "pixels") -> None:
+        self.model, self.reads = model, reads
         self.latent = model.initial(batch)
         self.device = self.latent.h.device
         self._action = torch.zeros(batch, model.action_size, device=self.device)
 
     def see(self, observation: Observation, first: Tensor) -> Latent:
         """Return the latents [B, .] after a new observation; rows with `first` [B] start anew."""
-        assert observation.pixels is not None
-        pixels = torch.from_numpy(observation.pixels).to(self.device)
-        self.latent = self.model.filter(self.latent, self._action, pixels, first.to(self.device))
+        field = getattr(observation, self.reads)
+        assert field is not None
+        seen = torch.from_numpy(field).to(self.device)
+        self.latent = self.model.filter(self.latent, self._action, seen, first.to(self.device))
         return self.latent
 
     def executed(self, action: Tensor) -> None:
@@ -80,24 +92,26 @@ class Filter:
 @torch.inference_mode()
 def run_episodes(
     task: VectorTask,
-    model: SafetyWorldModel,
+    model: Perception,
     operator: Operator,
     assistant: Assistant,
     layout_seeds: Sequence[int],
     method_seeds: Sequence[int],
     *,
+    reads: Reads = "pixels",
     keep_latents: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Loop:
     """Run one episode per row, until all have ended.
 
     Args:
-        task: B episodes with pixels.
+        task: B episodes that show what the model reads; privileged observations too, where the operator is informed.
         model: the frozen world model, used as the filter.
         operator: of B rows, fresh.
         assistant: decides; it is reset for all rows.
         layout_seeds: of the worlds.
         method_seeds: of the assistant's own sampling.
+        reads: what of an observation the model reads.
         keep_latents: also return the filtered latents.
         progress: called about every 25 decisions.
 
@@ -106,7 +120,7 @@ def run_episodes(
     """
     batch = task.batch
     seen = task.reset(layout_seeds)
-    filter_ = Filter(model, batch)
+    filter_ = Filter(model, batch, reads)
     first = torch.ones(batch)
     assistant.reset(torch.ones(batch, dtype=torch.bool), method_seeds)
     names = ("reward", "cost", "cost_env", "env_steps", "goals", "alive", "terminated", "a_h", "action")
@@ -119,7 +133,8 @@ def run_episodes(
     for t in range(task.max_decisions):
         latent = filter_.see(seen, first)
         first = torch.zeros(batch)
-        a_h = operator.command(latent.features).clamp(-1, 1)
+        known = None if operator.informed is None else torch.from_numpy(seen.privileged)
+        a_h = operator.command(latent.features, known).clamp(-1, 1)
         given = a_h.clone()
         begun = time.perf_counter()
         decision = assistant.decide(latent, a_h, operator)
