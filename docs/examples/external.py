@@ -85,7 +85,10 @@ def sweep(rows: pa.Table) -> str:
         shares = [ours(cells, world, pilot, ratio) for ratio in RATIOS]
         if sum(share is not None for share in shares) < 2:
             continue
-        numbers = {"theirs": [f"{share[0]:.1f}" for share in each], "ours": ["" if share is None else f"{share[0]:.1f}" for share in shares]}
+        numbers = {
+            "theirs": [f"{share[0]:.1f}" for share in each],
+            "ours": ["" if share is None else f"{share[0]:.1f}" for share in shares],
+        }
         for whose, texts in numbers.items():
             first = f"{WORLDS[world]} | {severity(rows, world, pilot)}" if whose == "theirs" else " | "
             lines.append(f"| {first} | {whose} | {' | '.join(texts)} |")
@@ -112,7 +115,9 @@ def verdicts(rows: pa.Table) -> str:
         told = [f"{mark(abs(gain - wanted) <= 10)} ({gain:+.1f}, theirs {wanted:+.1f})"]
         told.append(f"{mark(assisted[1] <= alone[1] / 2)} (to {share_left(alone, assisted)}, theirs {share_left(each[0], there)})")
         behind = there[0] - each[-1][0]
-        told.append("" if free is None else f"{mark(assisted[0] - free[0] >= behind / 2)} ({free[0] - assisted[0]:+.1f}, theirs {-behind:+.1f})")
+        told.append(
+            "" if free is None else f"{mark(assisted[0] - free[0] >= behind / 2)} ({free[0] - assisted[0]:+.1f}, theirs {-behind:+.1f})"
+        )
         lines.append(f"| {WORLDS[world]} | {severity(rows, world, pilot)} | {' | '.join(told)} |")
     return "\n".join(lines)
 
@@ -137,9 +142,13 @@ def parts(found: Mapping[str, Any]) -> str:
     for world, each in found.items():
         expert, denoiser, minutes = each["expert"], each["denoiser"], each["minutes"]
         uniform = denoiser["quality"]["uniform"]
-        numbers = [f"{expert['decisions']:,}", pair((100 * expert["reached"], 100 * expert["crashed"])), f"{denoiser['heldout_noise_loss']:.3f}"]
+        numbers = [
+            f"{expert['decisions']:,}",
+            pair((100 * expert["reached"], 100 * expert["crashed"])),
+            f"{denoiser['heldout_noise_loss']:.3f}",
+        ]
         numbers += [f"{uniform[ratio]['conformity']:.2f}" for ratio in ("0", "0.4")]
-        numbers += [f"{minutes[part]:.0f}" for part in ("expert", "demonstrations", "denoiser")]
+        numbers += [f"{took:.0f}" for took in (expert["minutes"], minutes["demonstrations"], minutes["denoiser"])]
         lines.append(f"| {WORLDS[world]} | {' | '.join(numbers)} |")
     return "\n".join(lines)
 

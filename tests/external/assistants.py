@@ -29,7 +29,7 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.weights import save_weights
 from wasp_cli.seeds import derive
 
-ROWS = 300_000
+ROWS = 200_000
 """Decisions that are demonstrated; the authors have ten millions."""
 TOGETHER = 200
 TARGETS = 24

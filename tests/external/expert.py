@@ -16,7 +16,6 @@ from tests.external.flights import alone
 from tests.external.lander import Floats, GoalLander, Kind
 from wasp_cli.operators.base import Policy
 
-
 ENVS = 8
 HIDDEN = (128, 128)
 HOLD = 4
@@ -72,7 +71,7 @@ def train_expert(kind: Kind, folder: Path, report: Callable[[str], None] = print
         model.save_replay_buffer(folder / "buffer.pkl")
         model.save(saved)
         loop = alone(kind, "expert", actor(model), range(WORLDS))
-        line = {"decisions": model.num_timesteps, "reached": loop.goals.sum() / WORLDS, "crashed": loop.cost.sum() / WORLDS}
+        line = {"decisions": model.num_timesteps, "reached": float(loop.goals.sum()) / WORLDS, "crashed": float(loop.cost.sum()) / WORLDS}
         with curve.open("a") as file:
             file.write(json.dumps(line | {"seconds": round(time.perf_counter() - begun)}) + "\n")
         report(f"{kind}: {line}")

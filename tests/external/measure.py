@@ -21,10 +21,11 @@ from stable_baselines3 import SAC
 
 from tests.external.assistants import assistant, fly_demonstrations, learn_denoiser, save_votes
 from tests.external.expert import actor, train_expert
-from tests.external.flights import alone, fly
+from tests.external.flights import fly
 from tests.external.lander import Kind
 from tests.external.pilots import PILOTS
 from wasp_cli.learning.configs.baselines import DenoiserConfig
+from wasp_cli.methods.human import HumanOnly
 
 FIRST = 1_000_000
 """Seed of the first world of an evaluation."""
@@ -39,54 +40,46 @@ def say(text: str) -> None:
 
 def prepare(kind: Kind, folder: Path) -> SAC:
     """Train the expert and what the assistants need, as far as it is not there."""
-    minutes: dict[str, float] = {}
-    begun = time.perf_counter()
-
-    def took(part: str) -> None:
-        nonlocal begun
-        minutes[part], begun = (time.perf_counter() - begun) / 60, time.perf_counter()
-        with (folder / "minutes.jsonl").open("a") as file:
-            file.write(json.dumps({part: minutes[part]}) + "\n")
-
     train_expert(kind, folder, say)
-    took("expert")
     model = SAC.load(folder / "model.zip", device="cpu")
-    if not (folder / "demonstrations.npz").exists():
-        fly_demonstrations(kind, model, folder / "demonstrations.npz", say)
-        took("demonstrations")
-    if not (folder / "quality.json").exists():
-        learn_denoiser(kind, folder / "demonstrations.npz", folder, DENOISER, say)
-        took("denoiser")
+    shown = folder / "demonstrations.npz"
+    for part, there, make in (
+        ("demonstrations", shown, lambda: fly_demonstrations(kind, model, shown, say)),
+        ("denoiser", folder / "quality.json", lambda: learn_denoiser(kind, shown, folder, DENOISER, say)),
+    ):
+        if not there.exists():
+            begun = time.perf_counter()
+            make()
+            (folder / f"{part}.minutes").write_text(f"{(time.perf_counter() - begun) / 60:.1f}")
     save_votes(kind, model, folder)
     return model
 
 
-def cells(kind: Kind) -> Iterator[tuple[str, str, float]]:
+def cells() -> Iterator[tuple[str, str, float]]:
     """Yield (pilot, assistant, ratio), what the pass is about first."""
-    for name, ratio in (("alone", 0.0), *(("diffusion", ratio) for ratio in RATIOS[:1]), ("ida", 0.4), *(("diffusion", r) for r in RATIOS[1:])):
+    assisted = [("diffusion", ratio) for ratio in RATIOS]
+    for name, ratio in (("alone", 0.0), assisted[0], ("ida", 0.4), *assisted[1:]):
         for pilot in ("noisy", "laggy", "expert", "zero"):
             yield pilot, name, ratio
 
 
-def measure(kind: Kind, model: SAC, folder: Path, pilot: str, name: str, ratio: float) -> list[dict[str, Any]]:
-    """Return the rows of a cell: an episode each."""
-    path = folder / "cells" / f"{pilot}-{name}-{ratio:g}.json"
+def measure(kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: str, ratio: float) -> None:
+    """Write the rows of a group of a cell, an episode each, if they are not there."""
+    path = folder / "cells" / f"{pilot}-{name}-{ratio:g}-{group}.json"
     if path.exists():
-        return json.loads(path.read_text())  # type: ignore[no-any-return]
-    begun, episodes = time.perf_counter(), external.GROUPS * external.EPISODES
-    worlds = range(FIRST, FIRST + episodes)
+        return
+    begun, episodes = time.perf_counter(), external.EPISODES
+    worlds = range(FIRST + group * episodes, FIRST + (group + 1) * episodes)
     expert = actor(model)
-    if name == "alone":
-        loop = alone(kind, pilot, expert, worlds)
-    else:
-        loop = fly(kind, pilot, expert, assistant(name, ratio, folder), worlds)
+    helper = HumanOnly() if name == "alone" else assistant(name, ratio, folder)
+    loop = fly(kind, pilot, expert, helper, worlds)
     change = np.linalg.norm(loop.action - loop.a_h, axis=-1) * loop.alive  # [T, B]
     gates = [decision.record and decision.record.gate.numpy() for decision in loop.decisions]
     gate = np.array([np.zeros(episodes) if each is None else each for each in gates]) * loop.alive
     rows = [
         {
             "world": kind, "pilot": pilot, "value": PILOTS[kind][pilot][1], "assistant": name, "ratio": ratio,
-            "group": i // external.EPISODES, "episode": i, "reached": bool(loop.goals[:, i].any()),
+            "group": group, "episode": group * episodes + i, "reached": bool(loop.goals[:, i].any()),
             "crashed": bool(loop.cost[:, i].any()), "decisions": int(loop.alive[:, i].sum()),
             "intervened": int((gate[:, i] > 0).sum()), "deviation": float(change[:, i].sum()),
         }
@@ -95,8 +88,7 @@ def measure(kind: Kind, model: SAC, folder: Path, pilot: str, name: str, ratio: 
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(rows))
     shares = ", ".join(f"{key} {100 * np.mean([row[key] for row in rows]):.1f} %" for key in ("reached", "crashed"))
-    say(f"{kind} {pilot} {name} {ratio:g}: {shares}, {time.perf_counter() - begun:.0f} s")
-    return rows
+    say(f"{kind} {pilot} {name} {ratio:g}, group {group}: {shares}, {time.perf_counter() - begun:.0f} s")
 
 
 def publish(folder: Path) -> None:
@@ -106,12 +98,9 @@ def publish(folder: Path) -> None:
     found: dict[str, Any] = {}
     for kind in (kind for kind in KINDS if (folder / kind / "quality.json").exists()):
         lines = [json.loads(line) for line in (folder / kind / "curve.jsonl").read_text().splitlines()]
-        minutes: dict[str, float] = {}
-        for line in (folder / kind / "minutes.jsonl").read_text().splitlines():
-            for part, took in json.loads(line).items():
-                minutes[part] = minutes.get(part, 0.0) + took
+        minutes = {part: float((folder / kind / f"{part}.minutes").read_text()) for part in ("demonstrations", "denoiser")}
         found[kind] = {
-            "expert": lines[-1], "minutes": {part: round(took, 1) for part, took in minutes.items()},
+            "expert": lines[-1] | {"minutes": round(sum(line["seconds"] for line in lines) / 60, 1)}, "minutes": minutes,
             "denoiser": json.loads((folder / kind / "quality.json").read_text()),
         }  # fmt: skip
     external.PARTS.write_text(json.dumps(found, indent=1) + "\n")
@@ -119,12 +108,12 @@ def publish(folder: Path) -> None:
 
 def main(folder: Path) -> None:
     torch.set_num_threads(1)
-    models = {}
-    for kind in KINDS:
-        models[kind] = prepare(kind, folder / kind)
-        for pilot, name, ratio in cells(kind):
-            measure(kind, models[kind], folder / kind, pilot, name, ratio)
-            publish(folder)
+    models = {kind: prepare(kind, folder / kind) for kind in KINDS}
+    for group in range(external.GROUPS):
+        for pilot, name, ratio in cells():
+            for kind in KINDS:
+                measure(kind, models[kind], folder / kind, group, pilot, name, ratio)
+        publish(folder)
     print(external.page())
 
 
