@@ -34,7 +34,7 @@ THEIRS: Mapping[tuple[str, str], tuple[tuple[float, float], ...]] = {
     ("reacher", "laggy"): ((33.0, 67.0), (46.0, 47.0), (55.3, 31.3), (30.7, 50.7), (25.0, 52.3), (30.7, 45.7)),
     ("reacher", "zero"): ((0.0, 100.0), (5.7, 94.3), (23.0, 58.3), (29.3, 47.0), (29.7, 45.7), (28.3, 47.0)),
 }
-"""Success and crash in % at each of RATIOS: github.com/ripl/diffusion-for-shared-autonomy, `table_analysis/summary`, three groups pooled."""
+"""Success and crash in % at each of RATIOS, of three groups: github.com/ripl/diffusion-for-shared-autonomy, `table_analysis/summary`."""
 
 Cells = Mapping[tuple[str, str, str, float], tuple[float, float]]
 """(world, pilot, assistant, ratio) to success and crash in %."""
@@ -135,8 +135,8 @@ def share_left(alone: tuple[float, float], assisted: tuple[float, float]) -> str
 def parts(found: Mapping[str, Any]) -> str:
     """Write how the expert and the denoiser were come by, and how long it took."""
     lines = [
-        "| World | Expert: decisions learned | success / crash | Denoiser: noise loss on flights not seen | Distance to the expert of a uniform "
-        "command | after .4 | Minutes: expert | flights | denoiser |",
+        "| World | Expert: decisions learned | success / crash | Denoiser: noise loss on flights not seen | Distance to the expert of "
+        "a uniform command | the same after .4 | Minutes: expert | flights | denoiser |",
         "| --- |" + " ---: |" * 8,
     ]
     for world, each in found.items():

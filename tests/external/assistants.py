@@ -29,9 +29,9 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.weights import save_weights
 from wasp_cli.seeds import derive
 
-ROWS = 200_000
+ROWS = 100_000
 """Decisions that are demonstrated; the authors have ten millions."""
-TOGETHER = 200
+TOGETHER = 100
 TARGETS = 24
 """Candidates among which IDA votes where targets are in the air; pads have but nine places."""
 

@@ -133,8 +133,8 @@ def run_episodes(
     for t in range(task.max_decisions):
         latent = filter_.see(seen, first)
         first = torch.zeros(batch)
-        known = None if operator.informed is None else torch.from_numpy(seen.privileged)
-        a_h = operator.command(latent.features, known).clamp(-1, 1)
+        told = () if operator.informed is None else (torch.from_numpy(seen.privileged),)
+        a_h = operator.command(latent.features, *told).clamp(-1, 1)
         given = a_h.clone()
         begun = time.perf_counter()
         decision = assistant.decide(latent, a_h, operator)
