@@ -26,6 +26,8 @@ PEERS = (
 OMNISAFE = "omnisafe==0.5.0"
 OMNISAFE_NEEDS = ("tensorboard", "wandb", "moviepy", "gdown", "seaborn", "pandas", "pyyaml")
 """What it imports. Its own requirements hold safety-gymnasium, whose gymnasium 0.28.1 and MuJoCo 2.3.3 exclude ours."""
+EXTERNAL = "gymnasium[box2d]==1.4.0"
+"""The physics of Lunar Lander."""
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
@@ -132,6 +134,20 @@ def peers(session: nox.Session) -> None:
     session.install("--no-deps", OMNISAFE)
     options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
     session.run("python", "-m", "pytest", "-o", options, "tests/peers", *session.posargs, env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1"})
+
+
+@nox.session(default=False)
+def external(session: nox.Session) -> None:
+    """Our Diffusion and IDA against the figures of their own papers: hours, in an environment of its own; results in docs/baselines.md.
+
+    What is trained and measured stays in the session's cache (an argument names another folder), and a second run goes on.
+    """
+    session.install("-e", ".", "pytest>=8", EXTERNAL)
+    folder = session.posargs[0] if session.posargs else str(session.cache_dir.resolve() / "external-worlds")
+    env = {"WASP_EXTERNAL": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join([".", "docs/examples"])}
+    options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
+    session.run("python", "-m", "pytest", "-o", options, "tests/external", env=env)
+    session.run("python", "-m", "tests.external.measure", folder, env=env)
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.methods.base import Assistant, Decision, checked
-from wasp_cli.models.base import Latent, WorldModel
+from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.base import Observation, VectorTask
 
@@ -55,10 +55,21 @@ def batches(begin: int, episodes: int, size: int) -> list[range]:
     return [range(first, min(first + size, episodes)) for first in range(begin, episodes, size)]
 
 
+class Perception(Protocol):
+    """What the loop asks of a world model (`models.base.WorldModel`, `models.state.StateWorld`)."""
+
+    reads: ClassVar[str]
+    action_size: int
+
+    def initial(self, batch: int) -> Latent: ...
+
+    def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent: ...
+
+
 class Filter:
     """The world model's filter over a running batch of episodes."""
 
-    def __init__(self, model: WorldModel, batch: int) -> None:
+    def __init__(self, model: Perception, batch: int) -> None:
         self.model = model
         self.latent = model.initial(batch)
         self.device = self.latent.h.device
@@ -86,7 +97,7 @@ def told(operator: Operator, observation: Observation) -> Tensor | None:
 @torch.inference_mode()
 def run_episodes(
     task: VectorTask,
-    model: WorldModel,
+    model: Perception,
     operator: Operator,
     assistant: Assistant,
     layout_seeds: Sequence[int],

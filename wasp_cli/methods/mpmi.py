@@ -108,7 +108,7 @@ class MPMI:
 
 
 def nearest_safe(a_h: Tensor, inputs: Tensor, cost: Tensor, tau_c: float) -> tuple[Tensor, Tensor]:
-    """Return the input [B, A] nearest to the command a_h [B, A] of those inputs [B, K, A] that cost [B, K] at most tau_c; and where any does [B]."""
+    """Return the input [B, A] nearest to a_h [B, A] of those [B, K, A] that cost [B, K] at most tau_c; and where any does [B]."""
     safe = cost <= tau_c
     distance = (inputs - a_h.unsqueeze(1)).norm(dim=-1)
     index = distance.where(safe, torch.inf).argmin(-1)

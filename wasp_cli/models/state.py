@@ -1,0 +1,36 @@
+"""A world without a world model: what is observed is the latent state, and nothing is imagined.
+
+So assistants that imagine nothing (Diffusion, IDA) run on vector observations as they run on images: h is the observation, z is empty.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from wasp_cli.models.base import Latent
+
+
+class StateWorld:
+    """The filter of a world whose state everybody perceives. S = size of the state, A = action size."""
+
+    reads: ClassVar[str] = "state"
+
+    def __init__(self, state_size: int, action_size: int) -> None:
+        self.state_size, self.action_size = state_size, action_size
+
+    def initial(self, batch: int) -> Latent:
+        """Return the latent [batch, S] of which nothing has been seen: zeros."""
+        return latent_of(torch.zeros(batch, self.state_size))
+
+    def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
+        """Return the latent of the state `seen` [B, S]; what was before says nothing more."""
+        return latent_of(seen)
+
+
+def latent_of(state: Tensor) -> Latent:
+    """Return states [..., S] as latents: h [..., S] in single precision, z [..., 0]."""
+    h = state.to(torch.float32)
+    return Latent(h, h.new_zeros(*h.shape[:-1], 0))
