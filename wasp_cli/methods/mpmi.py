@@ -111,7 +111,7 @@ class MPMI:
 
 
 def nearest_safe(a_h: Tensor, inputs: Tensor, cost: Tensor, tau_c: float) -> tuple[Tensor, Tensor]:
-    """Return for commands a_h [B, A] the nearest of those inputs [B, K, A] that cost [B, K] at most tau_c, [B, A]; and where one does [B]."""
+    """Return the nearest [B, A] to commands a_h [B, A] of those inputs [B, K, A] that cost [B, K] at most tau_c; and where one does [B]."""
     safe = cost <= tau_c
     distance = (inputs - a_h.unsqueeze(1)).norm(dim=-1)
     index = distance.where(safe, torch.inf).argmin(-1)
