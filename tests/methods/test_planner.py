@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from tests.artifacts import tiny_artifacts
+from tests.report.invented import invent, write, write_grid
 from wasp_cli.learning.assistants import build_assistant, load_parts
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.methods.base import Decision, Parts, checked
@@ -20,6 +21,10 @@ from wasp_cli.methods.wasp.imagine import Scored
 from wasp_cli.metrics.episode import GATE_METHOD
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
+from wasp_cli.report.stats.frame import read_frame
+from wasp_cli.report.stats.summary import UNDEFINED
+from wasp_cli.report.tables.main import OF_COMMANDS, autonomy_table, detail_table, main_table
+from wasp_cli.store.tables import CellIdentity
 
 B, T = 6, 3
 SMALL: dict[str, Any] = {
@@ -129,3 +134,20 @@ def test_it_is_a_reference_row_without_a_threshold(parts: Parts, tmp_path: Path)
     info = METHODS["planner"]
     assert (info.impaired, info.intervenes, info.attended, info.calibrated) == (False, False, False, False)
     assert Planner(planner(parts).config, replace(parts, thresholds={"tau_c": 9.0})).tau_c == 3.0
+
+
+def test_its_row_has_no_numbers_that_compare_with_commands(tmp_path: Path) -> None:
+    wanted = write_grid(tmp_path, seeds=(0,))
+    wanted.append(write(tmp_path, CellIdentity("goal1", "planner", "full", "none", None, 0), [invent(0, 12, 0.5, 0.02)]))
+    frame = read_frame(wanted)
+    for table in (main_table(frame), autonomy_table(frame), detail_table(frame)):
+        shown = {row.labels[1]: dict(zip((column.key for column in table.columns), row.values, strict=True)) for row in table.rows}
+        for key, value in shown["Planner alone"].items():
+            assert value == UNDEFINED if key in OF_COMMANDS else (not value.ranked)
+            assert shown["Expert"][key].mean is not None or key in ("mag_int", "jump", "safety_gate", "task_gate", "case2")
+    main = main_table(frame)
+    row = next(row for row in main.rows if row.labels[1] == "Planner alone")
+    numbers = dict(zip((column.key for column in main.columns), row.values, strict=True))
+    assert all(numbers[key].mean is not None for key in ("return", "success", "cost", "viol"))
+    assert any("Planner alone drives with nobody at the controls" in line for line in main.meanings)
+    assert not any("Planner alone" in line for line in main_table(read_frame(wanted[:-1])).meanings)

@@ -71,9 +71,9 @@ class MPMIConfig(Config):
     quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0
     )
-    horizon: int = assumed(15, "H, that of WASP; the original has .3 and .4 s", ge=1)
+    horizon: int = assumed(5, "H: .4 s; the original has 25 steps at 60 Hz and 30 at 100 Hz", ge=1)
     candidates: int = assumed(64, "inputs imagined where the command is unsafe; the original has 10,000 on a GPU", ge=1)
-    rollouts: int = assumed(4, "M: rollouts of each input, with common random numbers; the original's model has no chance in it", ge=1)
+    rollouts: int = assumed(8, "M: rollouts of each input, with common random numbers; the original's model has no chance in it", ge=1)
 
 
 class SafeRLConfig(Config):

@@ -8,6 +8,9 @@ learned value: what it does not reach is what these add. As in the authors' code
 - where no input is safe, the command stands: they call it a failure of the system, and leave it to the operator;
 - an input is executed as it was imagined. A motor that saturates makes others of them the same force, of which nothing is made.
 
+The horizon is as long as theirs, .3 and .4 s: five decisions of the tasks here. Over the fifteen of WASP an expert's held input leaves the
+road, tau_c says little, and commands are replaced too late.
+
 What differs: the model is the latent world model in place of a Koopman operator; safe is what the safety gate of WASP means by it (costly
 decisions within H, discounted, a mean over rollouts on common draws), where theirs is a distance to the edge on one trajectory; the
 command is one of the inputs, so that it stands where it is safe (theirs is moved to the grid, which is a hundredth wide); and the
@@ -108,7 +111,7 @@ class MPMI:
 
 
 def nearest_safe(a_h: Tensor, inputs: Tensor, cost: Tensor, tau_c: float) -> tuple[Tensor, Tensor]:
-    """Return the input [B, A] nearest to a_h [B, A] of those [B, K, A] that cost [B, K] at most tau_c; and where any does [B]."""
+    """Return the nearest [B, A] to commands a_h [B, A] of those inputs [B, K, A] that cost [B, K] at most tau_c; and where one does [B]."""
     safe = cost <= tau_c
     distance = (inputs - a_h.unsqueeze(1)).norm(dim=-1)
     index = distance.where(safe, torch.inf).argmin(-1)

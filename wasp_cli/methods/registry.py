@@ -220,8 +220,8 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.mpmi:MPMI",
             "wasp_cli.methods.configs:MPMIConfig",
             calibrated=True,
-            rule="MPMI imagines that inputs are held over the horizon: where the command costs more than τ_c, the nearest input that does "
-            "not is executed, and the command where there is none.",
+            rule="MPMI imagines that inputs are held over the horizon: where the command costs more than τ_c, the nearest input that "
+            "does not is executed, and the command where there is none.",
             signal=Signal("G_c", "costly decisions to be expected of holding the command, discounted", "tau_c"),
         ),
         MethodInfo(
@@ -233,8 +233,8 @@ METHODS: Registry[MethodInfo] = Registry(
             impaired=False,
             intervenes=False,
             attended=False,
-            rule="WASP's search with nobody at the controls: at every decision the best plan of at most τ_c expected cost, from the "
-            "expert's actions on.",
+            rule="The planner alone is WASP's search with nobody at the controls: at every decision the best plan of at most τ_c expected "
+            "cost, from the expert's actions on.",
         ),
     ),
 )
