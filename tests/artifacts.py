@@ -11,6 +11,7 @@ from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.policy import Skills, save_skills
+from wasp_cli.models.reachability import SafetyValue
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.weights import save_weights
 from wasp_cli.models.world_model import SafetyWorldModel, Sizes, save_world_model
@@ -21,7 +22,7 @@ SIZES = Sizes(action=2, deter=12, hidden=8, variables=2, classes=4, depth=2, hea
 def tiny_artifacts(root: Path) -> dict[str, Path]:
     """Folders by stage kind, written below `root`."""
     torch.manual_seed(0)
-    kinds = ("world_model", "policies", "critics", "ida_q", "denoiser", "residual", "calibration")
+    kinds = ("world_model", "policies", "critics", "ida_q", "denoiser", "reachability", "residual", "calibration")
     folders = {kind: root / kind for kind in kinds}
     for folder in folders.values():
         folder.mkdir(parents=True)
@@ -39,6 +40,8 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     schedule = {"steps": 10, "beta_min": 1e-4, "beta_max": 0.26}
     denoiser = {"features": model.feature_size, "action": 2, "hidden": [8], "steps": NoiseSchedule(**schedule).steps}
     save_weights(Denoiser(**denoiser), folders["denoiser"] / "denoiser.safetensors", **denoiser, schedule=schedule)
+    safety = {"features": model.feature_size, "action": 2, "hidden": 8, "action_scales": [1.0, 0.1]}
+    save_weights(SafetyValue(**safety), folders["reachability"] / "safety.safetensors", **safety)
     residual = {"features": model.feature_size, "action": 2, "hidden": [8]}
     save_weights(ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual)
     (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.0}))

@@ -51,6 +51,7 @@ SECTIONS = {
     "world": "world_model latents diagnostics",
     "latent": "policies critics clone",
     "baselines": "ida_q denoiser residual",
+    "reachability": "reachability",
     "judged": "heldout coverage calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
@@ -78,6 +79,10 @@ MAY_HAVE = {
     "denoiser": (
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
+    ),
+    "reachability": (
+        f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout "
+        "metrics metrics.ranking metrics.windows"
     ),
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"
