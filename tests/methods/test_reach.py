@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -79,10 +80,10 @@ def test_a_larger_gamma_allows_less() -> None:
     shares = (0.0, 0.5, 0.8, 0.9, 0.97, 1.0)
     found = [decide(made(gamma), h, a_h) for gamma in shares]
     fired = [record.gate > 0 for _, record in found]
-    for looser, stricter in zip(fired, fired[1:], strict=False):
+    for looser, stricter in pairwise(fired):
         assert not (looser & ~stricter).any()
     far = [(action - a_h).norm(dim=-1) for action, _ in found]
-    assert all((b >= a - 1e-6).all() for a, b in zip(far, far[1:], strict=False))
+    assert all((b >= a - 1e-6).all() for a, b in pairwise(far))
     assert [int(each.sum()) for each in fired] == sorted({int(each.sum()) for each in fired}), "every share should change something"
 
 

@@ -81,8 +81,7 @@ MAY_HAVE = {
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
     "reachability": (
-        f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout "
-        "metrics metrics.ranking metrics.windows"
+        f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout metrics metrics.ranking metrics.windows"
     ),
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite"

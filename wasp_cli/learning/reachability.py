@@ -111,12 +111,12 @@ def commands(value: SafetyValue, skills: Skills, features: Tensor, recorded: Ten
 
 @torch.inference_mode()
 def safety_quality(value: SafetyValue, recording: Recording, latents: Latents, heldout: Heldout) -> dict[str, dict[str, float | None]]:
-    """Return what Q of the executed action foresees, on held-out episodes of the dataset (`recorded`) and of the unimpaired expert (`expert`).
+    """Return what Q of the executed action foresees, on held-out episodes of the dataset (`recorded`) and of the expert (`expert`).
 
     `auc` is the chance that of two decisions, one with a cost among the `AHEAD` decisions that begin with it and one without, Q ranks the
     first lower; `ap` the average precision of the same, beside its base rate `costly`. An onset is a costly decision with none among the
-    five before it; `foreseen_k` is the share of onsets with an alarm k decisions before, at a threshold that one in twenty decisions without
-    cost ahead falls below. None where nothing costs, or everything.
+    five before it; `foreseen_k` is the share of onsets with an alarm k decisions before, at a threshold below which one in twenty decisions
+    without cost ahead lies. None where nothing costs, or everything.
     """
     # The action at row i + 1 is what was executed at the state of row i.
     rows = np.flatnonzero(recording.held_out(HELD_OUT)[:-1] & (recording.episode[1:] == recording.episode[:-1]))

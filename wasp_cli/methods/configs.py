@@ -62,7 +62,9 @@ class ReachConfig(Config):
         gt=0.0,
         lt=1.0,
     )
-    candidates: int = assumed(256, "spread actions among which the nearest is sought, beside the extreme ones (25 in LatentCBF's code)", ge=1)
+    candidates: int = assumed(
+        256, "spread actions among which the nearest is sought, beside the extreme ones (25 in LatentCBF's code)", ge=1
+    )
     segment: int = assumed(32, "points from the command to the fallback's action, sought among as well", ge=1)
 
 

@@ -2,9 +2,9 @@
 
 Q(h, z, a) is the value of a Hamilton-Jacobi reachability analysis in the latent space (LatentCBF, Nakamura et al. 2026; stage
 `reachability`): the worst margin ahead, discounted, if a is executed and the best fallback follows. The rule is that of the human-centred
-safety filter (Oh et al. 2025): of all actions with Q(h, z, a) >= gamma V(h, z) the one closest to the command, a discrete-time control barrier
-function; V is the largest Q. Where V is negative no action satisfies that, and the fallback acts. Nothing is imagined at a decision. B
-episodes, K candidates, A actions.
+safety filter (Oh et al. 2025), a discrete-time control barrier function: of all actions with Q(h, z, a) >= gamma V(h, z) the one closest to
+the command; V is the largest Q. Where V is negative no action satisfies that, and the fallback acts. Nothing is imagined at a decision.
+B episodes, K candidates, A actions.
 """
 
 from __future__ import annotations

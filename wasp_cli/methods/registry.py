@@ -213,7 +213,9 @@ METHODS: Registry[MethodInfo] = Registry(
             calibrated=True,
             rule="The reachability filter keeps the command where its learned safety value Q is at least γ times V, that of the safest "
             "action; else it executes the action nearest to the command of which that holds, or else the safest.",
-            signal=Signal("γ V - Q", "how far the safety value of the command falls short of γ times the safest action's; above 0 it intervenes"),
+            signal=Signal(
+                "γ V - Q", "how far the safety value of the command falls short of γ times the safest action's; above 0 it intervenes"
+            ),
         ),
     ),
 )

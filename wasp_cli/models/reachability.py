@@ -10,7 +10,6 @@ from itertools import product
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 SAFE = -3.0
 """Logit of the danger before training: what every state seems to risk at first spreads backwards for long."""
