@@ -101,7 +101,7 @@ def train_safety_value(
 
 
 def commands(value: SafetyValue, skills: Skills, features: Tensor, recorded: Tensor, source: torch.Generator) -> Tensor:
-    """Draw an action [B, A] for each row: in turn the recorded one, the expert's, a uniform one and an extreme one."""
+    """Draw an action [B, A] for each row: the recorded one, the expert's, a uniform one or an extreme one, by chance."""
     batch = len(features)
     uniform = 2 * torch.rand(tuple(recorded.shape), generator=source) - 1
     extreme = value.extremes[torch.randint(len(value.extremes), (batch,), generator=source)]

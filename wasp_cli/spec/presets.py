@@ -71,7 +71,7 @@ _QUICK: Document = {
     "heldout": {"episodes": 16},
     "ida_q": {"updates": 2500, "batch": 128, "hidden": [128, 128]},
     "denoiser": {"updates": 3000, "batch": 256},
-    "reachability": {"updates": 1500, "hidden": 64},
+    "reachability": {"updates": 800},
     "residual": {"interactions": 64_000},
     "calibration": {"decisions": 300},
     "counterfactual": {"most": 30},

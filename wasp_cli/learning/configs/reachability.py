@@ -9,7 +9,7 @@ class ReachabilityConfig(Config):
     """Q of the discounted safety Bellman equation, on recorded transitions and on imagined ones."""
 
     hidden: int = assumed(128, "width of the two hidden layers", ge=1)
-    updates: int = assumed(4000, "gradient steps", ge=1)
+    updates: int = assumed(1500, "gradient steps", ge=1)
     batch: int = assumed(128, "recorded transitions per update, and as many imagined ones", ge=1)
     gamma: float = assumed(0.95, "discount per decision step", gt=0.0, lt=1.0)
     learning_rate: float = assumed(1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0)
