@@ -52,6 +52,7 @@ SECTIONS = {
     "latent": "policies critics clone",
     "baselines": "ida_q denoiser residual",
     "consistency": "consistency",
+    "reachability": "reachability",
     "judged": "heldout coverage calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
@@ -84,6 +85,9 @@ MAY_HAVE = {
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser models.consistency learning.denoiser learning.consistency "
         "learning.configs.baselines "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
+    ),
+    "reachability": (
+        f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout metrics metrics.ranking metrics.windows"
     ),
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite "
