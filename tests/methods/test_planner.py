@@ -28,7 +28,8 @@ from wasp_cli.store.tables import CellIdentity
 
 B, T = 6, 3
 SMALL: dict[str, Any] = {
-    "candidates": 24, "elites": 6, "feasible": 6, "iterations": 3, "rollouts": 2, "horizon": 6, "residual_steps": 3, "tau_c": 3.0
+    "candidates": 24, "elites": 6, "feasible": 6, "iterations": 3, "rollouts": 2, "horizon": 6, "residual_steps": 3,
+    "tau_c": 3.0, "tau_r": 0.0,
 }  # fmt: skip
 
 
@@ -107,6 +108,25 @@ def test_where_everything_costs_too_much_the_plan_costs_less_than_the_expert(par
     assert any((plan.cost < plan.alone_cost).any() for plan in found)
 
 
+def test_a_plan_replaces_the_experts_safe_actions_only_where_it_gains_tau_r(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    def plans(tau_r: float) -> list[Any]:
+        made, found = planner(parts, alpha=0.0, tau_r=tau_r, tau_c=1e6), []
+        real = made._search
+        monkeypatch.setattr(made, "_search", lambda *arguments: found.append(real(*arguments)) or found[-1])  # type: ignore[func-returns-value]
+        drive(made, parts, torch.zeros(T, B, 2))
+        return found
+
+    gains = torch.cat([plan.reward - plan.alone_reward for plan in plans(0.0)])
+    bar = float(gains.median())
+    assert 0 < bar < float(gains.max())
+    changed = 0
+    for plan in plans(bar):
+        acts = (plan.residuals != 0).any(-1).any(-1)
+        assert (plan.reward - plan.alone_reward > bar)[acts].all()
+        changed += int(acts.sum())
+    assert 0 < changed < T * B
+
+
 def test_the_expert_drives_where_no_plan_gains(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
     made = planner(parts, tau_r=1e6, tau_c=1e6)
     decisions = drive(made, parts, torch.zeros(T, B, 2))
@@ -130,7 +150,7 @@ def test_ended_episodes_cost_no_search(parts: Parts, monkeypatch: pytest.MonkeyP
     assert set(sizes) == {2}
 
 
-def test_it_is_a_reference_row_without_a_threshold(parts: Parts, tmp_path: Path) -> None:
+def test_it_is_a_reference_row_without_a_calibrated_threshold(parts: Parts) -> None:
     info = METHODS["planner"]
     assert (info.impaired, info.intervenes, info.attended, info.calibrated) == (False, False, False, False)
     assert Planner(planner(parts).config, replace(parts, thresholds={"tau_c": 9.0})).tau_c == 3.0

@@ -179,11 +179,15 @@ class GuardedIDAConfig(IDAConfig, WASPConfig):
 
 
 class PlannerConfig(WASPConfig):
-    """The planner alone: the settings of WASP's search."""
+    """The planner alone: the settings of WASP's search, with tighter bounds than gates have."""
 
     variant: Literal["full"] = "full"
-    tau_c: Annotated[float, Field(gt=0.0)] = assumed(1.0, "costly decision steps that a plan may be expected to have within H: WASP's")
-    tau_r: float = assumed(0.0, "return that a plan must gain over the expert's actions")
+    tau_c: Annotated[float, Field(gt=0.0)] = assumed(
+        0.1, "costly decision steps that a plan may be expected to have within H; who maximises a return uses what a gate tolerates"
+    )
+    tau_r: float = assumed(
+        0.3, "return that a plan must gain over the expert's actions: plans are chosen where the model errs, and gain less than it says"
+    )
 
 
 def _check_sizes(config: WASPConfig | PrintedConfig) -> None:

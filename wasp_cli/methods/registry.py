@@ -234,7 +234,8 @@ METHODS: Registry[MethodInfo] = Registry(
             intervenes=False,
             attended=False,
             rule="The planner alone is WASP's search with nobody at the controls: at every decision the best plan of at most τ_c expected "
-            "cost, from the expert's actions on.",
+            "cost, where it gains τ_r over the expert's actions or these cost more.",
+            signal=Signal("G_c", "costly decisions to be expected of the plan, discounted"),
         ),
         MethodInfo(
             "reach",
