@@ -55,11 +55,11 @@ def prepare(kind: Kind, folder: Path) -> SAC:
     return model
 
 
-def cells() -> Iterator[tuple[str, str, float]]:
+def cells(kind: Kind) -> Iterator[tuple[str, str, float]]:
     """Yield (pilot, assistant, ratio), what the pass is about first."""
     assisted = [("diffusion", ratio) for ratio in RATIOS]
     for name, ratio in (("alone", 0.0), assisted[0], ("ida", 0.4), *assisted[1:]):
-        for pilot in ("noisy", "laggy", "expert", "zero"):
+        for pilot in PILOTS[kind]:
             yield pilot, name, ratio
 
 
@@ -110,8 +110,8 @@ def main(folder: Path) -> None:
     torch.set_num_threads(1)
     models = {kind: prepare(kind, folder / kind) for kind in KINDS}
     for group in range(external.GROUPS):
-        for pilot, name, ratio in cells():
-            for kind in KINDS:
+        for kind in KINDS:
+            for pilot, name, ratio in cells(kind):
                 measure(kind, models[kind], folder / kind, group, pilot, name, ratio)
         publish(folder)
     print(external.page())
