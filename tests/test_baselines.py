@@ -52,4 +52,4 @@ def test_verdicts_follow_from_the_shares(
 
 def test_a_cell_that_was_not_measured_is_left_open() -> None:
     text = external.table(rows_of({("alone", 0.0): (20, 30), ("diffusion", 0.4): (68, 8)}), "ours")
-    assert text.splitlines()[-1] == "| Lander | noisy 0.3 | 20.7 / 28.3 | 68.0 / 7.7 | +47.3 | 20.0 / 30.0 | 68.0 / 8.0 | +48.0 |  |"
+    assert text.splitlines()[-1] == "| Lander | noisy 0.3 | 20.7 / 28.3 | 68.0 / 7.7 | +47.3 | 20.0 / 30.0 | 68.0 / 8.0 | +48.0 |  |  |"

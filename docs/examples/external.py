@@ -74,8 +74,8 @@ def table(rows: pa.Table, expert: str) -> str:
     """Write theirs beside ours: success / crash in %, alone and assisted."""
     cells = cells_of(rows, expert)
     lines = [
-        "| World | Pilot | Theirs: alone | Diffusion .4 | gain | Ours: alone | Diffusion .4 | gain | IDA |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| World | Pilot | Theirs: alone | Diffusion .4 | gain | Ours: alone | Diffusion .4 | gain | with their denoiser | IDA |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for (world, pilot), each in THEIRS.items():
         alone, assisted = ours(cells, world, pilot, 0.0), ours(cells, world, pilot, MAIN)
@@ -83,7 +83,7 @@ def table(rows: pa.Table, expert: str) -> str:
             continue
         there = each[RATIOS.index(MAIN)]
         numbers = [pair(each[0]), pair(there), f"{there[0] - each[0][0]:+.1f}", pair(alone), pair(assisted)]
-        numbers += [f"{assisted[0] - alone[0]:+.1f}", pair(cells.get((world, pilot, "ida", MAIN)))]
+        numbers += [f"{assisted[0] - alone[0]:+.1f}", *(pair(cells.get((world, pilot, name, MAIN))) for name in ("released", "ida"))]
         lines.append(f"| {WORLDS[world]} | {severity(rows, world, pilot)} | {' | '.join(numbers)} |")
     return "\n".join(lines)
 
@@ -146,15 +146,16 @@ def share_left(alone: tuple[float, float], assisted: tuple[float, float]) -> str
 def parts(found: Mapping[str, Mapping[str, Any]]) -> str:
     """Write what the denoisers learned, how near they bring commands to those of the expert, and how long everything took."""
     lines = [
-        "| Expert | World | Its decisions | Demonstrated | Noise loss | of flights not seen | Distance to the expert's command: uniform "
+        "| Expert | World | Its decisions | Demonstrated | Updates | Noise loss | of others | Distance to the expert's command: uniform "
         "| after .2 | after .4 | its own, after .4 | Minutes: expert | flights | denoiser |",
-        "| --- | --- |" + " ---: |" * 11,
+        "| --- | --- |" + " ---: |" * 12,
     ]
     for whose in (name for name in EXPERTS if name in found):
         for world, each in found[whose].items():
             denoiser, minutes = each["denoiser"], each["minutes"]
             near = denoiser["quality"]
             numbers = [f"{each['learned']:,}" if "learned" in each else "", f"{denoiser['demonstrations']:,.0f}"]
+            numbers += [f"{denoiser['updates']:,} x {denoiser['batch']}"]
             numbers += [f"{denoiser['noise_loss']:.3f}", f"{denoiser['heldout_noise_loss']:.3f}"]
             numbers += [f"{near['uniform'][ratio]['conformity']:.2f}" for ratio in ("0", "0.2", "0.4")]
             numbers += [f"{near['expert']['0.4']['conformity']:.2f}"]

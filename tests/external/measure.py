@@ -26,14 +26,15 @@ from tests.external.expert import actor, train_expert
 from tests.external.flights import fly
 from tests.external.lander import Kind
 from tests.external.pilots import PILOTS
-from tests.external.theirs import their_expert
+from tests.external.theirs import TheirDenoiser, their_expert
 from wasp_cli.learning.configs.baselines import DenoiserConfig
 from wasp_cli.methods.human import HumanOnly
 
 FIRST = 1_000_000
 """Seed of the first world of an evaluation."""
 RATIOS = (0.4, 1.0, 0.2, 0.6, 0.8)
-DENOISER = DenoiserConfig()
+DENOISER = DenoiserConfig(updates=30_000, batch=4096)
+"""The authors' budget."""
 KINDS: tuple[Kind, ...] = ("lander", "reacher")
 
 
@@ -62,10 +63,11 @@ def prepare(whose: str, kind: Kind, folder: Path) -> SAC:
     return model
 
 
-def cells(kind: Kind) -> Iterator[tuple[str, str, float]]:
-    """Yield (pilot, assistant, ratio), what the pass is about first."""
+def cells(whose: str, kind: Kind) -> Iterator[tuple[str, str, float]]:
+    """Yield (pilot, assistant, ratio), what the pass is about first; `released` is our Diffusion with their denoiser."""
     assisted = [("diffusion", ratio) for ratio in RATIOS]
-    for name, ratio in (("alone", 0.0), assisted[0], ("ida", 0.4), *assisted[1:]):
+    released = [("released", 0.4)] if whose == "theirs" else []
+    for name, ratio in (("alone", 0.0), assisted[0], ("ida", 0.4), *released, *assisted[1:]):
         for pilot in PILOTS[kind]:
             yield pilot, name, ratio
 
@@ -78,7 +80,9 @@ def measure(kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: 
     begun, episodes = time.perf_counter(), external.EPISODES
     worlds = range(FIRST + group * episodes, FIRST + (group + 1) * episodes)
     expert = actor(model)
-    helper = HumanOnly() if name == "alone" else assistant(name, ratio, folder)
+    helper = HumanOnly() if name == "alone" else assistant("ida" if name == "ida" else "diffusion", ratio, folder)
+    if name == "released":
+        helper.assist.denoiser = TheirDenoiser(kind, Path(os.environ["WASP_YONEDA"]))
     loop = fly(kind, pilot, expert, helper, worlds)
     change = np.linalg.norm(loop.action - loop.a_h, axis=-1) * loop.alive  # [T, B]
     gates = [decision.record and decision.record.gate.numpy() for decision in loop.decisions]
@@ -123,7 +127,7 @@ def main(folder: Path) -> None:
         for whose in experts:
             for kind in KINDS:
                 model = prepare(whose, kind, folder / whose / kind)
-                for pilot, name, ratio in cells(kind):
+                for pilot, name, ratio in cells(whose, kind):
                     measure(kind, model, folder / whose / kind, group, pilot, name, ratio)
                 publish(folder)
     print(external.page())

@@ -1,4 +1,4 @@
-"""The authors' own experts, from a checkout of github.com/ripl/diffusion-for-shared-autonomy: weights without a licence, not kept here."""
+"""The authors' experts and denoisers, from a checkout of their repository. Their weights have no licence and are not kept here."""
 
 from __future__ import annotations
 
@@ -7,10 +7,29 @@ from pathlib import Path
 import torch
 from stable_baselines3 import SAC
 from torch import nn
+from torch.nn import functional
 
 from tests.external.lander import GoalLander, Kind
 
 FOLDERS: dict[Kind, str] = {"lander": "v5", "reacher": "v1"}
+STEPS: dict[Kind, str] = {"lander": "00024000", "reacher": "00029999"}
+"""The denoisers that they evaluated."""
+
+
+class TheirDenoiser(nn.Module):
+    """A denoiser of theirs, called as ours is: levels scale layers before their softplus, and noise of the state is predicted too."""
+
+    def __init__(self, kind: Kind, checkout: Path) -> None:
+        super().__init__()
+        path = checkout / "data-dir" / "ddpm" / f"lunarlander-{FOLDERS[kind]}" / f"step_{STEPS[kind]}.pt"
+        self.state = torch.load(path, map_location="cpu", weights_only=True)["model"]
+
+    def forward(self, features: torch.Tensor, noisy: torch.Tensor, level: torch.Tensor) -> torch.Tensor:
+        x = torch.cat([features, noisy], -1)
+        for name in ("lin1", "lin2", "lin3"):
+            linear = functional.linear(x, self.state[f"{name}.lin.weight"], self.state[f"{name}.lin.bias"])
+            x = functional.softplus(self.state[f"{name}.embed.weight"][level] * linear)
+        return functional.linear(x, self.state["lin4.weight"], self.state["lin4.bias"])[:, features.shape[1] :]
 
 
 @torch.no_grad()
