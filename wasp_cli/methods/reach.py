@@ -43,7 +43,7 @@ class ReachabilityFilter:
         self.candidates = torch.cat([spread.to(parts.device), self.value.extremes])  # [K, A]
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Nothing is remembered."""
+        """Keep nothing of the rows [B]."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         features = latent.features
