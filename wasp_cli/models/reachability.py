@@ -48,7 +48,7 @@ class SafetyValue(nn.Module):
         super().__init__()
         self.members = nn.ModuleList(_Member(features, len(action_scales) * action, hidden) for _ in range(members))
         for member in self.members:
-            nn.init.constant_(member.rest[-1].bias, SAFE)
+            nn.init.constant_(member.rest[-1].bias, SAFE)  # type: ignore[union-attr, index]
         # Constructor arguments define both; they are not stored with the weights.
         self.register_buffer("scales", torch.tensor(tuple(action_scales)).unsqueeze(-1), persistent=False)
         self.register_buffer("extremes", extreme_actions(action), persistent=False)
