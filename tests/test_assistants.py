@@ -16,7 +16,7 @@ PAGE = (Path(__file__).parents[1] / "docs" / "assistants.md").read_text(encoding
 
 @pytest.mark.parametrize("group", assistants.GROUPS)
 def test_the_tables_of_results_are_the_published_rows(group: str) -> None:
-    rows = pq.read_table(assistants.ROWS)
+    rows = pq.read_table(assistants.published("assistants"))
     assert assistants.table(rows, group) in PAGE
     assert assistants.differences(rows, group) in PAGE or group == "The unimpaired expert"
 

@@ -1,7 +1,7 @@
 """How do the assistants compare on fresh seeds, and under operators that no choice has seen? Print the tables of docs/assistants.md.
 
-python docs/examples/assistants.py             from the published rows
-python docs/examples/assistants.py RESULTS ... first take the rows from folders in which `wasp run assistants` ran last, or parts of it
+python docs/examples/assistants.py SPEC             from the published rows of `assistants`, `field`, `goal1-two` or `operators`
+python docs/examples/assistants.py SPEC RESULTS ... first take the rows from folders in which that spec ran last, or parts of it
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
-ROWS = ROOT / "results" / "published" / "assistants.parquet"
-TASKS_SHOWN = ("race1", "formula1", "goal1")
+TASKS_SHOWN = ("race1", "formula1", "goal1", "goal1-two")
 UNIMPAIRED = "unimpaired"
 GROUPS = {
     "Operators on which choices were made": ("noisy", "laggy", "limited-skill", "reaction-time"),
@@ -30,7 +29,7 @@ GROUPS = {
     "The unimpaired expert": (UNIMPAIRED,),
 }
 KNOWS = "knows-operator"
-OPPONENTS = ("ida", "ida-guarded", "diffusion", "saferl", "printed", KNOWS)
+OPPONENTS = ("ida", "ida-guarded", "diffusion", "csa", "saferl", "reach", "mpmi", "printed", KNOWS)
 SUMS = ("decisions", "intervened", "effective", "deviation", "branched", "unnecessary", "swapped")
 RESAMPLES = 1000
 
@@ -40,9 +39,14 @@ Sums = NDArray[np.float64]
 """[operators, worlds, measures]: return, success and cost of an episode, then SUMS."""
 
 
-def rows_of(results: Path) -> Iterator[dict[str, Any]]:
-    """Yield a row for each episode of a run of specs/assistants.yaml, with what its branches say."""
-    run = wasp_cli.results(results, spec="assistants")
+def published(spec: str) -> Path:
+    """Return the file of the published rows of a spec."""
+    return ROOT / "results" / "published" / f"{spec}.parquet"
+
+
+def rows_of(results: Path, spec: str) -> Iterator[dict[str, Any]]:
+    """Yield a row for each episode of a run of a spec, with what its branches say."""
+    run = wasp_cli.results(results, spec=spec)
     branches: dict[tuple[Any, ...], list[tuple[bool, bool]]] = {}
     for row in run.branches().to_pylist():
         branches.setdefault((row["key"], row["episode"]), []).append((row["unnecessary"], row["unnecessary_swapped"]))
@@ -55,6 +59,7 @@ def rows_of(results: Path) -> Iterator[dict[str, Any]]:
             "episode": row["episode"], "return": row["return"], "success": float(row["success"]),
             "cost": float(row["cost"]), "decisions": row["decisions"], "intervened": row["intervened"],
             "effective": round(row["int_eff"] * row["decisions"]), "deviation": row["mag"] * row["decisions"],
+            "ms": row["decision_p50_ms"],
             "branched": None if tested is None else len(tested),
             "unnecessary": None if tested is None else sum(alone for alone, _ in tested),
             "swapped": None if tested is None else sum(mirror for _, mirror in tested),
@@ -73,9 +78,10 @@ def sums_of(rows: pa.Table) -> Cells:
 def cube(cells: Cells, task: str, method: str, group: tuple[str, ...], beside: str = "") -> Sums:
     """Return [operators, worlds, measures] of the operators of a group that a method met, in worlds common to them and another one.
 
-    The expert met nobody but itself.
+    A reference met nobody but itself.
     """
-    operators = [name for name in ((UNIMPAIRED,) if method == "expert" else group) if (task, method, name) in cells]
+    alone = method in METHODS and not METHODS[method].impaired
+    operators = [name for name in ((UNIMPAIRED,) if alone else group) if (task, method, name) in cells]
     met = [set(cells[task, each, name]) for each in (method, beside or method) for name in operators]
     worlds = sorted(set.intersection(*met)) if met else []
     return np.array([[cells[task, method, name][world] for world in worlds] for name in operators])
@@ -97,6 +103,27 @@ def measures(sums: Sums) -> dict[str, float]:
     }
 
 
+def shown_tasks(cells: Cells) -> list[str]:
+    """Return the tasks that there are, in the order of tables."""
+    return [task for task in TASKS_SHOWN if any(place == task for place, _, _ in cells)]
+
+
+def matrix(rows: pa.Table) -> str:
+    """Write return / cost of every assistant under every operator."""
+    cells = sums_of(rows)
+    operators = [name for name in dict.fromkeys(operator for _, _, operator in cells) if name != UNIMPAIRED]
+    lines = [f"| Task | Method | {' | '.join(operators)} |", "| --- | --- |" + " ---: |" * len(operators)]
+    for task in shown_tasks(cells):
+        first = TASKS[task].title
+        for method in dict.fromkeys(name for place, name, _ in cells if place == task):
+            each = [measures(cube(cells, task, method, (name,))) if (task, method, name) in cells else None for name in operators]
+            if any(each):
+                numbers = ["" if m is None else f"{m['return']:.1f} / {m['cost']:.1f}" for m in each]
+                lines.append(f"| {first} | {title(method)} | {' | '.join(numbers)} |")
+                first = ""
+    return "\n".join(lines)
+
+
 def title(method: str) -> str:
     """Return how a table calls a method."""
     return "WASP (knows the operator)" if method == KNOWS else METHODS[method].title
@@ -109,7 +136,7 @@ def table(rows: pa.Table, group: str) -> str:
         "| Task | Method | Return | Succ. (%) | Cost | Int. | effective | Mag. | UIR | mirror |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
-    for task in TASKS_SHOWN:
+    for task in shown_tasks(cells):
         first = TASKS[task].title
         for method in dict.fromkeys(name for place, name, _ in cells if place == task):
             sums = cube(cells, task, method, GROUPS[group])
@@ -128,7 +155,7 @@ def differences(rows: pa.Table, group: str) -> str:
     """Write WASP minus others: paired over the worlds, 95 % bootstrap over worlds, each with its operators."""
     cells, shown = sums_of(rows), ("return", "cost", "intervened", "deviation", "uir")
     lines = ["| Task | WASP minus | Return | Cost | Int. | Mag. | UIR |", "| --- | --- | ---: | ---: | ---: | ---: | ---: |"]
-    for task in TASKS_SHOWN:
+    for task in shown_tasks(cells):
         first = TASKS[task].title
         for method in OPPONENTS:
             met = tuple(name for name in GROUPS[group] if (task, method, name) in cells)
@@ -153,8 +180,12 @@ def differences(rows: pa.Table, group: str) -> str:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        pq.write_table(pa.Table.from_pylist([row for folder in sys.argv[1:] for row in rows_of(Path(folder))]), ROWS, compression="zstd")
-    published = pq.read_table(ROWS)
-    for name in GROUPS:
-        print(f"### {name}\n\n{table(published, name)}\n\n{differences(published, name)}\n")
+    spec, *folders = sys.argv[1:] or ["assistants"]
+    if folders:
+        new = pa.Table.from_pylist([row for folder in folders for row in rows_of(Path(folder), spec)])
+        pq.write_table(new, published(spec), compression="zstd")
+    rows = pq.read_table(published(spec))
+    met = set(rows["operator"].to_pylist())
+    for name in [name for name in GROUPS if met & set(GROUPS[name])]:
+        print(f"### {name}\n\n{table(rows, name)}\n\n{differences(rows, name)}\n")
+    print(matrix(rows))
