@@ -41,4 +41,8 @@ def test_numbers_of_a_table_are_means_over_operators_of_what_is_pooled_over_worl
     assert found["intervened"] == pytest.approx((8 / 40 + 2 / 20) / 2)
     assert found["deviation"] == pytest.approx((4 / 40 + 4 / 20) / 2)
     assert (found["uir"], found["mirror"], found["success"]) == pytest.approx((0.25, 0.5, 100.0))
-    assert not np.isnan(list(found.values())).any()
+    assert [name for name, value in found.items() if np.isnan(value)] == ["ms"]  # the published rows have no times
+    timed = rows.append_column("ms", pa.array([4.0, 6.0, 1.0, 3.0]))
+    times = assistants.measures(assistants.cube(assistants.sums_of(timed), "goal1", "ida", ("noisy", "laggy")))
+    assert times["ms"] == pytest.approx(3.5)
+    assert "| ms |" in assistants.table(timed, "Operators on which choices were made")

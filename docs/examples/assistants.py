@@ -30,7 +30,7 @@ GROUPS = {
 }
 KNOWS = "knows-operator"
 OPPONENTS = ("ida", "ida-guarded", "diffusion", "csa", "saferl", "reach", "mpmi", "printed", KNOWS)
-SUMS = ("decisions", "intervened", "effective", "deviation", "branched", "unnecessary", "swapped")
+SUMS = ("decisions", "intervened", "effective", "deviation", "branched", "unnecessary", "swapped", "ms")
 RESAMPLES = 1000
 
 Cells = Mapping[tuple[str, str, str], Mapping[tuple[int, int], list[float]]]
@@ -70,7 +70,7 @@ def sums_of(rows: pa.Table) -> Cells:
     """Return what every world came to."""
     cells: dict[tuple[str, str, str], dict[tuple[int, int], list[float]]] = {}
     for row in rows.to_pylist():
-        numbers = [np.nan if row[name] is None else float(row[name]) for name in ("return", "success", "cost", *SUMS)]
+        numbers = [np.nan if row.get(name) is None else float(row[name]) for name in ("return", "success", "cost", *SUMS)]
         cells.setdefault((row["task"], row["method"], row["operator"]), {})[row["seed"], row["episode"]] = numbers
     return cells
 
@@ -100,6 +100,7 @@ def measures(sums: Sums) -> dict[str, float]:
         **share,
         "uir": uir,
         "mirror": mirror,
+        "ms": mean[:, 3 + SUMS.index("ms")].mean(),
     }
 
 
@@ -132,9 +133,10 @@ def title(method: str) -> str:
 def table(rows: pa.Table, group: str) -> str:
     """Write what every assistant came to under a group of operators."""
     cells = sums_of(rows)
+    timed = "ms" in rows.column_names
     lines = [
-        "| Task | Method | Return | Succ. (%) | Cost | Int. | effective | Mag. | UIR | mirror |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| Task | Method | Return | Succ. (%) | Cost | Int. | effective | Mag. | UIR | mirror |" + " ms |" * timed,
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |" + " ---: |" * timed,
     ]
     for task in shown_tasks(cells):
         first = TASKS[task].title
@@ -146,6 +148,7 @@ def table(rows: pa.Table, group: str) -> str:
                 numbers += [
                     "" if np.isnan(m[key]) else f"{m[key]:.2f}" for key in ("intervened", "effective", "deviation", "uir", "mirror")
                 ]
+                numbers += [f"{m['ms']:.1f}"] * timed
                 lines.append(f"| {first} | {title(method)} | {' | '.join(numbers)} |")
                 first = ""
     return "\n".join(lines)
