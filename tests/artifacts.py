@@ -12,6 +12,7 @@ from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.ensemble import QEnsemble
 from wasp_cli.models.policy import PrivilegedPolicy, Skills, checkpoint_name, save_privileged, save_skills
+from wasp_cli.models.reachability import SafetyValue
 from wasp_cli.models.residual import ResidualPolicy
 from wasp_cli.models.weights import save_weights
 from wasp_cli.models.world_model import SafetyWorldModel, Sizes, save_world_model
@@ -22,7 +23,7 @@ SIZES = Sizes(action=2, deter=12, hidden=8, variables=2, classes=4, depth=2, hea
 def tiny_artifacts(root: Path) -> dict[str, Path]:
     """Folders by stage kind, written below `root`."""
     torch.manual_seed(0)
-    kinds = ("world_model", "policies", "critics", "ida_q", "denoiser", "consistency", "residual", "calibration")
+    kinds = ("world_model", "policies", "critics", "ida_q", "denoiser", "consistency", "reachability", "residual", "calibration")
     folders = {kind: root / kind for kind in kinds}
     for folder in folders.values():
         folder.mkdir(parents=True)
@@ -42,6 +43,8 @@ def tiny_artifacts(root: Path) -> dict[str, Path]:
     save_weights(Denoiser(**denoiser), folders["denoiser"] / "denoiser.safetensors", **denoiser, schedule=schedule)
     consistency = {"features": model.feature_size, "action": 2, "width": 8, "depth": 2}
     save_weights(Consistency(**consistency), folders["consistency"] / "consistency.safetensors", **consistency)
+    safety = {"features": model.feature_size, "action": 2, "hidden": 8, "action_scales": [1.0, 0.1]}
+    save_weights(SafetyValue(**safety), folders["reachability"] / "safety.safetensors", **safety)
     residual = {"features": model.feature_size, "action": 2, "hidden": [8]}
     save_weights(ResidualPolicy(**residual), folders["residual"] / "residual.safetensors", **residual)
     (folders["calibration"] / "calibration.json").write_text(json.dumps({"tau_r": 0.1, "tau_q": 0.0}))

@@ -22,7 +22,7 @@ SPEC = """
 name: chain
 preset: smoke
 tasks: [goal1]
-methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-least, expert, filter, mpmi, planner]
+methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-least, expert, filter, reach, mpmi, planner]
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
@@ -85,7 +85,7 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
     rates = {name: np.mean(read_episodes([path])["int_rate"].to_pylist()) for name, path in full.items()}
     assert rates["human"] == 0
     assert rates["expert"] == 0
-    for name in ("ida", "diffusion", "saferl", "filter", "wasp", "printed", "ida-guarded", "mpmi", "planner"):
+    for name in ("ida", "diffusion", "saferl", "filter", "reach", "wasp", "printed", "ida-guarded", "mpmi", "planner"):
         assert rates[name] > 0, f"{name} never acted"
 
 
@@ -130,7 +130,7 @@ def test_no_two_methods_have_the_same_rows(results: Path) -> None:
         if variant == "full" and name not in ("expert", "ida-least", "ida-guarded")
     }
     actions = {name: str(read_steps(path)["a"].to_pylist()) for name, path in compared.items()}
-    assert len(set(actions.values())) == len(actions) == 10
+    assert len(set(actions.values())) == len(actions) == 11
 
 
 def test_all_methods_meet_the_same_worlds_and_their_operator_starts_alike(results: Path) -> None:

@@ -162,7 +162,7 @@ def test_plan_as_json_is_json_alone() -> None:
 
 
 def test_a_spec_that_only_trains_is_checked_planned_run_and_reported(fakes: Fakes, tmp_path: Path) -> None:
-    methods = "methods: [human, ida, ida-least, ida-guarded, diffusion, saferl, filter, mpmi, wasp, printed, planner, expert]"
+    methods = "methods: [human, ida, ida-least, ida-guarded, diffusion, csa, saferl, filter, reach, mpmi, wasp, printed, planner, expert]"
     spec, results = spec_with(tmp_path, methods, "methods: []"), tmp_path / "out"
     spec.write_text(spec.read_text(encoding="utf-8").replace("[diagnostics, counterfactual]", "[critics]"), encoding="utf-8")
     assert wasp("check", spec).stdout == f"{spec}: ok, training only\n"

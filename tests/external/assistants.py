@@ -29,7 +29,7 @@ from wasp_cli.models.policy import Skills
 from wasp_cli.models.weights import save_weights
 from wasp_cli.seeds import derive
 
-ROWS = 100_000
+ROWS = 1_000_000
 """Decisions that are demonstrated; the authors have ten millions."""
 TOGETHER = 100
 TARGETS = 24
@@ -74,7 +74,11 @@ def learn_denoiser(kind: Kind, demonstrations: Path, folder: Path, config: Denoi
     source = generator(derive("external-denoiser-quality", kind))
     seen, expert = latents.at(held).features, labels[held]
     summary["heldout_noise_loss"] = noise_loss(denoiser, schedule, seen, expert, source)
-    found = summary | {"quality": denoiser_quality(denoiser, schedule, seen, expert, expert, source)}
+    found = summary | {
+        "updates": config.updates,
+        "batch": config.batch,
+        "quality": denoiser_quality(denoiser, schedule, seen, expert, expert, source),
+    }
     (folder / "quality.json").write_text(json.dumps(found))
     return found
 

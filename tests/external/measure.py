@@ -1,11 +1,13 @@
 """Measure our Diffusion and our IDA on the worlds of Yoneda et al. 2023: `python -m tests.external.measure FOLDER`.
 
-FOLDER keeps the experts, the denoisers and every cell, so that a second run goes on. The rows go to `results/published`.
+FOLDER keeps the experts, the denoisers and every cell, so that a second run goes on. The rows go to `results/published`. Where
+`WASP_YONEDA` names a checkout of the authors' repository, their own experts fly too, and first.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -24,13 +26,15 @@ from tests.external.expert import actor, train_expert
 from tests.external.flights import fly
 from tests.external.lander import Kind
 from tests.external.pilots import PILOTS
+from tests.external.theirs import TheirDenoiser, their_expert
 from wasp_cli.learning.configs.baselines import DenoiserConfig
 from wasp_cli.methods.human import HumanOnly
 
 FIRST = 1_000_000
 """Seed of the first world of an evaluation."""
 RATIOS = (0.4, 1.0, 0.2, 0.6, 0.8)
-DENOISER = DenoiserConfig()
+DENOISER = DenoiserConfig(updates=30_000, batch=4096)
+"""The authors' budget."""
 KINDS: tuple[Kind, ...] = ("lander", "reacher")
 
 
@@ -38,10 +42,14 @@ def say(text: str) -> None:
     print(time.strftime("%H:%M:%S"), text, flush=True)
 
 
-def prepare(kind: Kind, folder: Path) -> SAC:
-    """Train the expert and what the assistants need, as far as it is not there."""
-    train_expert(kind, folder, say)
-    model = SAC.load(folder / "model.zip", device="cpu")
+def prepare(whose: str, kind: Kind, folder: Path) -> SAC:
+    """Return an expert; train it and what the assistants need, as far as it is not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if whose == "theirs":
+        model = their_expert(kind, Path(os.environ["WASP_YONEDA"]))
+    else:
+        train_expert(kind, folder, say)
+        model = SAC.load(folder / "model.zip", device="cpu")
     shown = folder / "demonstrations.npz"
     for part, there, make in (
         ("demonstrations", shown, lambda: fly_demonstrations(kind, model, shown, say)),
@@ -55,11 +63,12 @@ def prepare(kind: Kind, folder: Path) -> SAC:
     return model
 
 
-def cells() -> Iterator[tuple[str, str, float]]:
-    """Yield (pilot, assistant, ratio), what the pass is about first."""
+def cells(whose: str, kind: Kind) -> Iterator[tuple[str, str, float]]:
+    """Yield (pilot, assistant, ratio), what the pass is about first; `released` is our Diffusion with their denoiser."""
     assisted = [("diffusion", ratio) for ratio in RATIOS]
-    for name, ratio in (("alone", 0.0), assisted[0], ("ida", 0.4), *assisted[1:]):
-        for pilot in ("noisy", "laggy", "expert", "zero"):
+    released = [("released", 0.4)] if whose == "theirs" else []
+    for name, ratio in (("alone", 0.0), assisted[0], ("ida", 0.4), *released, *assisted[1:]):
+        for pilot in PILOTS[kind]:
             yield pilot, name, ratio
 
 
@@ -71,7 +80,9 @@ def measure(kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: 
     begun, episodes = time.perf_counter(), external.EPISODES
     worlds = range(FIRST + group * episodes, FIRST + (group + 1) * episodes)
     expert = actor(model)
-    helper = HumanOnly() if name == "alone" else assistant(name, ratio, folder)
+    helper = HumanOnly() if name == "alone" else assistant("ida" if name == "ida" else "diffusion", ratio, folder)
+    if name == "released":
+        helper.assist.denoiser = TheirDenoiser(kind, Path(os.environ["WASP_YONEDA"]))
     loop = fly(kind, pilot, expert, helper, worlds)
     change = np.linalg.norm(loop.action - loop.a_h, axis=-1) * loop.alive  # [T, B]
     gates = [decision.record and decision.record.gate.numpy() for decision in loop.decisions]
@@ -93,27 +104,32 @@ def measure(kind: Kind, model: SAC, folder: Path, group: int, pilot: str, name: 
 
 def publish(folder: Path) -> None:
     """Write what is measured so far, and how it was come by."""
-    rows = [row for path in sorted(folder.glob("*/cells/*.json")) for row in json.loads(path.read_text())]
+    paths = sorted(folder.glob("*/*/cells/*.json"))
+    rows = [{"expert": path.parts[-4]} | row for path in paths for row in json.loads(path.read_text())]
     pq.write_table(pa.Table.from_pylist(rows), external.ROWS, compression="zstd")
-    found: dict[str, Any] = {}
-    for kind in (kind for kind in KINDS if (folder / kind / "quality.json").exists()):
-        lines = [json.loads(line) for line in (folder / kind / "curve.jsonl").read_text().splitlines()]
-        minutes = {part: float((folder / kind / f"{part}.minutes").read_text()) for part in ("demonstrations", "denoiser")}
-        found[kind] = {
-            "expert": lines[-1] | {"minutes": round(sum(line["seconds"] for line in lines) / 60, 1)}, "minutes": minutes,
-            "denoiser": json.loads((folder / kind / "quality.json").read_text()),
-        }  # fmt: skip
+    found: dict[str, dict[str, Any]] = {}
+    for quality in sorted(folder.glob("*/*/quality.json")):
+        there = quality.parent
+        minutes = {part: float((there / f"{part}.minutes").read_text()) for part in ("demonstrations", "denoiser")}
+        each = {"denoiser": json.loads(quality.read_text()), "minutes": minutes}
+        if (there / "curve.jsonl").exists():
+            lines = [json.loads(line) for line in (there / "curve.jsonl").read_text().splitlines()]
+            each["learned"] = lines[-1]["decisions"]
+            minutes["expert"] = round(sum(line["seconds"] for line in lines) / 60, 1)
+        found.setdefault(there.parent.name, {})[there.name] = each
     external.PARTS.write_text(json.dumps(found, indent=1) + "\n")
 
 
 def main(folder: Path) -> None:
     torch.set_num_threads(1)
-    models = {kind: prepare(kind, folder / kind) for kind in KINDS}
+    experts = [whose for whose in external.EXPERTS if whose == "ours" or "WASP_YONEDA" in os.environ]
     for group in range(external.GROUPS):
-        for pilot, name, ratio in cells():
+        for whose in experts:
             for kind in KINDS:
-                measure(kind, models[kind], folder / kind, group, pilot, name, ratio)
-        publish(folder)
+                model = prepare(whose, kind, folder / whose / kind)
+                for pilot, name, ratio in cells(whose, kind):
+                    measure(kind, model, folder / whose / kind, group, pilot, name, ratio)
+                publish(folder)
     print(external.page())
 
 

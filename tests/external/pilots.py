@@ -25,6 +25,8 @@ PILOTS: dict[Kind, dict[str, tuple[type[Operator], float]]] = {
     for kind, noise in (("lander", 0.3), ("reacher", 0.6))
 }
 """Class and severity of each."""
+PILOTS["lander"]["laggier"] = (LaggyOperator, 0.9)
+"""Lag harms our expert less than theirs: this pilot is as bad alone as their laggy one."""
 
 
 def build(kind: Kind, pilot: str, expert: Callable[[Tensor], Tensor], seeds: Sequence[int], value: float | None = None) -> Operator:

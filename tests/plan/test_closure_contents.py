@@ -52,6 +52,7 @@ SECTIONS = {
     "latent": "policies critics clone",
     "baselines": "ida_q denoiser residual",
     "consistency": "consistency",
+    "reachability": "reachability",
     "judged": "heldout coverage calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
@@ -85,6 +86,9 @@ MAY_HAVE = {
         "learning.configs.baselines "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
+    "reachability": (
+        f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout metrics metrics.ranking metrics.windows"
+    ),
     "residual": (
         f"{ASSISTANT} {PPO} {OPERATORS_BY_NAME} models.residual learning.closed_loop learning.latent_ppo learning.residual stages.finite "
         "learning.informed"
@@ -92,9 +96,11 @@ MAY_HAVE = {
     "clone": f"{OPERATOR} {WEIGHTS} models.base models.clone operators.* learning.clone learning.sampling",
     "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
     "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
-    "evaluate": f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation store store.parquet store.tables",
+    "evaluate": (
+        f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation learning.informed store store.parquet store.tables"
+    ),
     "counterfactual": (
-        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout "
+        f"{ASSISTANT} {OPERATORS_BY_NAME} {BRANCHES} learning.closed_loop learning.counterfactual learning.heldout learning.informed "
         "learning.playback learning.rerun models.clone"
     ),
 }
@@ -153,6 +159,7 @@ def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> Non
         "device",
         "evaluation",
         "heldout",
+        "informed",
         "nominal",
         "counterfactual",
         "coverage",

@@ -76,6 +76,24 @@ class MPMIConfig(Config):
     rollouts: int = assumed(8, "M: rollouts of each input, with common random numbers; the original's model has no chance in it", ge=1)
 
 
+class ReachConfig(Config):
+    """Reachability filter: the action nearest to the command with Q >= gamma V, Q and V of the stage `reachability`."""
+
+    gamma: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["calibrated"] = assumed(
+        "calibrated", "share of V that an action must keep (0.9 in LatentCBF's code); `calibrated`: a quantile of Q / V under the expert"
+    )
+    quantile: float = assumed(
+        0.95,
+        "share of the held-out decisions of the unimpaired expert after which nothing cost within W whose command is to stand",
+        gt=0.0,
+        lt=1.0,
+    )
+    candidates: int = assumed(
+        256, "spread actions among which the nearest is sought, beside the extreme ones (25 in LatentCBF's code)", ge=1
+    )
+    segment: int = assumed(32, "points from the command to the fallback's action, sought among as well", ge=1)
+
+
 class SafeRLConfig(Config):
     """SafeRL-Res: the deterministic mean of the residual policy."""
 

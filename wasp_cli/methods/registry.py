@@ -237,5 +237,18 @@ METHODS: Registry[MethodInfo] = Registry(
             "cost, where it gains τ_r over the expert's actions or these cost more.",
             signal=Signal("G_c", "costly decisions to be expected of the plan, discounted"),
         ),
+        MethodInfo(
+            "reach",
+            "Reachability filter",
+            "wasp_cli.methods.reach:ReachabilityFilter",
+            "wasp_cli.methods.configs:ReachConfig",
+            ("reachability",),
+            calibrated=True,
+            rule="The reachability filter keeps the command where its learned safety value Q is at least γ times V, that of the safest "
+            "action; else it executes the action nearest to the command of which that holds, or else the safest.",
+            signal=Signal(
+                "γ V - Q", "how far the safety value of the command falls short of γ times the safest action's; above 0 it intervenes"
+            ),
+        ),
     ),
 )

@@ -58,6 +58,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("diagnostics", "wasp_cli.stages.diagnostics:DiagnosticsStage", by_default=True, weight=6),
         StageInfo("policies", "wasp_cli.stages.policies:PoliciesStage", weight=8),
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
+        StageInfo("reachability", "wasp_cli.stages.reachability:ReachabilityStage", weight=7),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
         StageInfo("coverage", "wasp_cli.stages.coverage:CoverageStage", skips_missing_skills=True, weight=6),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),

@@ -28,9 +28,10 @@ _GOAL: tuple[str, Parts] = (GOAL, ("+-++",))
 _AROUND: tuple[tuple[str, Parts], ...] = ((WALLS, (ROUND,)), (THINGS, (ROUND,)))
 _RACE: tuple[tuple[str, Parts], ...] = (_MOTION, (GOAL, ("." * 4,)), (WAY, ("." * 6,)), *_AROUND)
 _FORMULA: tuple[tuple[str, Parts], ...] = (_MOTION, (GOAL, ("." * 5,)), (WAY, ("." * 10,)), *_AROUND)
+_GOAL1: tuple[tuple[str, Parts], ...] = (_MOTION, _GOAL, (THINGS, ("+-+" * 8, "+-", ROUND)))
 LAYOUTS: dict[str, tuple[tuple[str, Parts], ...]] = {
     "goal0": (_MOTION, _GOAL),
-    "goal1": (_MOTION, _GOAL, (THINGS, ("+-+" * 8, "+-", ROUND))),
+    "goal1": _GOAL1, "goal1-two": _GOAL1,
     "goal2": (_MOTION, _GOAL, (THINGS, ("+-+" * 10, "+-" * 10, ROUND))),
     "race0": _RACE, "race1": _RACE,
     "formula0": _FORMULA, "formula1": _FORMULA,

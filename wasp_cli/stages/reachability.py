@@ -1,0 +1,56 @@
+"""Reachability: the safety value of the reachability filter, and with it its fallback.
+
+Artifact: `safety.safetensors` (+ .json), `curve.json` (loss and mean danger) and `quality.json` (on held-out episodes: how well the value
+ranks decisions by the cost behind them, see `learning.reachability`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, cast
+
+from wasp_cli.learning.configs.reachability import ReachabilityConfig
+from wasp_cli.stages.base import Job
+
+
+class ReachabilityStage:
+    """See the module."""
+
+    kind = "reachability"
+    config = ReachabilityConfig
+    settings: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "heldout")
+
+    def run(self, job: Job) -> Mapping[str, Any]:
+        """Train, then compare the values of what was executed with the costs that followed."""
+        import torch
+
+        from wasp_cli.learning.heldout import load_heldout
+        from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.reachability import safety_quality, train_safety_value
+        from wasp_cli.learning.shards import read_shards
+        from wasp_cli.models.policy import load_skills
+        from wasp_cli.models.weights import save_weights
+        from wasp_cli.models.world_model import load_world_model
+        from wasp_cli.seeds import derive
+
+        config = cast(ReachabilityConfig, job.config)
+        model, latents = load_world_model(job.inputs["world_model"]), load_latents(job.inputs["latents"])
+        recording = read_shards(job.inputs["dataset"], ["action", "cost", "terminal", "first", "episode"])
+        skills = load_skills(job.inputs["policies"])
+        torch.manual_seed(derive("reachability-weights", job.task, job.seed))
+        stream = derive("reachability", job.task, job.seed)
+        value, curve = train_safety_value(model, skills, recording, latents, config, stream, job.progress)
+        save_weights(
+            value, job.out_dir / "safety.safetensors", features=model.feature_size, action=model.action_size, hidden=config.hidden,
+            action_scales=list(model.sizes.action_scales), members=len(value.members),
+        )  # fmt: skip
+        (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
+        judged = safety_quality(value, recording, latents, load_heldout(job.inputs["heldout"]))
+        (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
+        return {"loss": round(curve[-1]["loss"], 4), "danger": round(curve[-1]["danger"], 4), **_told(judged)}
+
+
+def _told(judged: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
+    return {f"auc_{name}": None if (value := one["auc"]) is None else round(value, 3) for name, one in judged.items()}
