@@ -5,9 +5,9 @@ looks for the best action sequence of which at most tau_c costly decisions are e
 horizon. It starts from the expert's actions, as TD-MPC and SafeDreamer start from their policies: a candidate is what is added to them
 in the first L decisions, nothing added is a candidate of every iteration, and the expert goes on behind. Nothing of an operator is read.
 
-Its bounds are tighter than those of WASP's gates. A search chooses where the model errs: on Race1 plans with an imagined gain of .26 and
-.21 costly decisions within H had 1.22 in the task and were no faster. So little cost is allowed, and a plan replaces the expert's actions
-only where it gains tau_r or where they are not safe; there .04 were foreseen and .03 followed. B episodes, L steps, A actions.
+A plan replaces the expert's actions only where it gains tau_r, or where they are not safe: a search chooses where the model errs. On
+Race1 plans with an imagined gain of .26 and .21 costly decisions within H had 1.22 in the task, and were no faster.
+B episodes, L steps, A actions.
 """
 
 from __future__ import annotations
