@@ -131,14 +131,6 @@ METHODS: Registry[MethodInfo] = Registry(
             rule="Diffusion has no gate: every command is blurred with noise and denoised towards what an expert would do.",
         ),
         MethodInfo(
-            "csa",
-            "CSA",
-            "wasp_cli.methods.csa:CSA",
-            "wasp_cli.methods.configs:CSAConfig",
-            ("consistency",),
-            rule="CSA has no gate: every command is taken for a noisy expert action and denoised in one step, without a draw.",
-        ),
-        MethodInfo(
             "saferl",
             "SafeRL-Res",
             "wasp_cli.methods.saferl:SafeRLRes",
@@ -249,6 +241,14 @@ METHODS: Registry[MethodInfo] = Registry(
             signal=Signal(
                 "γ V - Q", "how far the safety value of the command falls short of γ times the safest action's; above 0 it intervenes"
             ),
+        ),
+        MethodInfo(
+            "csa",
+            "CSA",
+            "wasp_cli.methods.csa:CSA",
+            "wasp_cli.methods.configs:CSAConfig",
+            ("consistency",),
+            rule="CSA has no gate: every command is taken for a noisy expert action and denoised in one step, without a draw.",
         ),
     ),
 )

@@ -26,7 +26,10 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
 ROW_MARKERS = ("d", "p", "h")
 ENDINGS = ("png", "svg")
-STYLES = {name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[i % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)}
+# The markers move on by one with every round of the colours, or the eighth method would look like the first.
+STYLES = {
+    name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)
+}
 """Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
 LOOK: dict[Any, Any] = {
     "font.size": 9,
