@@ -34,12 +34,12 @@ def moved(before: Grid, after: Grid) -> set[str]:
 
 def test_every_cell_whose_method_may_intervene_is_branched_once() -> None:
     laid_out = judged(methods=list(METHODS), variants=["full", "no-case2"], seeds=[3])
-    assisted = [name for name in METHODS if name not in ("human", "expert")] + ["wasp/no-case2", "printed/no-case2"]
+    assisted = [name for name in METHODS if METHODS[name].intervenes] + ["wasp/no-case2", "printed/no-case2"]
     operators = ("noisy=0.2", "noisy=0.6", "limited-skill=0.25")
     assert sorted(branch_labels(laid_out)) == sorted(
         f"goal1 s3 counterfactual {who} {operator}" for who in assisted for operator in operators
     )
-    assert [cell for cell, _ in laid_out.branched] == [cell for cell, _ in laid_out.cells if cell.method not in ("human", "expert")]
+    assert [cell for cell, _ in laid_out.branched] == [cell for cell, _ in laid_out.cells if METHODS[cell.method].intervenes]
     assert all(cell.operator != UNIMPAIRED for cell, _ in laid_out.branched)
     assert {node.key for _, node in laid_out.branched} <= laid_out.targets
 

@@ -225,6 +225,7 @@ class SimulatorModel:
     """
 
     noise_size = 0
+    reads = "pixels"  # what is seen is not read: the task itself is
 
     def __init__(self, task: VectorTask, build: Build) -> None:
         self.action_size = task.action_size
