@@ -142,9 +142,10 @@ class Wanted:
         if not self._is_task:
             return
         layout, numbers = session.layout, range(max(session.loaded.spec.seeds) + 1)
-        everything = self._of(0, [name for name in METHODS if METHODS[name].impaired], numbers)
-        grid = lay_out_over(everything.spec, layout, None)
-        there = [cell for cell, node in grid.cells if exists(layout, node.kind, node.key)]
+        # One by one: beside a method whose parts are not published, those of the others would have to be trained again.
+        methods = [name for name in METHODS if METHODS[name].impaired]
+        grids = [lay_out_over(self._of(0, [name], numbers).spec, layout, None) for name in methods]
+        there = [cell for grid in grids for cell, node in grid.cells if exists(layout, node.kind, node.key)]
         if there:
             methods, seeds = list(dict.fromkeys(cell.method for cell in there)), sorted({cell.seed for cell in there})
             driven = self._of(0, methods, seeds)
