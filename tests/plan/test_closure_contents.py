@@ -78,12 +78,12 @@ MAY_HAVE = {
     "heldout": f"{DRIVING} methods.human learning.heldout learning.informed learning.nominal",
     "ida_q": f"{ASSISTANT} {LATENTS} models.ensemble learning.critic_quality learning.ensemble learning.heldout metrics metrics.ranking",
     "denoiser": (
-        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser "
+        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser learning.labelled "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
     "consistency": (
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser models.consistency learning.denoiser learning.consistency "
-        "learning.configs.baselines "
+        "learning.labelled learning.configs.baselines "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
     "reachability": (
