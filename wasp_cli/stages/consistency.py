@@ -31,6 +31,7 @@ class ConsistencyStage:
 
         from wasp_cli.learning.consistency import consistency_quality, one_step_error, train_consistency
         from wasp_cli.learning.labelled import load_labelled
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.sampling import generator
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
@@ -41,7 +42,7 @@ class ConsistencyStage:
         seed = derive("consistency", job.task, job.seed)
         student, teacher, summary = train_consistency(*states, config, job.settings["action_repeat"], seed, job.progress)
         save_weights(
-            student, job.out_dir / "consistency.safetensors",
+            rounded(student), job.out_dir / "consistency.safetensors",
             features=states.features, action=states.labels.shape[1], width=config.width, depth=config.depth,
         )  # fmt: skip
         seen, expert, recorded = states.held_out()

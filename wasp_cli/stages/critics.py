@@ -30,6 +30,7 @@ class CriticsStage:
         from wasp_cli.learning.critics import train_critics
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
@@ -46,7 +47,7 @@ class CriticsStage:
         stream = derive("critics", job.task, job.seed)
         critics, curve = train_critics(model, skills, recording, latents, config, returns, stream, job.progress)
         arguments = {"features": model.feature_size, "hidden": list(config.hidden), "bins": config.bins, "reach": config.reach}
-        save_weights(critics, job.out_dir / "critics.safetensors", **arguments)
+        save_weights(rounded(critics), job.out_dir / "critics.safetensors", **arguments)
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
         found = heldout_pairs(critics, load_heldout(job.inputs["heldout"]), returns)
         judged = {name: quality(one) for name, one in found.items()}

@@ -28,6 +28,7 @@ class DenoiserStage:
 
         from wasp_cli.learning.denoiser import denoiser_quality, noise_loss, train_denoiser
         from wasp_cli.learning.labelled import load_labelled
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.sampling import generator
         from wasp_cli.models.weights import save_weights
         from wasp_cli.seeds import derive
@@ -39,7 +40,7 @@ class DenoiserStage:
             *states, config, job.settings["action_repeat"], derive("denoiser", job.task, job.seed), job.progress
         )
         save_weights(
-            denoiser, job.out_dir / "denoiser.safetensors",
+            rounded(denoiser), job.out_dir / "denoiser.safetensors",
             features=states.features, action=states.labels.shape[1], hidden=list(config.hidden),
             steps=schedule.steps, schedule={"steps": config.steps, "beta_min": config.beta_min, "beta_max": config.beta_max},
         )  # fmt: skip

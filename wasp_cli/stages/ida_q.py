@@ -30,6 +30,7 @@ class IDAQStage:
         from wasp_cli.learning.ensemble import heldout_pairs, train_ensemble
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
@@ -44,7 +45,7 @@ class IDAQStage:
         ensemble, curve = train_ensemble(skills, recording, latents, config, gamma, seed, job.progress)
         features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
         arguments = {"members": config.members, "features": features, "action": recording.action.shape[1], "hidden": list(config.hidden)}
-        save_weights(ensemble, job.out_dir / "ensemble.safetensors", **arguments)
+        save_weights(rounded(ensemble), job.out_dir / "ensemble.safetensors", **arguments)
         with torch.inference_mode():
             seen = latents.at(torch.arange(0, len(latents.h), max(1, len(latents.h) // 2000))).features
             expert = skills.expert(seen)

@@ -41,6 +41,7 @@ class PoliciesStage:
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
         from wasp_cli.learning.reinforce import reinforce
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import HELD_OUT, read_shards
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged, save_skills
         from wasp_cli.models.world_model import load_world_model
@@ -131,7 +132,7 @@ class PoliciesStage:
             (job.out_dir / "reinforcement.json").write_text(finite_json(curve))
         kept = verdict.best_round(verdicts)
         skills.load_state_dict(weights[kept])
-        save_skills(skills, job.out_dir, model.feature_size, config.hidden, model.action_size)
+        save_skills(rounded(skills), job.out_dir, model.feature_size, config.hidden, model.action_size)
 
         # -- evaluation
         seeds = [seed("policies-evaluation", i) for i in range(config.evaluation_episodes)]

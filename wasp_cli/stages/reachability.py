@@ -29,6 +29,7 @@ class ReachabilityStage:
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.learning.latents import load_latents
         from wasp_cli.learning.reachability import safety_quality, train_safety_value
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import read_shards
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
@@ -43,7 +44,7 @@ class ReachabilityStage:
         stream = derive("reachability", job.task, job.seed)
         value, curve = train_safety_value(model, skills, recording, latents, config, stream, job.progress)
         save_weights(
-            value, job.out_dir / "safety.safetensors", features=model.feature_size, action=model.action_size, hidden=config.hidden,
+            rounded(value), job.out_dir / "safety.safetensors", features=model.feature_size, action=model.action_size, hidden=config.hidden,
             action_scales=list(model.sizes.action_scales), members=len(value.members),
         )  # fmt: skip
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))

@@ -27,6 +27,7 @@ class ResidualStage:
         """Train and store the mean residual."""
         from wasp_cli.learning.informed import informed_policies, observed
         from wasp_cli.learning.residual import train_residual
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.models.policy import load_skills
         from wasp_cli.models.weights import save_weights
         from wasp_cli.models.world_model import load_world_model
@@ -43,7 +44,11 @@ class ResidualStage:
             task, model, load_skills(job.inputs["policies"]), config, job.task, job.seed, job.progress, expert, informed
         )
         save_weights(
-            policy, job.out_dir / "residual.safetensors", features=model.feature_size, action=task.action_size, hidden=list(config.hidden)
+            rounded(policy),
+            job.out_dir / "residual.safetensors",
+            features=model.feature_size,
+            action=task.action_size,
+            hidden=list(config.hidden),
         )
         (job.out_dir / "curve.json").write_text(finite_json(curve))
         return {name: curve[-1][name] for name in ("interactions", "cost_per_1000", "multiplier")}

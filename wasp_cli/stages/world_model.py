@@ -39,6 +39,7 @@ class WorldModelStage:
         from wasp_cli.learning.device import training_device
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.privileged_state import Readout, new_readout, teach_encoder
+        from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import HELD_OUT, read_shards
         from wasp_cli.models.world_model import save_world_model
         from wasp_cli.seeds import derive
@@ -78,7 +79,7 @@ class WorldModelStage:
         latents = encode(model, recording, during(0.85, 0.95))
         learning.refit_heads(model, recording, latents, learned, config, derive("world-model-refit", *names), during(0.95, 1.0))
         model.cpu()
-        save_world_model(model, job.out_dir)
+        save_world_model(rounded(model), job.out_dir)
         if teaching.exists():
             curves["teaching"] = json.loads(teaching.read_text())
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
