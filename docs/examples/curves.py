@@ -1,7 +1,7 @@
 """What does each assistant give for how often it acts? Vary its one knob, print the curves and the operating points, and draw the figure.
 
-python docs/examples/curves.py                  from the published rows
-python docs/examples/curves.py ROWS RESULTS     first measure them, with the models and thresholds of `wasp run assistants` in RESULTS
+python docs/examples/curves.py SPEC                    from the published rows of `assistants` or `field`
+python docs/examples/curves.py SPEC RESULTS TASK ...   measure what is not in RESULTS yet, with the models of that spec there
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.report.figures.style import style_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
-ROWS, PICTURE = ROOT / "results" / "published" / "curves.parquet", ROOT / "docs" / "pictures" / "curves.png"
+PICTURE = ROOT / "docs" / "pictures" / "curves.png"
 SEED, EPISODES = 500, 10
 OPERATORS = {"noisy": 0.45, "laggy": 0.7, "limited-skill": 0.25, "reaction-time": 0.24}
 
@@ -54,11 +55,18 @@ class Knob:
 
 KNOBS = {
     "ida": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0, 4.0)),
+    "ida-least": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0)),
+    "ida-guarded": Knob("tau_Q, times", (0.0, 0.5, 1.0, 2.0)),
     "diffusion": Knob("ratio", (0.1, 0.2, 0.4, 0.6, 0.8), 0.4),
+    "csa": Knob("ratio", (0.2, 0.4, 0.55, 0.69), 0.69),
     "saferl": Knob("residual, times", (0.25, 0.5, 0.75, 1.0, 1.5)),
     "filter": Knob("tau_c, times", (0.25, 0.5, 1.0, 2.0, 4.0)),
+    "reach": Knob("gamma, times", (0.5, 0.75, 0.9, 1.0)),
+    "mpmi": Knob("tau_c, times", (0.5, 1.0, 2.0, 4.0)),
     "wasp": Knob("tau_r, times", (0.5, 0.7, 1.0, 1.4, 2.0)),
 }
+THRESHOLDS = {"filter": "tau_c", "mpmi": "tau_c", "reach": "gamma", "wasp": "tau_r"}
+"""Of the methods that are not IDA's, what is multiplied."""
 LEAST_RETURN = 0.98
 """The operating point is the value of least effective intervention rate among those that keep this share of the best return of the curve;
 both are means over the tasks."""
@@ -78,43 +86,53 @@ class Scaled:
 def turned(method: str, value: float, parts: Parts, config: dict[str, Any]) -> Assistant:
     """Build an assistant with its knob at a value."""
     known = dict(parts.thresholds)
-    if method == "diffusion":
+    if method in ("diffusion", "csa"):
         config = config | {"ratio": value}
     elif method != "saferl":
-        known[{"ida": "tau_q", "filter": "tau_c", "wasp": "tau_r"}[method]] *= value
+        known[THRESHOLDS.get(method, "tau_q")] *= value
     assistant = build_assistant(method, config, replace(parts, thresholds=known))
     return Scaled(assistant, value) if method == "saferl" else assistant
 
 
-def measured(results: Path) -> Iterator[dict[str, Any]]:
-    """Run every assistant with every value of its knob on the same episodes, and return a row for each episode."""
+def measure(name: str, results: Path, tasks: Sequence[str]) -> None:
+    """Run every assistant with every value of its knob on the same episodes, and write a row for each episode: a file each."""
     torch.set_num_threads(1)
-    spec = load(ROOT / "specs" / "assistants.yaml", ["variants=[full]"]).spec
+    (results / "curves").mkdir(exist_ok=True)
+    spec = load(ROOT / "specs" / f"{name}.yaml", ["variants=[full]", f"tasks=[{', '.join(tasks)}]"]).spec
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, None)
     nodes = {(cell.task, cell.method): node for cell, node in grid.cells if cell.operator in OPERATORS and cell.method in KNOBS}
-    for (name, method), node in nodes.items():
-        info = TASKS[name]
+    for (task, method), node in nodes.items():
+        path = results / "curves" / f"{task}-{method}.parquet"
+        if path.exists():
+            continue
         inputs = {kind: layout.artifact(needed.kind, needed.key) for kind, needed in node.needs.items()}
-        parts = load_parts(inputs, spec.returns, motors=info.motors)
-        worlds = [seeds.layout_seed(name, SEED, e) for e in range(EPISODES)]
-        for operator, severity in OPERATORS.items():
-            for value in KNOBS[method].values:
-                task = make_task(name, EPISODES, action_repeat=spec.action_repeat, observe=("pixels",), threads=1)
-                mistakes = EpisodeNoise([seeds.operator_seed(name, operator, SEED, e) for e in range(EPISODES)])
-                context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
-                impaired = build_operator(operator, severity, context, mistakes, EPISODES)
-                own = [seeds.method_seed(name, operator, SEED, e, method) for e in range(EPISODES)]
-                assistant = turned(method, value, parts, node.axes["method_config"])
-                loop = run_episodes(task, parts.world_model, impaired, assistant, worlds, own)
-                for e, found in enumerate(trajectories(loop)[0]):
-                    forces = np.linalg.norm(info.motors.force(found.a) - info.motors.force(found.a_h), axis=1)
-                    yield {
-                        "task": name, "method": method, "value": value, "operator": operator, "episode": e, "steps": found.steps,
-                        "return": float(found.reward.sum()), "cost": int(found.cost_env.sum()),
-                        "interventions": int((found.deviation > 0).sum()), "effective": int((forces > 1e-6).sum()),
-                        "deviation": float(found.deviation.sum()),
-                    }  # fmt: skip
+        parts = load_parts(inputs, spec.returns, motors=TASKS[task].motors)
+        rows: list[dict[str, Any]] = []
+        for value in KNOBS[method].values:
+            assistant = turned(method, value, parts, node.axes["method_config"])
+            rows += [{"value": value, **row} for row in driven(task, method, assistant, parts, spec.action_repeat)]
+        pq.write_table(pa.Table.from_pylist(rows), path)
+
+
+def driven(name: str, method: str, assistant: Assistant, parts: Parts, action_repeat: int) -> Iterator[dict[str, Any]]:
+    """Yield a row for each episode of an assistant under every operator."""
+    worlds = [seeds.layout_seed(name, SEED, e) for e in range(EPISODES)]
+    for operator, severity in OPERATORS.items():
+        task = make_task(name, EPISODES, action_repeat=action_repeat, observe=("pixels",), threads=1)
+        mistakes = EpisodeNoise([seeds.operator_seed(name, operator, SEED, e) for e in range(EPISODES)])
+        context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds)
+        impaired = build_operator(operator, severity, context, mistakes, EPISODES)
+        own = [seeds.method_seed(name, operator, SEED, e, method) for e in range(EPISODES)]
+        loop = run_episodes(task, parts.world_model, impaired, assistant, worlds, own)
+        for e, episode in enumerate(trajectories(loop)[0]):
+            forces = np.linalg.norm(parts.motors.force(episode.a) - parts.motors.force(episode.a_h), axis=1)
+            yield {
+                "task": name, "method": method, "operator": operator, "episode": e, "steps": episode.steps,
+                "return": float(episode.reward.sum()), "cost": int(episode.cost_env.sum()),
+                "interventions": int((episode.deviation > 0).sum()), "effective": int((forces > 1e-6).sum()),
+                "deviation": float(episode.deviation.sum()),
+            }  # fmt: skip
 
 
 def point(rows: pa.Table, task: str, method: str, value: float) -> dict[str, float]:
@@ -145,8 +163,8 @@ def shown(rows: pa.Table) -> str:
         "| task | assistant | knob | return | cost | Int. | effective | Mag. | |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |",
     ]
-    for method, knob in KNOBS.items():
-        curves = {task: {value: point(rows, task, method, value) for value in knob.values} for task in TASKS_SHOWN}
+    for method, knob in measured_in(rows):
+        curves = {task: {value: point(rows, task, method, value) for value in knob.values} for task in shown_tasks(rows)}
         rule = chosen(list(curves.values()))
         for task, points in curves.items():
             for value, each in points.items():
@@ -158,22 +176,32 @@ def shown(rows: pa.Table) -> str:
     return "\n".join(lines)
 
 
-TASKS_SHOWN = ("race1", "formula1", "goal1")
-COLOURS = {"ida": "#0072b2", "diffusion": "#e69f00", "saferl": "#009e73", "filter": "#999999", "wasp": "#d55e00"}
+def shown_tasks(rows: pa.Table) -> list[str]:
+    """Return the tasks that there are, in the order of tables."""
+    there = set(rows["task"].to_pylist())
+    return [task for task in ("race1", "formula1", "goal1") if task in there]
+
+
+def measured_in(rows: pa.Table) -> list[tuple[str, Knob]]:
+    """Return the assistants that there are, with the values that were measured."""
+    there = {method: tuple(sorted(set(rows.filter(pc.field("method") == method)["value"].to_pylist()))) for method in KNOBS}
+    return [(method, replace(KNOBS[method], values=values)) for method, values in there.items() if values]
 
 
 def draw(rows: pa.Table, path: Path) -> None:
     """Draw return and cost against the effective intervention rate: a column for each task."""
-    figure, axes = plt.subplots(2, 3, figsize=(11, 6), sharex="col", layout="constrained")
-    for column, task in enumerate(TASKS_SHOWN):
+    tasks = shown_tasks(rows)
+    figure, axes = plt.subplots(2, len(tasks), figsize=(1 + 3.3 * len(tasks), 6), sharex="col", squeeze=False, layout="constrained")
+    for column, task in enumerate(tasks):
         for row, measure in enumerate(("return", "cost")):
             panel = axes[row, column]
-            for method, knob in KNOBS.items():
+            for method, knob in measured_in(rows):
                 points = {value: point(rows, task, method, value) for value in knob.values}
                 x, y = ([each[name] for each in points.values()] for name in ("effective", measure))
-                panel.plot(x, y, "o-", ms=4, lw=1.2, color=COLOURS[method], label=METHODS[method].title)
+                colour, marker = style_of(method)
+                panel.plot(x, y, "-", marker=marker, ms=4, lw=1.2, color=colour, label=METHODS[method].title)
                 at = points[knob.default]
-                panel.plot(at["effective"], at[measure], "o", ms=10, mfc="none", color=COLOURS[method])
+                panel.plot(at["effective"], at[measure], "o", ms=10, mfc="none", color=colour)
             panel.set(
                 title=TASKS[task].title if not row else "", ylabel=measure if not column else "", xlabel="effective Int." if row else ""
             )
@@ -183,10 +211,13 @@ def draw(rows: pa.Table, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    source = ROWS
-    if len(sys.argv) > 2:
-        source = Path(sys.argv[1])
-        pq.write_table(pa.Table.from_pylist(list(measured(Path(sys.argv[2])))), source, compression="zstd")
+    spec, *measured = sys.argv[1:] or ["assistants"]
+    source = ROOT / "results" / "published" / f"{spec}-curves.parquet"
+    if measured:
+        results, *tasks = measured
+        measure(spec, Path(results), tasks)
+        files = sorted((Path(results) / "curves").glob("*.parquet"))
+        pq.write_table(pa.concat_tables([pq.read_table(path) for path in files]), source, compression="zstd")
     published = pq.read_table(source)
     print(shown(published))
     draw(published, PICTURE)
