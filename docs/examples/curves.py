@@ -63,7 +63,7 @@ KNOBS = {
     "filter": Knob("tau_c, times", (0.25, 0.5, 1.0, 2.0, 4.0)),
     "reach": Knob("gamma, times", (0.5, 0.75, 0.9, 1.0)),
     "mpmi": Knob("tau_c, times", (0.5, 1.0, 2.0, 4.0)),
-    "wasp": Knob("tau_r, times", (0.5, 0.7, 1.0, 1.4, 2.0)),
+    "wasp": Knob("tau_r, times", (0.0, 0.25, 0.5, 0.7, 1.0, 1.4, 2.0)),
 }
 THRESHOLDS = {"filter": "tau_c", "mpmi": "tau_c", "reach": "gamma", "wasp": "tau_r"}
 """Of the methods that are not IDA's, what is multiplied."""
@@ -104,12 +104,13 @@ def measure(name: str, results: Path, tasks: Sequence[str]) -> None:
     nodes = {(cell.task, cell.method): node for cell, node in grid.cells if cell.operator in OPERATORS and cell.method in KNOBS}
     for (task, method), node in nodes.items():
         path = results / "curves" / f"{task}-{method}.parquet"
-        if path.exists():
+        rows: list[dict[str, Any]] = pq.read_table(path).to_pylist() if path.exists() else []
+        missing = [value for value in KNOBS[method].values if value not in {row["value"] for row in rows}]
+        if not missing:
             continue
         inputs = {kind: layout.artifact(needed.kind, needed.key) for kind, needed in node.needs.items()}
         parts = load_parts(inputs, spec.returns, motors=TASKS[task].motors)
-        rows: list[dict[str, Any]] = []
-        for value in KNOBS[method].values:
+        for value in missing:
             assistant = turned(method, value, parts, node.axes["method_config"])
             rows += [{"value": value, **row} for row in driven(task, method, assistant, parts, spec.action_repeat)]
         pq.write_table(pa.Table.from_pylist(rows), path)

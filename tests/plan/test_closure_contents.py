@@ -120,9 +120,14 @@ def closures() -> dict[str, frozenset[str]]:
     return found
 
 
+SHIPPED = "world_model policies critics ida_q denoiser consistency reachability residual"
+"""Whose weights are rounded as they ship."""
+
+
 def patterns(kind: str) -> list[str]:
     (file,) = (file for file, kinds in SECTIONS.items() if kind in kinds.split())
-    return f"{EVERY} learning.configs.shared learning.configs.{file} stages.{kind} {MAY_HAVE[kind]}".split()
+    rounding = "learning.rounding" if kind in SHIPPED.split() else ""
+    return f"{EVERY} {rounding} learning.configs.shared learning.configs.{file} stages.{kind} {MAY_HAVE[kind]}".split()
 
 
 def short(modules: frozenset[str]) -> set[str]:
