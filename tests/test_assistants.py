@@ -22,7 +22,7 @@ def test_the_tables_of_results_are_the_published_rows(group: str) -> None:
 
 
 def test_the_operating_points_are_those_of_the_published_curves() -> None:
-    assert curves.shown(pq.read_table(curves.ROWS)) in PAGE
+    assert curves.shown(pq.read_table(curves.published("assistants"))) in PAGE
 
 
 def test_numbers_of_a_table_are_means_over_operators_of_what_is_pooled_over_worlds() -> None:

@@ -83,6 +83,11 @@ class Scaled:
         return decision._replace(action=(a_h + self.share * (decision.action - a_h)).clamp(-1, 1))
 
 
+def published(spec: str) -> Path:
+    """Return the file of the published curves of a spec."""
+    return ROOT / "results" / "published" / f"{spec}-curves.parquet"
+
+
 def turned(method: str, value: float, parts: Parts, config: dict[str, Any]) -> Assistant:
     """Build an assistant with its knob at a value."""
     known = dict(parts.thresholds)
@@ -213,12 +218,12 @@ def draw(rows: pa.Table, path: Path) -> None:
 
 if __name__ == "__main__":
     spec, *measured = sys.argv[1:] or ["assistants"]
-    source = ROOT / "results" / "published" / f"{spec}-curves.parquet"
+    source = published(spec)
     if measured:
         results, *tasks = measured
         measure(spec, Path(results), tasks)
         files = sorted((Path(results) / "curves").glob("*.parquet"))
         pq.write_table(pa.concat_tables([pq.read_table(path) for path in files]), source, compression="zstd")
-    published = pq.read_table(source)
-    print(shown(published))
-    draw(published, PICTURE)
+    rows = pq.read_table(source)
+    print(shown(rows))
+    draw(rows, PICTURE)
