@@ -69,7 +69,7 @@ THRESHOLDS = {"filter": "tau_c", "mpmi": "tau_c", "reach": "gamma", "wasp": "tau
 """Of the methods that are not IDA's, what is multiplied."""
 LEAST_RETURN = 0.98
 """The operating point is the value of least effective intervention rate among those that keep this share of the best return of the curve;
-both are means over the tasks."""
+both are means over the tasks. Where none keeps it on all tasks together, the value that keeps most."""
 
 
 class Scaled:
@@ -160,7 +160,8 @@ def chosen(curves: Sequence[Mapping[float, Mapping[str, float]]]) -> float:
         return float(np.mean([points[value][name] / unit(points) for points in curves]))
 
     shares = {value: mean(value, "return", lambda points: max(each["return"] for each in points.values())) for value in curves[0]}
-    return min((mean(value, "effective", lambda points: 1.0), value) for value, share in shares.items() if share >= LEAST_RETURN)[1]
+    enough = min(LEAST_RETURN, max(shares.values()))
+    return min((mean(value, "effective", lambda points: 1.0), value) for value, share in shares.items() if share >= enough)[1]
 
 
 def shown(rows: pa.Table) -> str:
