@@ -35,6 +35,8 @@ seeds: [4]
 episodes: 2
 wasp: {tau_c: 0.05, tau_r: 0.0}   # untrained models see little: gates that fire all the same
 printed: {tau_c: 0.05}
+ida: &forward {vote: -0.9, quantile: 0.05}
+ida-guarded: *forward
 """
 
 
@@ -123,7 +125,7 @@ def test_the_interventions_of_every_method_that_acts_are_branched(results: Path)
 
 
 def test_no_two_methods_have_the_same_rows(results: Path) -> None:
-    # Ablations of an untrained model may coincide, and an untrained IDA may always choose the expert's action, or never.
+    # Ablations of an untrained model may coincide, and an untrained IDA may always choose the expert's action.
     compared = {
         name: path
         for (name, variant), path in cells(results).items()

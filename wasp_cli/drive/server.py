@@ -24,8 +24,8 @@ from wasp_cli.web.server import LocalServer, local, own_origin, page
 
 LONGEST = 8192
 """Bytes of a message."""
-MOST = 300
-"""Messages in a second; a page sends one for each key, frame and move of a stick."""
+MOST = 2000
+"""Messages in a second; a page sends one for each key, frame and move of a stick, a scripted driver at 40 times the speed a thousand."""
 SILENT = 10.0
 """Seconds without any message after which a connection counts as lost; a page says something every second."""
 PAGE = Path(__file__).parent / "page"
