@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,27 +15,31 @@ class Config(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
 
+    edition: ClassVar[int] = 1
+    """Raised when a default changes: values at their defaults enter no key, so that a new field orphans no result."""
+
     def identity(self) -> dict[str, Any]:
-        """Return the values as JSON values, without those that can move no result, and without optional ones at their defaults."""
-        values = self.model_dump(mode="json")
+        """Return the values that enter a key, as JSON values: those that can move a result and are not at their defaults."""
+        dumped = self.model_dump(mode="json")
+        values: dict[str, Any] = {} if self.edition == 1 else {"edition": self.edition}
         for name, info in type(self).model_fields.items():
-            value, extra = getattr(self, name), info.json_schema_extra
-            of_key = extra.get("in_key", True) if isinstance(extra, dict) else True
-            if of_key is False or (of_key == OPTIONAL and value == info.default):
-                del values[name]
-            elif isinstance(value, Config):
-                values[name] = value.identity()
+            value, default, extra = getattr(self, name), info.get_default(call_default_factory=True), info.json_schema_extra
+            if isinstance(extra, dict) and extra.get("in_key") is False:
+                continue
+            if isinstance(value, Config):
+                # By the defaults of its class, or a section at its defaults in one model would have another identity in another model.
+                inner = value.identity()
+                if inner or not isinstance(default, Config):
+                    values[name] = inner
+            elif value != default:
+                values[name] = dumped[name]
         return values
 
 
-OPTIONAL = "unless default"
-"""Of a field that came later: at its default, which does what was done without it, results keep the keys from before."""
-
-
-def assumed(default: Any, why: str, *, in_key: bool | str = True, **constraints: Any) -> Any:
+def assumed(default: Any, why: str, *, in_key: bool = True, **constraints: Any) -> Any:
     """Declare a field whose value is not in the paper. `why` says where the value comes from; reports list it.
 
-    One that can move no result (`in_key` false) enters no key: changing it runs nothing again. `OPTIONAL` enters none at its default.
+    One that can move no result (`in_key` false) enters no key: changing it runs nothing again.
     """
     return Field(default=default, description=why, json_schema_extra={"in_paper": False, "in_key": in_key}, **constraints)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -151,7 +151,7 @@ class _Assisted:
     roots: tuple[str, ...]
     config: Mapping[str, Any]
     text: Text
-    """of `config`"""
+    """of what of `config` enters a key"""
     sort: str
     """of the nodes"""
 
@@ -165,9 +165,10 @@ class _Builder:
         self.recipes: dict[str, str] = {}
         self.config = cache(lambda kind, task: spec.stage(kind, task).model_dump(mode="json"))
         self.identity = cache(lambda kind, task: canonical(spec.stage(kind, task).identity()))
-        self.settings = cache(self._settings)
-        self.settings_text = cache(lambda kind: canonical(self.settings(kind)))
+        self.settings = cache(lambda kind: self._settings(kind, partial(Config.model_dump, mode="json")))
+        self.settings_text = cache(lambda kind: canonical(self._settings(kind, Config.identity)))
         self.method_config = cache(lambda method, variant, task: spec.method(method, variant, task).model_dump(mode="json"))
+        self.method_identity = cache(lambda method, variant, task: canonical(spec.method(method, variant, task).identity()))
         self.training = cache(self._training)
         self.calibration = cache(self._calibration)
         self.clone = cache(self._clone)
@@ -200,8 +201,12 @@ class _Builder:
         driver = CLONED if cell.operator == PERSON else cell.operator
         needs |= self._cloned_person(cell.task, chain, driver, cell.value)
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
+        shared: _Assisted = self.assisted(cell.task, chain, cell.method, cell.assistant)
+        axes = evaluation.axes
+        sort = sort_of(COUNTERFACTUAL, cell.task, self.config(COUNTERFACTUAL, cell.task), axes)
+        made = (joined({**axes, "method_config": shared.text}), self._upstream(needs), sort)
         # The assistant is not asked again: its code is in the key through the evaluation alone.
-        return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, _roots(_operator_targets([cell.operator])), label)
+        return self._node(COUNTERFACTUAL, cell.task, cell.seed, axes, needs, _roots(_operator_targets([cell.operator])), label, made)
 
     def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
         info = METHODS[method]
@@ -212,7 +217,9 @@ class _Builder:
             needs["calibration"] = self.calibration(task, chain, method, variant)
         axes = {"method": method, "method_config": config}
         sort = sort_of("evaluate", task, self.config("evaluate", task), axes)
-        return _Assisted(needs, self._upstream(needs), (module_of(info.target),), config, canonical(config), sort)
+        return _Assisted(
+            needs, self._upstream(needs), (module_of(info.target),), config, self.method_identity(method, assistant, task), sort
+        )
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
@@ -220,7 +227,10 @@ class _Builder:
         axes = {"method": method, "method_config": config} | _plugins({method: info.target})
         needs = self._inputs("calibration", task, seed, _known(info.needs_of(config), f"the method '{method}'"))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
-        return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), f"calibration {name}")
+        text = joined({**axes, "method_config": self.method_identity(method, variant, task)})
+        sort = sort_of("calibration", task, self.config("calibration", task), axes)
+        made = (text, self._upstream(needs), sort)
+        return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), f"calibration {name}", made)
 
     def _training(self, kind: str, task: str, seed: int) -> Node:
         operators = self._operators(kind, task)
@@ -248,9 +258,9 @@ class _Builder:
         """A stage that mixes operators finds them by the names in its section."""
         return _operator_targets(self.config(kind, task).get("operators", {}))
 
-    def _settings(self, kind: str) -> dict[str, Any]:
+    def _settings(self, kind: str, form: Callable[[Config], dict[str, Any]]) -> dict[str, Any]:
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
-        return {name: value.model_dump(mode="json") if isinstance(value, Config) else value for name, value in values.items()}
+        return {name: form(value) if isinstance(value, Config) else value for name, value in values.items()}
 
     def _node(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import model_validator
 
-from wasp_cli.config import OPTIONAL, Config, assumed
+from wasp_cli.config import Config, assumed
 from wasp_cli.learning.configs.shared import Layers
 
 
@@ -41,7 +41,7 @@ class ExpertConfig(Config):
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
     cost_limit: float = assumed(25.0, "kappa per 1000 env steps; the benchmark's convention", ge=0.0)
     late_cost_limit: float | None = assumed(
-        None, "another kappa from half of the training on: an expert that costs kappa is hardly worth imitating", ge=0.0, in_key=OPTIONAL
+        None, "another kappa from half of the training on: an expert that costs kappa is hardly worth imitating", ge=0.0
     )
     multiplier_init: float = assumed(0.3, "penalty per costly decision step from the first update", ge=0.0)
     multiplier_lr: float = assumed(0.01, "step of the multiplier per update and unit of relative excess cost", ge=0.0)
@@ -53,12 +53,10 @@ class ExpertConfig(Config):
     multiplier_max: float = assumed(5.0, "bound of the multiplier; under a small kappa it winds up, and a policy may stand still", gt=0.0)
     checkpoints: tuple[float, ...] = assumed((0.10, 0.25, 0.50, 1.00), "fractions of the interactions at which a skill is stored")
     evaluation_episodes: int = assumed(64, "episodes of the final evaluation of each checkpoint", ge=1)
-    bars: dict[str, Bars] = assumed({}, "by task: what the expert is trained on for; others are taken as they are", in_key=OPTIONAL)
-    acceptance_episodes: int = assumed(
-        256, "fresh layouts on which that is seen; a share of .7 is then known to .03", ge=1, in_key=OPTIONAL
-    )
-    extension: int = assumed(200_000, "decision steps of each further training of an expert that falls short", ge=1, in_key=OPTIONAL)
-    extensions: int = assumed(2, "such trainings at most", ge=0, in_key=OPTIONAL)
+    bars: dict[str, Bars] = assumed({}, "by task: what the expert is trained on for; others are taken as they are")
+    acceptance_episodes: int = assumed(256, "fresh layouts on which that is seen; a share of .7 is then known to .03", ge=1)
+    extension: int = assumed(200_000, "decision steps of each further training of an expert that falls short", ge=1)
+    extensions: int = assumed(2, "such trainings at most", ge=0)
 
     @model_validator(mode="after")
     def _checkpoints_rise_to_one(self) -> ExpertConfig:

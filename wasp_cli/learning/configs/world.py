@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -75,11 +75,6 @@ class WorldModelConfig(Config):
     )
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")
     checkpoint_every: int = assumed(200, "updates between checkpoints of the training itself", in_key=False, ge=1)
-
-    def identity(self) -> dict[str, Any]:
-        """Return the values that can move a result, as JSON values, and one that was a setting once."""
-        # Published models are found by a recipe with the former setting of later rounds. The next edition trains anew, and may drop it.
-        return {**super().identity(), "later_updates": 1000}
 
 
 class LatentsConfig(Config):
