@@ -58,7 +58,7 @@ def cells(results: Path) -> dict[tuple[str, str], Path]:
     found = {}
     for path in sorted((results / "store" / "evaluate").glob("*/episodes.parquet")):
         row = read_episodes([path]).slice(0, 1).to_pylist()[0]
-        found[row["method"], row["assistant_variant"]] = path
+        found[row["method"], row["variant"]] = path
     return found
 
 
@@ -111,7 +111,7 @@ def branches(results: Path) -> dict[str, Path]:
 
 
 def test_the_interventions_of_every_method_that_acts_are_branched(results: Path) -> None:
-    found = {(b.cell.identity.method, b.cell.identity.assistant_variant): b for b in map(read_branches, branches(results).values())}
+    found = {(b.cell.identity.method, b.cell.identity.variant): b for b in map(read_branches, branches(results).values())}
     assert set(found) == {name for name in cells(results) if METHODS[name[0]].intervenes}
     for name, judged in found.items():
         steps = read_steps(cells(results)[name]).to_pylist()

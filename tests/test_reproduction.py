@@ -111,7 +111,7 @@ def test_the_first_episodes_of_published_cells_are_those_of_the_whole_ones(tmp_p
     rows: dict[tuple[str, int], list[dict[str, object]]] = {}
     for path in tmp_path.glob("r/store/evaluate/*/episodes.parquet"):
         for row in pq.read_table(path).to_pylist():
-            rows.setdefault((row["variant"], row["episode"]), []).append(row)
+            rows.setdefault((row["operator"], row["episode"]), []).append(row)
     assert len(rows) == 4 * 30
     assert all(len(both) == 1 + (episode < 10) and both[0] == both[-1] for (_, episode), both in rows.items())
 
@@ -151,7 +151,7 @@ def test_in_each_training_wasp_costs_less_than_the_baselines() -> None:
     moderate = {(operator, severity["moderate"]) for operator, severity in spec.operators.items()}
     costs: dict[tuple[str, int], dict[str, dict[int, list[int]]]] = {}
     for cell, path in claims.cells_of("evaluate/*/episodes.parquet").items():
-        if cell.method in ("wasp", *BASELINES) and cell.assistant_variant == "full" and (cell.variant, cell.value) in moderate:
+        if cell.method in ("wasp", *BASELINES) and cell.variant == "full" and (cell.variant, cell.value) in moderate:
             for row in pq.read_table(path, columns=["episode_seed", "cost"]).to_pylist():
                 worlds = costs.setdefault((cell.task, cell.seed), {}).setdefault(cell.method, {})
                 worlds.setdefault(row["episode_seed"], []).append(row["cost"])
@@ -179,7 +179,7 @@ def test_of_how_many_episodes_an_ablation_changed_nothing() -> None:
     for cell, path in claims.cells_of("evaluate/*/episodes.parquet").items():
         if (cell.task, cell.method, cell.seed) == ("formula1", "wasp", 1):
             for row in pq.read_table(path, columns=["episode", *columns]).to_pylist():
-                rows.setdefault(cell.assistant_variant, {})[cell.variant, row["episode"]] = [row[name] for name in columns]
+                rows.setdefault(cell.variant, {})[cell.variant, row["episode"]] = [row[name] for name in columns]
     assert all(len(rows[variant]) == 120 for variant in ("full", "no-case2", "task-only"))
     case2, gate = (sum(rows["full"][place] == row for place, row in rows[variant].items()) for variant in ("no-case2", "task-only"))
     assert f"without Case II {case2} of 120 episodes are identical to those of the whole, without the safety gate {gate}." in PAGE

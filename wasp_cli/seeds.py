@@ -26,17 +26,17 @@ def layout_seed(task: str, seed: int, episode: int) -> int:
     return derive("layout", task, seed, episode)
 
 
-def operator_seed(task: str, variant: str, seed: int, episode: int) -> int:
+def operator_seed(task: str, operator: str, seed: int, episode: int) -> int:
     """Derive the seed of the operator's mistakes in one evaluation episode, the same at every severity."""
-    return derive("operator", task, variant, seed, episode)
+    return derive("operator", task, operator, seed, episode)
 
 
-def method_seed(task: str, variant: str, seed: int, episode: int, method: str) -> int:
+def method_seed(task: str, operator: str, seed: int, episode: int, method: str) -> int:
     """Derive the seed of an assistant's own sampling in one evaluation episode.
 
     The same at every severity: until the commands differ, the assistant decides the same.
     """
-    return derive("method", task, variant, seed, episode, method)
+    return derive("method", task, operator, seed, episode, method)
 
 
 def _plain(part: Part) -> str | float | int | None:

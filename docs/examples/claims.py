@@ -42,16 +42,16 @@ def frame_of(name: str, cells: dict[CellIdentity, Path], branches: dict[CellIden
         if (cell.variant, cell.value) in operators
         and cell.task in spec.tasks
         and cell.seed in spec.seeds
-        and cell.assistant_variant in (*spec.variants, "full", "as-printed")
+        and cell.variant in (*spec.variants, "full", "as-printed")
     ]
     return with_branches(read_frame(wanted), wanted)
 
 
 def as_printed(frame: Frame) -> Frame:
     """Return the frame with the rows of WASP (as printed) in the place of WASP's."""
-    printed = [cell for cell in frame.cells if cell.identity.assistant_variant == "as-printed"]
+    printed = [cell for cell in frame.cells if cell.identity.variant == "as-printed"]
     others = [cell for cell in frame.cells if cell.identity.method != "wasp"]
-    return Frame((*others, *(replace(cell, identity=replace(cell.identity, assistant_variant="full")) for cell in printed)))
+    return Frame((*others, *(replace(cell, identity=replace(cell.identity, variant="full")) for cell in printed)))
 
 
 def word(judged: Judged | None) -> str:

@@ -33,7 +33,7 @@ def cells(fakes: Fakes, monkeypatch: pytest.MonkeyPatch) -> None:
     def run(self: Any, job: Job) -> Mapping[str, Any]:
         summary: Mapping[str, Any] = before(self, job)
         axes = job.axes
-        identity = CellIdentity(job.task, axes["method"], "full", axes["variant"], axes["value"], job.seed)
+        identity = CellIdentity(job.task, axes["method"], "full", axes["operator"], axes["value"], job.seed)
         ratio = axes["method_config"].get("ratio", 0.0)
         write_rows(job.out_dir, identity, two_episodes(identity, round(2 + 10 * ratio), ratio, 0.0 if ratio else 1.0), success_goals=3)
         return summary

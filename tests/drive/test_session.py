@@ -54,7 +54,7 @@ def test_a_session_is_a_cell_like_any_other(driven: tuple[Path, str]) -> None:
     assert corruption(layout, "evaluate", key) is None
     manifest = read_manifest(layout, "evaluate", key)
     assert manifest["label"] == "goal1 s0 wasp person=0"
-    assert manifest["axes"]["variant"] == "person"
+    assert manifest["axes"]["operator"] == "person"
     assert {"world_model", "policies", "calibration"} <= set(manifest["upstream"])
     episodes = read_episodes([cell_of(driven)])
     assert episodes["episode"].to_pylist() == [0, 1]

@@ -102,7 +102,7 @@ def test_the_branches_of_every_batch_come_back_in_it(whole: Evaluated, inputs: M
         folder.mkdir()
     HeldoutStage().run(Job("heldout", "race1", 0, HeldoutConfig(episodes=2), SETTINGS, {}, inputs, heldout, heldout))
     settings = {**SETTINGS, "side_by_side": 2}
-    axes = {"method": "ida", "method_config": {}, "variant": cell.variant, "value": cell.value}
+    axes = {"method": "ida", "method_config": {}, "operator": cell.variant, "value": cell.value}
     read = {**inputs, "evaluate": cell.path.parent, "heldout": heldout}
     config = CounterfactualConfig(window=1)
     summary = CounterfactualStage().run(Job("counterfactual", "race1", 0, config, settings, axes, read, out, out))

@@ -112,5 +112,5 @@ def test_where_a_person_s_clone_drives_it_is_read_and_what_fits_it_is_in_its_key
     grid = lay_out(validate({**DOCUMENT, "methods": ["human"], "operators": {"cloned": {"p7": 7}}}))
     ((_, evaluation),) = grid.cells
     node = evaluation.needs[OPERATOR_CLONE]
-    assert (node.kind, node.axes["variant"], node.axes["value"]) == ("clone", "person", 7)
+    assert (node.kind, node.axes["operator"], node.axes["value"]) == ("clone", "person", 7)
     assert "wasp_cli.learning.clone" in node.modules

@@ -43,7 +43,7 @@ def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -
 
 def judge(cell: Evaluated, folder: Path, config: CounterfactualConfig = SMALL, method: str = "ida", **inputs: Path) -> Mapping[str, Any]:
     folder.mkdir(exist_ok=True)
-    axes = {"method": method, "method_config": {}, "variant": cell.variant, "value": cell.value}
+    axes = {"method": method, "method_config": {}, "operator": cell.variant, "value": cell.value}
     read = {**cell.inputs, "evaluate": cell.path.parent, **inputs}
     return CounterfactualStage().run(Job("counterfactual", cell.task, cell.seed, config, SETTINGS, axes, read, folder, folder))
 
@@ -72,7 +72,7 @@ def test_the_rows_say_what_each_branch_was_and_the_summary_is_eq_19_to_21_of_the
         unnecessary.append(delta_c[-1] <= 0 and delta_r[-1] <= tau_R)
     shown = {"uir": unnecessary, "rho": rho, "delta_c": delta_c, "delta_r": delta_r}
     assert {name: summary[name] for name in shown} == {name: pytest.approx(np.mean(values), abs=1e-4) for name, values in shown.items()}
-    identity = {"task": "race1", "method": "ida", "assistant_variant": "full", "variant": "noisy", "value": 0.4, "seed": 0, "window": 5}
+    identity = {"task": "race1", "method": "ida", "variant": "full", "operator": "noisy", "value": 0.4, "seed": 0, "window": 5}
     assert all(row.items() >= identity.items() for row in rows)
 
 

@@ -64,7 +64,7 @@ def test_every_row_names_its_cell_its_spec_and_its_severity(results: Results) ->
     assert {*table["severity"].to_pylist()} == {"mild", "severe", "moderate", None}
     row = next(row for row in table.to_pylist() if row["method"] == "wasp" and row["operator"] == "noisy" and row["severity"] == "severe")
     stored = read_episodes([cell_file(GOLDEN / "store" / "store" / "evaluate" / row["key"])])
-    assert {*zip(stored["variant"].to_pylist(), stored["value"].to_pylist(), strict=True)} == {("noisy", row["value"])}
+    assert {*zip(stored["operator"].to_pylist(), stored["value"].to_pylist(), strict=True)} == {("noisy", row["value"])}
     for other in (results.steps(), results.branches()):
         assert other.column_names[: len(NAMES)] == NAMES
 

@@ -45,7 +45,7 @@ def invent(start: int, goals: int, intervene: float, risk: float, steps: int = 2
 
 def write(folder: Path, identity: CellIdentity, trajectories: list[Trajectory], success_goals: int = 7) -> Wanted:
     """One cell on disk, in a folder of its own."""
-    name = "-".join(str(part) for part in (identity.method, identity.assistant_variant, identity.variant, identity.value, identity.seed))
+    name = "-".join(str(part) for part in (identity.method, identity.variant, identity.operator, identity.value, identity.seed))
     (folder / name).mkdir(parents=True, exist_ok=True)
     path = write_rows(folder / name, identity, trajectories, success_goals)
     return Wanted(identity, f"{identity.task} {name}", path, severity="severe" if identity.value in (0.6, 0.85) else "mild")

@@ -124,7 +124,7 @@ def labels_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
 
 @attack
 def rows_that_command_the_terminal(it: UntrustedStore, outside: Path) -> None:
-    it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], assistant_variant=[ESCAPE])
+    it.rows(task=[ESCAPE], method=[ESCAPE], variant=[ESCAPE], operator=[ESCAPE])
 
 
 @attack

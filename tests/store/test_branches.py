@@ -138,7 +138,7 @@ def test_a_flipped_byte_among_the_rows_is_noticed_or_changes_nothing(tmp_path: P
 
 def test_other_tools_see_the_columns() -> None:
     assert SCHEMA.names == [
-        "task", "method", "assistant_variant", "variant", "value", "seed", "episode", "t", "branch", "steps", "costs", "cost_env",
+        "task", "method", "variant", "operator", "value", "seed", "episode", "t", "branch", "steps", "costs", "cost_env",
         "rewards", "deviation", "gate", "tau_R", "window",
     ]  # fmt: skip
     assert VERSION_KEY == b"wasp.branches"

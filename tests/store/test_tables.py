@@ -80,7 +80,7 @@ def test_episodes_round_trip(write: Callable[..., Path]) -> None:
     rows = table.to_pylist()
     assert [row["episode_seed"] for row in rows] == [11, 12, 13]
     assert [row["decisions"] for row in rows] == [5, 1, 9]
-    assert {(row["task"], row["method"], row["assistant_variant"], row["variant"], row["value"], row["seed"]) for row in rows} == {
+    assert {(row["task"], row["method"], row["variant"], row["operator"], row["value"], row["seed"]) for row in rows} == {
         ("goal1", "wasp", "full", "noisy", 0.4, 3)
     }
     assert (rows[0]["tau_c"], rows[0]["tau_r"], rows[0]["tau_q"]) == (0.3, 0.41, None)

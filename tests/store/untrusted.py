@@ -95,7 +95,7 @@ class UntrustedStore:
 
     def played(self, action_repeat: int) -> None:
         """The manifest says what is needed to play the cell again."""
-        self.manifest(settings={"action_repeat": action_repeat}, axes={"method": "human", "variant": "noisy", "value": 0.2})
+        self.manifest(settings={"action_repeat": action_repeat}, axes={"method": "human", "operator": "noisy", "value": 0.2})
 
     def steps(self, **numbers: Any) -> None:
         """Rewrite fields of every decision of the cell."""

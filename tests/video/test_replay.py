@@ -303,7 +303,7 @@ def test_models_that_are_not_there_end_with_1(copied: Path, tmp_path: Path, harm
 
 
 @pytest.mark.parametrize(
-    "path", [("task",), ("seed",), ("axes", "variant"), ("axes", "value"), ("settings", "action_repeat"), ("upstream",)]
+    "path", [("task",), ("seed",), ("axes", "operator"), ("axes", "value"), ("settings", "action_repeat"), ("upstream",)]
 )
 def test_a_manifest_with_something_odd_is_no_traceback(copied: Path, tmp_path: Path, path: tuple[str, ...]) -> None:
     file = copied / "store" / "evaluate" / CELL / "_manifest.json"

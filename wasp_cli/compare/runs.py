@@ -158,7 +158,7 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
     rows: dict[tuple[str, str, str], list[ComparedCell]] = {}
     for cell in cells:
         if cell.state in ("same", "same rows", "differs"):
-            rows.setdefault((cell.identity.task, cell.identity.method, cell.identity.assistant_variant), []).append(cell)
+            rows.setdefault((cell.identity.task, cell.identity.method, cell.identity.variant), []).append(cell)
     for (task, method, variant), own in rows.items():
         before, after = ([side.numbers[cell.identity] for cell in own] for side in (first, second))
         estimates = {name: difference_of(after, before, name) for name in MEASURES}

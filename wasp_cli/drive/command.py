@@ -282,7 +282,7 @@ def _left_by(layout: Layout, number: int, tasks: Sequence[str]) -> list[tuple[st
     found: dict[str, tuple[str, str, str]] = {}
     for kind, key, manifest in stored:
         axes = manifest.get("axes", {})
-        if axes.get("variant") == PERSON and axes.get("value") == number and manifest.get("task") in tasks:
+        if axes.get("operator") == PERSON and axes.get("value") == number and manifest.get("task") in tasks:
             found[key] = (kind, key, str(manifest.get("label")))
     before = -1
     while len(found) > before:

@@ -334,7 +334,7 @@ def driven(layout: Layout, participant: int) -> Iterator[tuple[str, dict[str, An
     for key in sorted(filter(is_key, stored_keys(layout, "evaluate"))):
         manifest = read_manifest(layout, "evaluate", key)
         axes = manifest.get("axes", {})
-        if axes.get("variant") == PERSON and axes.get("value") == participant:
+        if axes.get("operator") == PERSON and axes.get("value") == participant:
             yield key, manifest
 
 

@@ -112,7 +112,7 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
             axes = manifest["axes"]
             value = None if axes["value"] is None else float(axes["value"])
             variant = str(axes["method_config"].get("variant", "full"))
-            who = str(manifest["task"]), str(axes["method"]), variant, str(axes["variant"])
+            who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
             found.append(ListedCell(key, None, *who, None, value, int(manifest["seed"]), judged.get(key)))
     return found
 

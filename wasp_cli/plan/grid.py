@@ -181,7 +181,7 @@ class _Builder:
         axes = {
             "method": cell.method,
             "method_config": shared.config,
-            "variant": cell.operator,
+            "operator": cell.operator,
             "value": cell.value,
         }
         axes |= _plugins({cell.method: METHODS[cell.method].target} | _operator_targets([cell.operator]))
@@ -239,7 +239,7 @@ class _Builder:
         return self._node(kind, task, seed, axes, needs, _roots(operators), kind)
 
     def _clone(self, task: str, seed: int, value: float | None) -> Node:
-        axes, roots = {"variant": PERSON, "value": value}, (*_roots(_operator_targets([PERSON])), FITTING)
+        axes, roots = {"operator": PERSON, "value": value}, (*_roots(_operator_targets([PERSON])), FITTING)
         return self._node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), roots, f"{CLONE} {_driver(PERSON, value)}")
 
     def _cloned_person(self, task: str, seed: int, operator: str, value: float | None) -> dict[str, Node]:

@@ -60,7 +60,7 @@ class Plan:
 
     def by_people(self) -> list[Node]:
         """Return those of them that no run can compute: people have to drive."""
-        return [node for node in self.to_run() if node.axes.get("variant") == PERSON]
+        return [node for node in self.to_run() if node.axes.get("operator") == PERSON]
 
     def count(self, state: State, kind: str | None = None) -> int:
         """Return the number of nodes in a state."""

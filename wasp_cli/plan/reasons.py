@@ -50,7 +50,7 @@ def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
     method = axes.get("method_config")
     variant = method.get("variant") if isinstance(method, Mapping) else None
     # By hand: this is asked of every node of a grid.
-    return f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('variant')} {axes.get('value')!r}"
+    return f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('operator')} {axes.get('value')!r}"
 
 
 def who_is(node: Node) -> str:

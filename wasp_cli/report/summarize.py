@@ -89,7 +89,7 @@ def report_run(
     sittings, unread = read_people(wanted, frame)
     damaged += unread
     # Of a task of one's own, and of people, the paper says nothing.
-    judging = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.variant != PERSON for cell in frame.cells)
+    judging = paper is not None and paper.tasks & {*spec.tasks} and any(cell.identity.operator != PERSON for cell in frame.cells)
     verdict = judge(frame, paper, spec) if paper is not None and judging else None
     front = [main_table(frame)] if cells else []
     if front and (late := late_facts(sittings)):

@@ -139,7 +139,7 @@ def _of_people(layout: Layout, there: Mapping[str, list[str]]) -> set[str]:
             axes = read_manifest(layout, KIND, key).get("axes")
         except ArtifactError:
             return False
-        return isinstance(axes, dict) and axes.get("variant") == PERSON
+        return isinstance(axes, dict) and axes.get("operator") == PERSON
 
     return {key for key, kinds in there.items() if "clone" in kinds or (KIND in kinds and driven(key))}
 

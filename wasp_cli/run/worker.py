@@ -164,7 +164,7 @@ def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
     if OPERATOR_CLONE not in job.inputs:
         return None
     folder = layout.artifact(*job.inputs[OPERATOR_CLONE])
-    if job.axes.get("variant") != PERSON:
+    if job.axes.get("operator") != PERSON:
         return PlacedClone(folder)
     commands = read_recorded(cell_file(layout.artifact(*job.inputs["evaluate"])))["a_h"]
     return PlacedClone(folder, {seeds.operator_seed(job.task, PERSON, job.seed, e): said for e, said in enumerate(commands)})

@@ -43,7 +43,7 @@ class CounterfactualStage:
         from wasp_cli.tasks.make import make_task
 
         config = cast(CounterfactualConfig, job.config)
-        variant, value = job.axes["variant"], job.axes["value"]
+        driver, value = job.axes["operator"], job.axes["value"]
         tau_R = least_gain(load_heldout(job.inputs["heldout"]), config.window, config.tau_R_fraction)
         if math.isnan(tau_R):
             raise TrainingError(
@@ -72,12 +72,12 @@ class CounterfactualStage:
             batch = len(episodes)
             task = make_task(job.task, batch, action_repeat=job.settings["action_repeat"], observe=observed(job.task), threads=job.threads)
             context = OperatorContext(skills.at, task.action_size, task.decision_seconds, informed)
-            mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
-            rerun = Rerun(task, model, build_operator(variant, value, context, mistakes, batch), recorded.of(episodes))
+            mistakes = EpisodeNoise([seeds.operator_seed(job.task, driver, job.seed, e) for e in episodes])
+            rerun = Rerun(task, model, build_operator(driver, value, context, mistakes, batch), recorded.of(episodes))
             begun = branches(rerun, [chosen[e] for e in episodes], config.window, during)
             found += [branch._replace(episode=episodes[branch.episode]) for branch in begun]
 
-        identity = CellIdentity(job.task, job.axes["method"], job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
+        identity = CellIdentity(job.task, job.axes["method"], job.axes["method_config"].get("variant", "full"), driver, value, job.seed)
         rows = [
             BranchRow(b.episode, b.t, b.name, b.cost, b.cost_env, b.reward, float(deviation[b.episode][b.t]), int(gate[b.episode][b.t]))
             for b in found

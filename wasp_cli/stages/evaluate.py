@@ -38,7 +38,7 @@ class EvaluateStage:
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(EvaluateConfig, job.config)
-        method, variant, value = job.axes["method"], job.axes["variant"], job.axes["value"]
+        method, driver, value = job.axes["method"], job.axes["operator"], job.axes["value"]
         device = training_device()
         parts = load_parts(job.inputs, job.settings["returns"], device, motors=TASKS[job.task].motors)
         goals = config.success_goals or TASKS[job.task].success_goals
@@ -62,10 +62,10 @@ class EvaluateStage:
                 job.task, len(episodes), action_repeat=job.settings["action_repeat"], observe=observed(job.task), threads=job.threads
             )
             worlds = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
-            mistakes = EpisodeNoise([seeds.operator_seed(job.task, variant, job.seed, e) for e in episodes])
-            own = [seeds.method_seed(job.task, variant, job.seed, e, method) for e in episodes]
+            mistakes = EpisodeNoise([seeds.operator_seed(job.task, driver, job.seed, e) for e in episodes])
+            own = [seeds.method_seed(job.task, driver, job.seed, e, method) for e in episodes]
             context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds, informed)
-            operator = build_operator(variant, value, context, mistakes, len(episodes)).to(device)
+            operator = build_operator(driver, value, context, mistakes, len(episodes)).to(device)
             loop = run_episodes(task, parts.world_model, operator, assistant, worlds, own, progress=during)
             new, new_times = trajectories(loop)
             found += new
@@ -73,7 +73,7 @@ class EvaluateStage:
             for name, counts in getattr(task, "tallies", dict)().items():
                 tallied.setdefault(name, []).extend(counts.tolist())
             rows += [episode_metrics(trajectory, goals, config.safe_cost, motors.force) for trajectory in new]
-        identity = CellIdentity(job.task, method, job.axes["method_config"].get("variant", "full"), variant, value, job.seed)
+        identity = CellIdentity(job.task, method, job.axes["method_config"].get("variant", "full"), driver, value, job.seed)
         path = write_cell(job.out_dir, identity, found, rows, thresholds_of(assistant), times, layouts, earlier)
         numbers = read_episodes([path])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}

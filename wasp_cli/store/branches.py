@@ -23,12 +23,14 @@ from numpy.typing import NDArray
 
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.store.parquet import damaged, opened_table, write_table
-from wasp_cli.store.tables import IDENTITY, CellIdentity
+from wasp_cli.store.tables import IDENTITY, RENAMED, CellIdentity
 
 BRANCHES_FILE = "branches.parquet"
 """Name of the table inside the artifact of a cell's branches."""
-VERSION = 1
+VERSION = 2
 """Grows with every change of SCHEMA; a file of a newer version is refused."""
+RENAMED_IN = 2
+"""The first version with today's names of columns (`tables.RENAMED`)."""
 VERSION_KEY, CELL_KEY = b"wasp.branches", b"wasp.branched_cell"
 
 ROW = (
@@ -163,12 +165,16 @@ def _steps(table: pa.Table, name: str, width: int) -> NDArray[np.float64]:
 def _read(path: Path) -> tuple[pa.Table, BranchedCell]:
     """Return the rows of a file and what they have in common, after its version was checked."""
     with opened_table(path, VERSION_KEY, VERSION, "a table of counterfactual branches") as file:
-        table = file.read(columns=list(SCHEMA.names), use_threads=False)
-        return table, _cell(file.schema_arrow.metadata[CELL_KEY])
+        renamed = RENAMED if int(file.schema_arrow.metadata[VERSION_KEY]) < RENAMED_IN else {}
+        now = {former: name for name, former in renamed.items()}
+        table = file.read(columns=[renamed.get(name, name) for name in SCHEMA.names], use_threads=False)
+        table = table.rename_columns([now.get(name, name) for name in table.column_names])
+        return table, _cell(file.schema_arrow.metadata[CELL_KEY], now)
 
 
-def _cell(text: bytes) -> BranchedCell:
+def _cell(text: bytes, renamed: Mapping[str, str]) -> BranchedCell:
     values = json.loads(text)
+    values["identity"] = {renamed.get(name, name): value for name, value in values["identity"].items()}
     cell = BranchedCell(**{**values, "identity": CellIdentity(**values["identity"])})
     numbers = (cell.window, cell.stride, cell.episodes)
     if not all(type(number) is int and number >= 1 for number in numbers) or not np.isfinite(cell.tau_R):

@@ -16,10 +16,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from wasp_cli.store.bounds import MOST_EPISODES
-from wasp_cli.store.tables import LAST_NESTED, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds, lacking, with_nulls
+from wasp_cli.store.tables import LAST_NESTED, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds, columns_of
 
 ALIKE = {str(version).encode(): version for version in range(LAST_NESTED, VERSION + 1)}
-"""Versions whose episode columns are those of `tables.SCHEMA` but for what they lack."""
+"""Versions whose episode columns are those of `tables.SCHEMA` but for names and what they lack."""
 
 SHARED = tuple(name for kind in (CellIdentity, Thresholds) for name in kind.__dataclass_fields__)
 """Columns with one value in all rows of a cell."""
@@ -47,7 +47,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
             version = ALIKE.get((file.schema_arrow.metadata or {}).get(VERSION_KEY, b""))
             if version is None or file.num_row_groups != 1 or file.metadata.num_rows > MOST_EPISODES:
                 return None
-            table = with_nulls(file.read(columns=every, use_threads=False), every, lacking(version))
+            table = columns_of(file, every, version)
     except (pa.ArrowException, OSError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
         return None
     # pyarrow leaves out, without a word, a column that the footer does not name.

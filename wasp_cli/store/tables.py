@@ -15,7 +15,8 @@ A report opens thousands of cells and reads no step, so that episodes lie in a s
 row: `from read_parquet('store/evaluate/*/_steps.pq') where method = 'wasp'` needs no other file. The steps have a name that readers of
 folders leave alone (an underscore) and that `*.parquet` does not match, since one table of both would be neither: `store/evaluate` is a
 dataset of episodes. Undefined numbers are null. Everything but the TIMING columns is a function of the cell's key. Earlier versions named
-the steps `steps.parquet`; until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows. ADDED is null in their rows.
+the steps `steps.parquet`; until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows. ADDED is null in their rows,
+and RENAMED has their names of columns.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from wasp_cli.errors import StoreError
@@ -41,7 +43,7 @@ EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"
 FORMER_STEPS_FILE, FORMER_FILE = "steps.parquet", "cell.parquet"
 """Names of the steps in earlier results, and of the one table until version 2."""
 
-VERSION = 4
+VERSION = 5
 """Grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused."""
 
 VERSION_KEY, STEPS_KEY = b"wasp.cell", b"wasp.steps"
@@ -82,7 +84,7 @@ PLANNED = {
 """Fields of STEP that come from `Plans`, with their names there."""
 
 IDENTITY = (
-    *_required(pa.string(), "task", "method", "assistant_variant", "variant"),
+    *_required(pa.string(), "task", "method", "variant", "operator"),
     pa.field("value", pa.float64()),
     pa.field("seed", pa.int64(), nullable=False),
     pa.field("episode", pa.int32(), nullable=False),
@@ -103,6 +105,8 @@ METRICS = (
 )
 ADDED, ADDED_IN = ("handovers", "int_eff", "mag_eff", "jump"), 4
 """Columns of METRICS, and the first version that has them."""
+RENAMED, RENAMED_IN = {"operator": "variant", "variant": "assistant_variant"}, 5
+"""Columns of IDENTITY with their names before, and the first version that has today's."""
 THRESHOLDS = tuple(_optional(pa.float64(), "tau_c", "tau_r", "tau_q"))
 TIMES = tuple(_optional(pa.float32(), "decision_p50_ms", "decision_p95_ms"))
 STEP_TIME = pa.field("decision_ms", pa.float32(), nullable=False)
@@ -121,9 +125,9 @@ class CellIdentity:
 
     task: str
     method: str
-    assistant_variant: str
     variant: str
-    """operator variant"""
+    """of the method: `full`, or an ablation"""
+    operator: str
     value: float | None
     """severity value of the operator; None for the unimpaired one"""
     seed: int
@@ -355,8 +359,15 @@ def same_rows(a: Path, b: Path) -> bool:
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:
     """Return some columns of a cell file, after its version was checked."""
     with opened_table(path, VERSION_KEY, VERSION, "the table of a cell") as file:
-        table = file.read(columns=list(columns), use_threads=False)  # a cell is too small for threads
-        return with_nulls(table, columns, lacking(int(file.schema_arrow.metadata[VERSION_KEY])))
+        return columns_of(file, columns, int(file.schema_arrow.metadata[VERSION_KEY]))
+
+
+def columns_of(file: pq.ParquetFile, columns: Sequence[str], version: int) -> pa.Table:
+    """Read columns by today's names from a file of a version of the episodes or steps; what it lacks is undefined."""
+    former = RENAMED if version < RENAMED_IN else {}
+    table = file.read(columns=[former.get(name, name) for name in columns], use_threads=False)  # a cell is too small for threads
+    now = {then: name for name, then in former.items()}
+    return with_nulls(table.rename_columns([now.get(name, name) for name in table.column_names]), columns, lacking(version))
 
 
 def lacking(version: int) -> tuple[str, ...]:
@@ -375,7 +386,7 @@ def with_nulls(table: pa.Table, columns: Sequence[str], absent: Sequence[str]) -
 def _read_steps(path: Path, columns: Sequence[str]) -> pa.Table:
     """Return some columns of the steps that lie beside the episodes at `path`."""
     with opened_table(_steps_file(path), STEPS_KEY, VERSION, "the steps of a cell") as file:
-        table = file.read(columns=list(columns), use_threads=False)
+        table = columns_of(file, columns, int(file.schema_arrow.metadata[STEPS_KEY]))
         for name in table.column_names:
             # How many values a page has is the one number of Parquet without a checksum: where it is wrong, the last lists are cut off.
             lengths = pc.unique(pc.list_value_length(table[name])).drop_null() if pa.types.is_list(table[name].type) else ()

@@ -98,7 +98,7 @@ class BranchPair:
         with threads_of_evaluations():
             world = source.world()
             recording = _RecordingTask(world, episode)
-            rerun = Rerun(recording, load_world_model(source.world_model), source.operator(world), source.recorded)
+            rerun = Rerun(recording, load_world_model(source.world_model), source.operator_in(world), source.recorded)
             chosen = [[t] if e == episode else [] for e in range(world.batch)]
             found = branches(rerun, chosen, window, progress)
         self.world, self.t, self.window = world, t, window

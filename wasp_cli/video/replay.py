@@ -42,7 +42,7 @@ MODELS = ("world_model", "policies")
 EXPERT = "expert"
 """Is read by cells of tasks whose operators know more than assistants perceive."""
 SAID: dict[str, tuple[type, ...]] = {
-    "task": (str,), "action_repeat": (int,), "seed": (int,), "variant": (str,), "value": (int, float, type(None)),
+    "task": (str,), "action_repeat": (int,), "seed": (int,), "operator": (str,), "value": (int, float, type(None)),
 }  # fmt: skip
 """What its manifest has to say, with the types."""
 
@@ -102,8 +102,8 @@ def default_name(stored: Episode, ending: str) -> Path:
     """Name a picture of an episode in the current folder."""
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
-    variant = "" if row["assistant_variant"] == "full" else f"-{row['assistant_variant']}"
-    return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['variant']}{value}_e{row['episode']}") + ending)
+    variant = "" if row["variant"] == "full" else f"-{row['variant']}"
+    return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['operator']}{value}_e{row['episode']}") + ending)
 
 
 def title_of(stored: Episode) -> str:
@@ -129,7 +129,7 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
         "action_repeat": cell.setting("settings", "action_repeat"),
         "seed": cell.setting("seed"),
     }
-    known |= {name: axes.get(name) for name in ("variant", "value")} if isinstance(axes, dict) else {}
+    known |= {name: axes.get(name) for name in ("operator", "value")} if isinstance(axes, dict) else {}
     said = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
     if not said or not all(kind in upstream for kind in MODELS):
         raise UsageError(

@@ -42,10 +42,9 @@ class Source:
     task: str
     action_repeat: int
     seed: int
-    variant: str
-    """of the operator"""
+    operator: str
     value: float | None
-    """its severity"""
+    """severity of the operator"""
     recorded: Recorded
     world_model: Path
     policies: Path
@@ -67,16 +66,16 @@ class Source:
         shown = observed(self.task)
         return make_task(self.task, len(self.recorded.a), action_repeat=self.action_repeat, observe=shown, threads=self.threads)
 
-    def operator(self, world: VectorTask) -> Operator:
+    def operator_in(self, world: VectorTask) -> Operator:
         """Build the operator of the cell, fresh."""
         batch = len(self.recorded.a)
-        if self.variant == PERSON:
+        if self.operator == PERSON:
             return SaidAgain(self.recorded, world.action_size)
-        mistakes = [seeds.operator_seed(self.task, self.variant, self.seed, self.first + row) for row in range(batch)]
+        mistakes = [seeds.operator_seed(self.task, self.operator, self.seed, self.first + row) for row in range(batch)]
         informed = None if self.expert is None else informed_policies(self.task, {"expert": self.expert})
         context = OperatorContext(load_skills(self.policies).at, world.action_size, world.decision_seconds, informed)
         with placed(None if self.clone is None else PlacedClone(self.clone)):
-            operator = build_operator(self.variant, self.value, context, EpisodeNoise(mistakes), batch)
+            operator = build_operator(self.operator, self.value, context, EpisodeNoise(mistakes), batch)
         return AsRecorded(operator, self.recorded) if self.rounded else operator
 
 
@@ -199,7 +198,7 @@ def _play_episode(
 ) -> PlayedEpisode:
     world, model = source.world(), load_world_model(source.world_model)
     appearance = world.appearance() if isinstance(world, HasScene) else None
-    rerun = Rerun(world, model, source.operator(world), source.recorded)
+    rerun = Rerun(world, model, source.operator_in(world), source.recorded)
     everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
     follower = rerun.operator
     if source.expert_goes_on:

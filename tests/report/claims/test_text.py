@@ -29,7 +29,7 @@ def test_each_number_beside_ours(verdict: VerdictReport, frame: Frame) -> None:
     ]
     keys = [column.key for column in table.columns]
     assert keys == [f"{name}{end}" for name in ("return", "success", "cost", "viol", "int_rate", "mag") for end in ("_paper", "")]
-    own = [one for one in frame.cells if (one.identity.method, one.identity.assistant_variant) == ("wasp", "full")]
+    own = [one for one in frame.cells if (one.identity.method, one.identity.variant) == ("wasp", "full")]
     shown = dict(zip(keys, table.rows[-1].values, strict=True))
     estimate = mean_of(own, "success")
     assert estimate is not None

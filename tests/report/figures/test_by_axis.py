@@ -29,6 +29,6 @@ def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_p
 
 
 def test_one_condition_is_no_curve(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
-    one = [cell for cell in grid(seeds=(0,)) if cell.identity.variant == "noisy" and cell.identity.value == 0.2]
+    one = [cell for cell in grid(seeds=(0,)) if cell.identity.operator == "noisy" and cell.identity.value == 0.2]
     assert severity_figure(read_frame(one), tmp_path) == []
     assert severity_figure(Frame(()), tmp_path) == latency_figure(Frame(()), tmp_path) == []

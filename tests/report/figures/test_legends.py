@@ -37,16 +37,16 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     for module in (by_axis, methods):
         monkeypatch.setattr(module, "figure_files", kept)
         monkeypatch.setattr(module, "is_row", lambda group: True, raising=False)
-    monkeypatch.setattr(methods, "assistant_title", lambda group: who_title(group.method, group.assistant_variant))
+    monkeypatch.setattr(methods, "assistant_title", lambda group: who_title(group.method, group.variant))
     return found
 
 
 def of(frame: Frame, tasks: int, rows: int) -> Frame:
     """The numbers of one cell for each operator, under so many tasks and methods."""
-    cells = [cell for cell in frame.cells if (cell.identity.method, cell.identity.assistant_variant) == ROWS[1] and cell.identity.seed == 0]
+    cells = [cell for cell in frame.cells if (cell.identity.method, cell.identity.variant) == ROWS[1] and cell.identity.seed == 0]
     return Frame(
         tuple(
-            replace(cell, identity=replace(cell.identity, task=task, method=method, assistant_variant=variant))
+            replace(cell, identity=replace(cell.identity, task=task, method=method, variant=variant))
             for task in TASKS[:tasks]
             for method, variant in ROWS[:rows]
             for cell in cells

@@ -33,7 +33,7 @@ def value(table: Table, key: str, *labels: str) -> Value:
 
 def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) -> None:
     table, main = found(comparison_table(frame)), main_table(frame)
-    by_method = {group.method: group.cells for group in groups(frame) if group.assistant_variant == "full"}
+    by_method = {group.method: group.cells for group in groups(frame) if group.variant == "full"}
     wasp, human = by_method["wasp"], by_method["human"]
     for measure in MEASURES:
         labels = ("Goal1", measure.heading, "WASP")
@@ -115,8 +115,8 @@ def test_severities_are_columns(frame: Frame) -> None:
     assert [column.title for column in table.columns] == [
         f"{name} {level}" for name in ("Int.", "Cost", "Return") for level in ("mild", "severe")
     ]
-    cells = [cell for cell in frame.cells if (cell.identity.method, cell.identity.variant, cell.severity) == ("ida", "laggy", "severe")]
-    cells = [cell for cell in cells if cell.identity.assistant_variant == "full"]
+    cells = [cell for cell in frame.cells if (cell.identity.method, cell.identity.operator, cell.severity) == ("ida", "laggy", "severe")]
+    cells = [cell for cell in cells if cell.identity.variant == "full"]
     assert len(cells) == 3
     assert value(table, "cost.severe", "Goal1", "Laggy", "IDA").mean == pytest.approx(np.mean([cell.pooled["cost"] for cell in cells]))
     assert not any("Expert" in row.labels for row in table.rows)
@@ -128,7 +128,7 @@ def test_one_severity_is_no_table(grid: Grid) -> None:
 
 
 def test_latency_is_over_episodes(frame: Frame) -> None:
-    wasp = [cell for cell in frame.cells if cell.identity.method == "wasp" and cell.identity.assistant_variant == "full"]
+    wasp = [cell for cell in frame.cells if cell.identity.method == "wasp" and cell.identity.variant == "full"]
     times = np.arange(4.0)
     timed = [replace(cell, episodes={**cell.episodes, "decision_p95_ms": times + 10 * i}) for i, cell in enumerate(wasp)]
     table = found(latency_table(Frame(tuple(timed))))

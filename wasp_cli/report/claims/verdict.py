@@ -177,7 +177,7 @@ class _Rows:
     def __init__(self, frame: Frame) -> None:
         found = groups(frame)
         self.tasks = tuple(dict.fromkeys(group.task for group in found))
-        self._groups = {(group.task, Who(group.method, group.assistant_variant)): group for group in found}
+        self._groups = {(group.task, Who(group.method, group.variant)): group for group in found}
         self._means: dict[tuple[str, Who, str], Estimate | None] = {}
         self._contrasts: dict[Comparison, Contrast | None] = {}
 

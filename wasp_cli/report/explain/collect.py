@@ -156,7 +156,7 @@ def _safety(episode: Episode, t: int) -> Gate:
     state: State = "silent"
     if episode.gate[t] == GATE_SAFETY:
         state = "fired"
-    elif episode.row["assistant_variant"] == "task-only":
+    elif episode.row["variant"] == "task-only":
         state = "off"
     elif episode.gate[t] == GATE_LATE:
         state = "late"
@@ -170,7 +170,7 @@ def _task(episode: Episode, t: int) -> Gate:
     state: State = "silent"
     if episode.gate[t] == GATE_TASK:
         state = "fired"
-    elif episode.row["assistant_variant"] == "safety-only" or (episode.constants.takeover and episode.thresholds.tau_r is None):
+    elif episode.row["variant"] == "safety-only" or (episode.constants.takeover and episode.thresholds.tau_r is None):
         state = "off"
     elif episode.gate[t] == GATE_LATE:
         state = "late"
@@ -212,16 +212,16 @@ def _happened(episode: Episode, t: int, window: int) -> Happened:
 def identity(episode: Episode) -> Who:
     """Return which episode it is."""
     row, cell = episode.row, episode.cell
-    variant = "" if row["assistant_variant"] == "full" else f"/{row['assistant_variant']}"
-    operator = "unimpaired" if row["value"] is None else f"{row['variant']}={row['value']:g}"
+    variant = "" if row["variant"] == "full" else f"/{row['variant']}"
+    operator = "unimpaired" if row["value"] is None else f"{row['operator']}={row['value']:g}"
     return Who(
         key=cell.key,
         label=cell.label or f"{row['task']} s{row['seed']} {row['method']}{variant} {operator}",
         path=str(cell.path),
         task=row["task"],
         method=row["method"],
-        assistant_variant=row["assistant_variant"],
-        operator=row["variant"],
+        variant=row["variant"],
+        operator=row["operator"],
         value=row["value"],
         seed=row["seed"],
         episode=row["episode"],

@@ -143,14 +143,14 @@ def _case(facts: DecisionFacts, case2: bool) -> str:
     needed = "N_f" if facts.constants.feasible is None else f"N_f = {facts.constants.feasible}"
     if not case2:
         return f"Case I: at least {needed} candidates are safe (Eq. 14); the search maximizes predicted return (Eq. 16)"
-    if facts.who.assistant_variant == "no-case2":
+    if facts.who.variant == "no-case2":
         return f"Case II: fewer than {needed} are safe; this variant has no recovery and goes on with these"
     return f"Case II: fewer than {needed} are safe (Eq. 14); the search minimizes predicted cost (Eq. 17)"
 
 
 def _no_correction(facts: DecisionFacts, plan: Planned) -> str:
     limit = None if facts.safety is None else facts.safety.threshold
-    if facts.who.assistant_variant == "no-case2" and not any(plan.safe):
+    if facts.who.variant == "no-case2" and not any(plan.safe):
         return "no candidate was safe, and this variant has no recovery (Case II)"
     if facts.gate == "safety" and plan.alone_cost is not None and not exceeds(plan.alone_cost, limit):
         return "on a second look the command alone was predicted safe, and no correction was worth more"

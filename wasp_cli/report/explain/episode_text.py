@@ -117,8 +117,8 @@ def _gates(summary: EpisodeSummary, width: int) -> list[Text]:
     above = "-" if summary.gated or summary.signal_limit is None else f"{signal.name} > {short(summary.signal_limit)}"
     gates = [(GATE_METHOD, decider(who.method), above), (GATE_NONE, "none", "-")]
     if summary.gated:
-        safety = off if who.assistant_variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
-        task = off if who.assistant_variant == "safety-only" else f"ΔG > τ_r {short(thresholds.tau_r)}"
+        safety = off if who.variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
+        task = off if who.variant == "safety-only" else f"ΔG > τ_r {short(thresholds.tau_r)}"
         gates[:1] = [(GATE_SAFETY, "safety", safety), (GATE_TASK, "task", task), *(gates[:1] if (series == GATE_METHOD).any() else [])]
     if (series == GATE_LATE).any():
         gates.append((GATE_LATE, "late", "no answer in time"))

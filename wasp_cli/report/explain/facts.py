@@ -33,7 +33,7 @@ class Who:
     path: str
     task: str
     method: str
-    assistant_variant: str
+    variant: str
     operator: str
     value: float | None
     seed: int

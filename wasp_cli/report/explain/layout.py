@@ -85,7 +85,7 @@ def cell_fields(who: Who, unknown: Sequence[str]) -> list[tuple[str, str]]:
     task = TASKS[who.task].title if who.task in TASKS else who.task
     rule = METHODS[who.method].rule if who.method in METHODS else ""
     entries = [
-        ("cell", f"{task}, {who_title(who.method, who.assistant_variant)}, seed {who.seed}, world {who.episode_seed}"),
+        ("cell", f"{task}, {who_title(who.method, who.variant)}, seed {who.seed}, world {who.episode_seed}"),
         ("operator", _operator(who)),
         ("method", rule or f"not described: see the documentation of '{who.method}'"),
         ("key", who.key or f"none; read from {who.path}"),

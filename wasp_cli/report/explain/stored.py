@@ -238,7 +238,7 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     counts = {name: of(name, int) for name in ("horizon", "residual_steps", "candidates", "probe", "feasible")}
     takeover, printed = of("search_rollouts", int) is not None, row["method"] == "printed"
     bootstrap = False if takeover else True if printed else of("bootstrap_cost", bool)
-    if row["assistant_variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
+    if row["variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
         counts["horizon"] = counts["residual_steps"] = 1
         bootstrap = True
     if of("probe_with", str) not in (None, "random"):  # of an earlier version, which judged others too

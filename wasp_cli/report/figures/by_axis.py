@@ -149,7 +149,7 @@ def draw_curve(panel: Axes, curve: Curve, column: Column, look: dict[str, Any]) 
 
 def _conditions(frame: Frame) -> list[Condition]:
     """Every operator with each of its severities, as the spec lists them."""
-    found = dict.fromkeys((cell.identity.variant, cell.identity.value) for cell in frame.cells if cell.identity.variant != UNIMPAIRED)
+    found = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.operator != UNIMPAIRED)
     variants = list(dict.fromkeys(variant for variant, _ in found))
     return sorted(found, key=lambda condition: variants.index(condition[0]))
 
@@ -163,11 +163,11 @@ def _over_conditions(group: Group, conditions: Sequence[Condition], shift: float
         places.append((places[-1][0], None))
 
     def numbers(column: Column) -> list[Value]:
-        under = [[cell for cell in group.cells if (cell.identity.variant, cell.identity.value) == condition] for _, condition in places]
+        under = [[cell for cell in group.cells if (cell.identity.operator, cell.identity.value) == condition] for _, condition in places]
         return [summarise(cells, column.key) for cells in under]
 
-    title = who_title(group.method, group.assistant_variant)
-    return Curve(title, *style_of(group.method, group.assistant_variant), [x for x, _ in places], numbers)
+    title = who_title(group.method, group.variant)
+    return Curve(title, *style_of(group.method, group.variant), [x for x, _ in places], numbers)
 
 
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:
@@ -220,7 +220,7 @@ def _over_values(
 
 
 def _assistant(line: Line) -> tuple[str, str]:
-    return line.group.method, line.group.assistant_variant
+    return line.group.method, line.group.variant
 
 
 def _numbers(found: Sequence[Line | None]) -> Numbers:

@@ -117,15 +117,15 @@ def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: 
 def _of_task(
     layout: Layout, task: str, cells: Sequence[CellNumbers], keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]
 ) -> TaskFilms | None:
-    full = [cell for cell in cells if cell.identity.task == task and cell.identity.assistant_variant == "full"]
-    impaired = [cell for cell in full if METHODS[cell.identity.method].impaired and cell.identity.variant != UNIMPAIRED]
+    full = [cell for cell in cells if cell.identity.task == task and cell.identity.variant == "full"]
+    impaired = [cell for cell in full if METHODS[cell.identity.method].impaired and cell.identity.operator != UNIMPAIRED]
     if not impaired:
         return None
-    variant = impaired[0].identity.variant
-    first = next((cell for cell in impaired if cell.identity.variant == variant and cell.severity == MODERATE), impaired[0])
+    variant = impaired[0].identity.operator
+    first = next((cell for cell in impaired if cell.identity.operator == variant and cell.severity == MODERATE), impaired[0])
     condition = (variant, first.identity.value, first.identity.seed)
-    chosen = [cell for cell in impaired if (cell.identity.variant, cell.identity.value, cell.identity.seed) == condition]
-    chosen += [cell for cell in full if cell.identity.variant == UNIMPAIRED and cell.identity.seed == first.identity.seed]
+    chosen = [cell for cell in impaired if (cell.identity.operator, cell.identity.value, cell.identity.seed) == condition]
+    chosen += [cell for cell in full if cell.identity.operator == UNIMPAIRED and cell.identity.seed == first.identity.seed]
     alone = next((cell for cell in chosen if cell.identity.method == "human"), None)
     number = _median_episode((alone or first).episodes)
     how = "the one whose cost is the median under Human-only" if alone is not None else "the one of median cost"

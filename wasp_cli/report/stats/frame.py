@@ -155,7 +155,7 @@ class Group:
 
     task: str
     method: str
-    assistant_variant: str
+    variant: str
     cells: tuple[CellNumbers, ...]
     absent: int
     """Cells that are missing."""
@@ -167,7 +167,7 @@ class Group:
 
     def of_variant(self, variant: str) -> list[CellNumbers]:
         """Return the cells of one operator variant."""
-        return [cell for cell in self.cells if cell.identity.variant == variant]
+        return [cell for cell in self.cells if cell.identity.operator == variant]
 
 
 def groups(frame: Frame) -> list[Group]:
@@ -184,7 +184,7 @@ def groups(frame: Frame) -> list[Group]:
 
 def row_of(identity: CellIdentity) -> tuple[str, str, str]:
     """Return what the cells of a row have in common: task, method, ablation."""
-    return identity.task, identity.method, identity.assistant_variant
+    return identity.task, identity.method, identity.variant
 
 
 def read_frame(wanted: Iterable[Wanted], kept: Path | None = None) -> Frame:

@@ -58,7 +58,7 @@ def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], 
     Returns:
         one for each cell, in the order of the frame, and what of it cannot be read.
     """
-    folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.variant == PERSON}
+    folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON}
     found, damaged = [], []
     for cell in frame.cells:
         if cell.identity in folders:
@@ -138,4 +138,4 @@ def deviations(sittings: Sequence[Sitting], key: str) -> list[tuple[Sitting, flo
 def condition_of(sitting: Sitting) -> tuple[str, str, str]:
     """Return task, method and ablation."""
     identity = sitting.cell.identity
-    return identity.task, identity.method, identity.assistant_variant
+    return identity.task, identity.method, identity.variant

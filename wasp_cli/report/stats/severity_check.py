@@ -1,6 +1,6 @@
 """Check of the severities of the simulated operators, from Human-only beside the Expert.
 
-The rule, for one task and one operator variant, on the return of Human-only:
+The rule, for one task and one operator, on the return of Human-only:
 
     it falls from every severity to the next, in the order in which the spec writes them;
     the severity named `moderate` loses at least a quarter of the Expert's return.
@@ -85,10 +85,10 @@ class Difference:
 
 @dataclass(frozen=True, eq=False)
 class SeverityCheck:
-    """One operator variant on one task, from mild to severe, beside the Expert."""
+    """One operator on one task, from mild to severe, beside the Expert."""
 
     task: str
-    variant: str
+    operator: str
     expert: SeverityLevel
     levels: tuple[SeverityLevel, ...]
     """One for each severity, in the order of the spec."""
@@ -171,7 +171,7 @@ def _steps(check: SeverityCheck) -> Iterator[_Finding]:
     for milder, level in pairwise(check.levels):
         change = difference(level.returns, milder.returns)
         if change is None:  # the cells of a plan have the same episodes
-            raise ValueError(f"{check.task} {check.variant}: no episode is in both {milder.title} and {level.title}")
+            raise ValueError(f"{check.task} {check.operator}: no episode is in both {milder.title} and {level.title}")
         if change.mean < 0:
             continue
         falls = False
@@ -194,7 +194,7 @@ def _loss(check: SeverityCheck) -> _Finding:
         return _Finding("accepted", f"how much it loses is not judged: {without_moderate(check)}")
     share, above = check.share(level), difference(level.returns, check.expert.returns, KEPT)
     if above is None:
-        raise ValueError(f"{check.task} {check.variant}: no episode is in both {level.title} and the expert")
+        raise ValueError(f"{check.task} {check.operator}: no episode is in both {level.title} and the expert")
     if share is None:
         text = f"the expert's return is {number(check.expert.mean)}, so that no share of it is defined"
         return _Finding("undecided", text, "train the expert longer")
@@ -214,12 +214,12 @@ def without_moderate(check: SeverityCheck) -> str:
 
 def verdict_lines(checks: Sequence[SeverityCheck]) -> list[str]:
     """Return `goal1 laggy: accepted: falls at every step; moderate keeps 66 % of the expert's return`, for each check."""
-    return [f"{check.task} {check.variant}: {judge(check)}" for check in checks]
+    return [f"{check.task} {check.operator}: {judge(check)}" for check in checks]
 
 
 def require_accepted(checks: Sequence[SeverityCheck]) -> None:
     """Raise NotAccepted when an operator does not keep the rule; what is undecided is no failure."""
-    names = [f"{check.task} {check.variant}" for check in checks if judge(check).outcome == "not accepted"]
+    names = [f"{check.task} {check.operator}" for check in checks if judge(check).outcome == "not accepted"]
     if names:
         text = f"{len(names)} of {len(checks)} operators {'are' if len(names) > 1 else 'is'} not accepted: {', '.join(names)}"
         raise NotAccepted(text, "change its severities in the spec, and say so there")
@@ -231,7 +231,7 @@ def number(value: float) -> str:
 
 
 def read_checks(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[SeverityCheck], Frame]:
-    """Return the checks of a spec, by task and then by operator variant, and the frame that they are made from.
+    """Return the checks of a spec, by task and then by operator, and the frame that they are made from.
 
     Args:
         spec: for tasks, operators and seeds, in its own order.
@@ -242,7 +242,7 @@ def read_checks(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[SeverityChec
 
 
 def checks_of(spec: Spec, frame: Frame) -> list[SeverityCheck]:
-    """Return the checks in a frame, by task and then by operator variant, in the order of the spec."""
+    """Return the checks in a frame, by task and then by operator, in the order of the spec."""
     numbers = {cell.identity: cell for cell in frame.cells}
 
     def level(task: str, method: str, variant: str, severity: str | None, value: float | None) -> SeverityLevel:

@@ -148,4 +148,4 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
 
 def condition(identity: CellIdentity) -> tuple[str, str, float | None, int]:
     """Return what two cells have in common that can be compared in pairs: task, operator, severity and seed."""
-    return identity.task, identity.variant, identity.value, identity.seed
+    return identity.task, identity.operator, identity.value, identity.seed

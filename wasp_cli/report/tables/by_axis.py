@@ -43,7 +43,7 @@ Condition = tuple[str, float | None]
 def operator_table(frame: Frame) -> Table:
     """Tabulate return and cost per operator variant, over its severities."""
     wanted = [group for group in full_groups(frame) if METHODS[group.method].impaired]
-    variants = dict.fromkeys(cell.identity.variant for group in wanted for cell in group.cells if cell.identity.variant != UNIMPAIRED)
+    variants = dict.fromkeys(cell.identity.operator for group in wanted for cell in group.cells if cell.identity.operator != UNIMPAIRED)
     columns = [(variant, column) for variant in variants for column in PAPER_COLUMNS if column.key in ("return", "cost")]
     rows = []
     for group in wanted:
@@ -61,11 +61,11 @@ def operator_table(frame: Frame) -> Table:
 def severity_table(frame: Frame) -> Table | None:
     """Tabulate per task, operator and method intervention rate, cost and return at every severity; None where no operator has two."""
     wanted = [group for group in full_groups(frame) if METHODS[group.method].impaired]
-    cells = [cell for group in wanted for cell in group.cells if cell.identity.variant != UNIMPAIRED]
+    cells = [cell for group in wanted for cell in group.cells if cell.identity.operator != UNIMPAIRED]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
     of_variant: dict[str, set[str]] = {}
     for cell in cells:
-        of_variant.setdefault(cell.identity.variant, set()).add(level(cell))
+        of_variant.setdefault(cell.identity.operator, set()).add(level(cell))
     if all(len(found) < 2 for found in of_variant.values()):
         return None
     rows = []
@@ -129,7 +129,7 @@ class Line:
     def as_json(self, columns: Sequence[Column]) -> dict[str, Any]:
         """Return plain values, unscaled; None is undefined."""
         facts: dict[str, Any] = {
-            "task": self.group.task, "method": self.group.method, "variant": self.group.assistant_variant,
+            "task": self.group.task, "method": self.group.method, "variant": self.group.variant,
             "touched": self.swept is not None, "value": None if self.swept is None else self.swept.value,
             "cells": len(self.group.cells), "missing": self.group.absent,
         }  # fmt: skip
@@ -217,21 +217,21 @@ def condition_title(condition: Condition) -> str:
 
 
 def _title(group: Group) -> str:
-    return assistant_title(group, ablation=group.assistant_variant != "full")
+    return assistant_title(group, ablation=group.variant != "full")
 
 
 def _assistant(group: Group) -> tuple[str, str, str]:
-    return group.task, group.method, group.assistant_variant
+    return group.task, group.method, group.variant
 
 
 def _condition(identity: CellIdentity) -> Condition:
-    return identity.variant, identity.value
+    return identity.operator, identity.value
 
 
 def _touched(swept: Sequence[Swept], assistant: tuple[str, str, str]) -> bool:
     """Whether any cell of an assistant differs between two values."""
     seen = {
-        frozenset(key for identity, key in each.keys.items() if (identity.task, identity.method, identity.assistant_variant) == assistant)
+        frozenset(key for identity, key in each.keys.items() if (identity.task, identity.method, identity.variant) == assistant)
         for each in swept
     }
     return len(seen) > 1
@@ -241,6 +241,6 @@ def _under(line: Line, swept: Sequence[Swept], condition: Condition) -> Line:
     """A line with the cells of one operator variant and severity."""
     frame = (line.swept or swept[0]).frame
     absent = [gap.identity for gap in frame.missing if _condition(gap.identity) == condition]
-    own = sum((gap.task, gap.method, gap.assistant_variant) == _assistant(line.group) for gap in absent)
+    own = sum((gap.task, gap.method, gap.variant) == _assistant(line.group) for gap in absent)
     cells = tuple(cell for cell in line.group.cells if _condition(cell.identity) == condition)
     return replace(line, group=replace(line.group, cells=cells, absent=own), condition=condition)

@@ -113,16 +113,16 @@ def labels_of(group: Group) -> tuple[str, str]:
 def ablation_table(frame: Frame) -> Table | None:
     """Make Table 2: per task and variant the values and, in brackets, the paired difference to the full method; None without ablations."""
     every = groups(frame)
-    ablated = {group.method for group in every if group.assistant_variant != "full"}
+    ablated = {group.method for group in every if group.variant != "full"}
     ablations = sorted((group for group in every if group.method in ablated), key=_order(every))
     if not ablations:
         return None
-    full = {(group.task, group.method): group.cells for group in ablations if group.assistant_variant == "full"}
+    full = {(group.task, group.method): group.cells for group in ablations if group.variant == "full"}
     rows, notes = [], []
     for group in ablations:
         numbers = values(group, PAPER_COLUMNS)
         reference = full.get((group.task, group.method), ())
-        if group.assistant_variant != "full":
+        if group.variant != "full":
             pairs = zip(numbers, PAPER_COLUMNS, strict=True)
             numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
             same, total = same_episodes(group.cells, reference)
@@ -142,8 +142,8 @@ def _order(every: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:
 
     def key(group: Group) -> tuple[int, str, int, str]:
         known = list(METHODS[group.method].variants)
-        place = known.index(group.assistant_variant) if group.assistant_variant in known else len(known)
-        return tasks.index(group.task), group.method, place, group.assistant_variant
+        place = known.index(group.variant) if group.variant in known else len(known)
+        return tasks.index(group.task), group.method, place, group.variant
 
     return key
 
@@ -229,7 +229,7 @@ def threshold_table(frame: Frame) -> Table:
     for group in groups(frame):
         numbers = tuple(_threshold(group.cells, column.key) for column in THRESHOLD_COLUMNS)
         if any(value.mean is not None for value in numbers):
-            rows.append(Row((task_title(group.task), assistant_title(group, ablation=group.assistant_variant != "full")), numbers))
+            rows.append(Row((task_title(group.task), assistant_title(group, ablation=group.variant != "full")), numbers))
     meanings = (
         "tau_c: expected costly decision steps, within the horizon (WASP, MPMI) or from here on (safety filter); tau_r: return; "
         "tau_Q: IDA's advantage. The other methods have no threshold; what each was calibrated on stands under What was trained.",

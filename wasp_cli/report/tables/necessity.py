@@ -65,13 +65,13 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
     gaps = Counter(row_of(gap.identity) for gap in frame.unbranched)
     for group in groups(frame):
         cells = tuple(cell for cell in group.cells if cell.identity in frame.judged)
-        if cells or gaps[group.task, group.method, group.assistant_variant]:
+        if cells or gaps[group.task, group.method, group.variant]:
             yield replace(group, cells=cells, absent=group.absent + len(group.cells) - len(cells))
 
 
 def row_title(group: Group) -> str:
     """Return the method of a row, with its ablation where it is one."""
-    return assistant_title(group, ablation=group.assistant_variant != "full")
+    return assistant_title(group, ablation=group.variant != "full")
 
 
 def estimated(group: Group, column: Column) -> Value:
@@ -95,7 +95,7 @@ def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
     if frame.judged:
         yield f"{_thresholds(frame)}."
         yield from limit_notes(rows)
-        if any(identity.variant == PERSON for identity in frame.judged):
+        if any(identity.operator == PERSON for identity in frame.judged):
             yield "Of people's sessions: from a branch on the participant's clone drives, since nobody can be asked again."
         few = [METHODS[name].title for name, count in _branched(frame).items() if count < FEW]
         if few:

@@ -46,7 +46,7 @@ def check_table(checks: Sequence[SeverityCheck], frame: Frame) -> Table:
         rows.append(Row(labels, _values(of_task[0], expert, None)))
         for check in of_task:
             for level, change in zip(check.levels, check.changes(), strict=True):
-                labels = task_title(task), operator_title(check.variant), f"{level.title} {_partial(level)}".strip()
+                labels = task_title(task), operator_title(check.operator), f"{level.title} {_partial(level)}".strip()
                 rows.append(Row(labels, _values(check, level, change)))
     notes = (spread_note(frame.cells), *missing_notes(frame), CHANGE_NOTE, *_left_out(checks))
     return Table("severity_check", "Operators alone", ("Task", "Operator", "Severity"), COLUMNS, tuple(rows), notes, ranked=False)
@@ -82,7 +82,7 @@ def _operator(check: SeverityCheck) -> dict[str, Any]:
     changes = zip(check.levels, check.changes(), strict=True)
     above = None if moderate is None else difference(moderate.returns, check.expert.returns, KEPT)
     return {
-        "operator": check.variant,
+        "operator": check.operator,
         "outcome": verdict.outcome,
         "reason": verdict.reason,
         "moderate": None if moderate is None else moderate.severity,
@@ -120,9 +120,9 @@ def _partial(level: SeverityLevel) -> str:
 
 def _left_out(checks: Sequence[SeverityCheck]) -> Iterator[str]:
     """Where a part of the rule is not applied."""
-    for check in {check.variant: check for check in checks}.values():
+    for check in {check.operator: check for check in checks}.values():
         if check.moderate is None:
-            yield f"{operator_title(check.variant)}: how much it loses is not judged, since {without_moderate(check)}."
+            yield f"{operator_title(check.operator)}: how much it loses is not judged, since {without_moderate(check)}."
     for check in {check.task: check for check in checks}.values():
         if check.expert.mean <= 0:
             yield f"{task_title(check.task)}: the expert's return is not positive, so that no share of it is defined."

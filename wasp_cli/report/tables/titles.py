@@ -21,9 +21,9 @@ def operator_title(variant: str) -> str:
 def assistant_title(group: Group, ablation: bool = False) -> str:
     """Return the label of a row; an incomplete one says of how many cells it is the mean."""
     info = METHODS[group.method]
-    title = info.rows.get(group.assistant_variant, info.title)
-    if ablation and group.assistant_variant not in info.rows:
-        title += f", {variant_title(group.method, group.assistant_variant)}"
+    title = info.rows.get(group.variant, info.title)
+    if ablation and group.variant not in info.rows:
+        title += f", {variant_title(group.method, group.variant)}"
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
     return title
@@ -42,7 +42,7 @@ def who_title(method: str, variant: str) -> str:
 
 def is_row(group: Group) -> bool:
     """Return whether a row stands in every table: a method as a whole, or a variant that is no ablation."""
-    return group.assistant_variant == "full" or group.assistant_variant in METHODS[group.method].rows
+    return group.variant == "full" or group.variant in METHODS[group.method].rows
 
 
 def variant_title(method: str, variant: str) -> str:
