@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from wasp_cli.store.tables import FORMER_FILE, SCHEMA, STEP, STEPS_FILE, VERSION_KEY, lacking
+from wasp_cli.store.tables import FORMER_FILE, RENAMED, SCHEMA, STEP, STEPS_FILE, STEPS_KEY, VERSION_KEY, lacking
 
 
 def write_former(path: Path, folder: Path, version: int = 2) -> Path:
@@ -29,9 +29,19 @@ def write_former(path: Path, folder: Path, version: int = 2) -> Path:
     times = pa.ListArray.from_arrays(ends, steps["decision_ms"].combine_chunks())
     table = (
         table.select([name for name in SCHEMA.names if name not in lacking(version)])
+        .rename_columns(RENAMED)
         .append_column("decision_ms", times)
         .append_column("steps", nested)
     )
     folder.mkdir(parents=True, exist_ok=True)
     pq.write_table(table.replace_schema_metadata({VERSION_KEY: str(version).encode()}), folder / FORMER_FILE, write_page_checksum=True)
     return folder / FORMER_FILE
+
+
+def with_former_names(path: Path, folder: Path) -> Path:
+    """Write the cell at `path` to `folder` as version 4 called its columns; returns its file."""
+    folder.mkdir()
+    for name, key in ((path.name, VERSION_KEY), (STEPS_FILE, STEPS_KEY)):
+        table = pq.read_table(path.with_name(name)).rename_columns(RENAMED).replace_schema_metadata({key: b"4"})
+        pq.write_table(table, folder / name, write_page_checksum=True)
+    return folder / path.name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,8 @@ import pytest
 
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.store.branches import SCHEMA, VERSION_KEY, BranchedCell, BranchRow, read_branches, write_branches
-from wasp_cli.store.tables import CellIdentity
+from wasp_cli.store.branches import CELL_KEY, SCHEMA, VERSION_KEY, BranchedCell, BranchRow, read_branches, write_branches
+from wasp_cli.store.tables import RENAMED, CellIdentity
 
 CELL = BranchedCell(CellIdentity("goal1", "wasp", "full", "noisy", 0.4, 3), window=4, stride=2, tau_R=0.25, episodes=7)
 
@@ -82,7 +83,7 @@ def marked(**marks: str) -> Callable[[pa.Table], pa.Table]:
     ("change", "what"),
     [
         (lambda table: table.replace_schema_metadata({}), "not a table of counterfactual branches"),
-        (marked(branches="2"), "table version 2, this wasp reads up to 1"),
+        (marked(branches="3"), "table version 3, this wasp reads up to 2"),
         (marked(branches="new"), "is damaged"),
         (marked(branched_cell="{}"), "is damaged"),
         (marked(branched_cell="[]"), "is damaged"),
@@ -134,6 +135,19 @@ def test_a_flipped_byte_among_the_rows_is_noticed_or_changes_nothing(tmp_path: P
         else:
             assert pq.read_table(path).equals(expected)
     assert noticed > 5
+
+
+def test_former_names_of_columns_are_read(tmp_path: Path) -> None:
+    path, former = tmp_path / "b.parquet", tmp_path / "former.parquet"
+    write_branches(path, CELL, ROWS)
+    table = pq.read_table(path)
+    told = json.loads(table.schema.metadata[CELL_KEY])
+    told["identity"] = {RENAMED.get(name, name): value for name, value in told["identity"].items()}
+    marks = {VERSION_KEY: b"1", CELL_KEY: json.dumps(told).encode()}
+    pq.write_table(table.rename_columns(RENAMED).replace_schema_metadata(marks), former, write_page_checksum=True)
+    found, now = read_branches(former), read_branches(path)
+    assert found.cell == now.cell == CELL
+    assert (found.t.tolist(), found.deviation.tolist()) == (now.t.tolist(), now.deviation.tolist())
 
 
 def test_other_tools_see_the_columns() -> None:

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.plans import plans_of
-from tests.store.former import write_former
+from tests.store.former import with_former_names, write_former
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
 from wasp_cli.report.stats.frame import Wanted, read_frame
@@ -26,6 +26,7 @@ from wasp_cli.store.tables import (
     CellIdentity,
     Thresholds,
     cell_file,
+    first_rows,
     read_episodes,
     read_steps,
     read_times,
@@ -234,9 +235,9 @@ def test_missing_file(tmp_path: Path) -> None:
 
 
 def test_newer_version_is_refused(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"5"}))
+    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"6"}))
     path = write()
-    with pytest.raises(StoreError, match="table version 5, this wasp reads up to 4") as caught:
+    with pytest.raises(StoreError, match="table version 6, this wasp reads up to 5") as caught:
         read_episodes([path])
     assert caught.value.hint is not None
     assert "upgrade" in caught.value.hint
@@ -288,7 +289,7 @@ def test_other_readers_see_all_cells_as_one_table(write: Callable[..., Path], tm
 def test_tables_of_earlier_versions_are_read(write: Callable[..., Path], tmp_path: Path, version: int) -> None:
     path = write()
     former = write_former(path, tmp_path / "former", version)
-    assert (read_version(former), read_version(path)) == (version, 4)
+    assert (read_version(former), read_version(path)) == (version, 5)
     old, new = read_episodes([former]), read_episodes([path])
     assert old.drop_columns([*ADDED]).equals(new.drop_columns([*ADDED]))
     assert all(old[name].null_count == old.num_rows > new[name].null_count for name in ADDED)
@@ -300,6 +301,18 @@ def test_tables_of_earlier_versions_are_read(write: Callable[..., Path], tmp_pat
         again = read_steps(former)
         assert again["reward"].equals(read_steps(path)["reward"])
         assert all(again[name].null_count == again.num_rows for name in (*PLANNED, "g_return"))
+
+
+def test_former_names_of_columns_are_read(write: Callable[..., Path], tmp_path: Path) -> None:
+    path = write()
+    former = with_former_names(path, tmp_path / "former")
+    assert "assistant_variant" in pq.read_table(former).column_names
+    assert (read_version(former), read_episodes([former]).equals(read_episodes([path]))) == (4, True)
+    found, now = (read_numbers(each, ("cost",)) for each in (former, path))
+    assert found is not None
+    assert found == now
+    assert first_rows(former.parent, 1).steps.equals(first_rows(path.parent, 1).steps)
+    assert same_rows(former, path)
 
 
 def test_published_rows_do_not_define_what_later_versions_added() -> None:

@@ -169,6 +169,8 @@ def _read(path: Path) -> tuple[pa.Table, BranchedCell]:
         now = {former: name for name, former in renamed.items()}
         table = file.read(columns=[renamed.get(name, name) for name in SCHEMA.names], use_threads=False)
         table = table.rename_columns([now.get(name, name) for name in table.column_names])
+        if table.column_names != SCHEMA.names:  # pyarrow leaves out, without a word, a column that the footer does not name
+            raise ValueError(f"its columns are {', '.join(table.column_names)}")
         return table, _cell(file.schema_arrow.metadata[CELL_KEY], now)
 
 
