@@ -60,7 +60,7 @@ def evaluated(
 ) -> Evaluated:
     """The cell of a method on `inputs`, see `tests.artifacts`; its table lies in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    axes = {"method": method, "method_config": dict(config or {}), "variant": variant, "value": value}
+    axes = {"method": method, "method_config": dict(config or {}), "operator": variant, "value": value}
     settings = {**SETTINGS, "side_by_side": side_by_side}
     own = EvaluateConfig(episodes=episodes)
     summary = EvaluateStage().run(Job("evaluate", task, seed, own, settings, axes, inputs, folder, folder, earlier=earlier))

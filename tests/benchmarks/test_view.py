@@ -42,7 +42,7 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / str(number) / EPISODES_FILE).rename(target / EPISODES_FILE)
         named = {"task": identity.task, "method": identity.method, "assistant": identity.variant, "operator": identity.operator}
         cells.append({**named, "severity": severity, "value": identity.value, "seed": identity.seed, "key": key})
-        axes = {"method": identity.method, "method_config": {}, "variant": identity.operator, "value": identity.value}
+        axes = {"method": identity.method, "method_config": {}, "operator": identity.operator, "value": identity.value}
         manifest = {"kind": "evaluate", "key": key, "label": f"cell {number}", "task": identity.task, "seed": identity.seed, "axes": axes}
         (target / "_manifest.json").write_text(json.dumps({**manifest, "files": {}}), encoding="utf-8")
     write_record(layout.run("20260501-120000-many-0000") / "plan.json", {"spec": "many", "nodes": [], "cells": cells, "parts": []})

@@ -106,7 +106,7 @@ def test_cells_are_evaluated_and_branched(method: str, inputs: Mapping[str, Path
     small = {"wasp": {"candidates": 4, "elites": 2, "feasible": 2, "iterations": 1, "rollouts": 1}, "ida": {"vote": 0.0}}
     config = METHODS[method].config_model()(**small.get(method, {})).model_dump(mode="json")
     done = evaluated(inputs, tmp_path / "cell", method, config, "noisy", 0.4, task=TASK, episodes=2)
-    axes = {"method": method, "method_config": config, "variant": "noisy", "value": 0.4}
+    axes = {"method": method, "method_config": config, "operator": "noisy", "value": 0.4}
     folder, read = tmp_path / "branches", {**inputs, "evaluate": done.path.parent}
     folder.mkdir()
     job = Job("counterfactual", TASK, 0, CounterfactualConfig(window=3, most=4), SETTINGS, axes, read, folder, folder)

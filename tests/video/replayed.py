@@ -41,7 +41,7 @@ def made_store(root: Path, method: str = "wasp", config: Mapping[str, Any] = EAG
     resolved = load_target(METHODS[method].config).model_validate(config).model_dump(mode="json")
     manifest = {
         "kind": "evaluate", "key": CELL, "label": f"{task} s0 {method} noisy=0.4", "task": task, "seed": 0,
-        "axes": {"method": method, "method_config": resolved, "variant": "noisy", "value": 0.4},
+        "axes": {"method": method, "method_config": resolved, "operator": "noisy", "value": 0.4},
         "settings": {"action_repeat": REPEAT, "returns": {"gamma_c": 0.95}},
         "upstream": KEYS, "upstream_kinds": {kind: kind for kind in KEYS}, "provenance": {"threads": 2},
     }  # fmt: skip
