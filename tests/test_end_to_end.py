@@ -10,13 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.trained.evidence import EVIDENCE
+from wasp_cli.run.verify import differences
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.branches import read_branches
-from wasp_cli.store.tables import read_episodes, read_steps, same_rows
+from wasp_cli.store.tables import read_episodes, read_steps, same_rows, write_episodes
 
 SPEC = """
 name: chain
@@ -233,3 +235,24 @@ def test_published_results_give_the_same_tables_on_a_fresh_machine(results: Path
         assert "INCOMPLETE" not in shown
     tables = (folder / "reports/chain/table1.md" for folder in (here, results))
     assert next(tables).read_text() == next(tables).read_text()
+
+
+def test_cells_follow_from_the_models_beside_them_to_the_bit(results: Path, tmp_path: Path) -> None:
+    done = wasp("verify", str(results), "--cells", "2", "--seed", "7", "-j", "1")
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 cells are the same to the bit" in done.stdout
+    copy = shutil.copytree(results, tmp_path / "results")
+    key = next(path.parent.name for name, path in cells(copy).items() if name == ("human", "full"))
+    rows = copy / "store" / "evaluate" / key / "episodes.parquet"
+    table = read_episodes([rows])
+    wrong = table.set_column(table.column_names.index("return"), "return", [[value + 1e-6 for value in table["return"].to_pylist()]])
+    write_episodes(wrong.replace_schema_metadata(pq.read_schema(rows).metadata), rows)
+    assert differences(rows.parent, results / "store" / "evaluate" / key) == ["return"]
+
+
+def test_a_cell_without_its_models_is_not_drawn(results: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(results, tmp_path / "results")
+    shutil.rmtree(copy / "store" / "policies")
+    done = wasp("verify", str(copy))
+    assert done.returncode == 2
+    assert "has no cell that can be computed again from what is there" in done.stderr

@@ -1,4 +1,4 @@
-"""The commands that move or remove results: `wasp gc` and `wasp publish`."""
+"""The commands that move, remove or check results: `wasp gc`, `wasp publish` and `wasp verify`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from wasp_cli.cli.options import (
+    JobsOption,
     ResultsArgument,
     ResultsOption,
     SelectOption,
@@ -126,3 +127,38 @@ def publish(
             return
         carry_publication(planned, loaded.spec, layout, target, Slimming(half, steps, images=not no_images))
     say(f"published in {target.root}")
+
+
+@store_app.command(
+    rich_help_panel=PANEL,
+    epilog="[bold]wasp verify results/published --cells 30 --seed 7[/]\n\n"
+    "Exit codes: 0 all are the same, 1 some are not, or the folder cannot be read, 2 usage.",
+)
+@expected_errors
+def verify(
+    folder: ResultsArgument = None,
+    results: ResultsOption = Path("results"),
+    cells: Annotated[int, typer.Option("--cells", min=1, metavar="N", help="Cells that are drawn.")] = 30,
+    seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of the draw.")] = 0,
+    jobs: JobsOption = None,
+) -> None:
+    """Compute a sample of cells again from the models beside them, and compare to the bit.
+
+    Nothing in the folder changes. Wall times are not compared.
+    """
+    from wasp_cli.console import out, say
+    from wasp_cli.run.session import cores
+    from wasp_cli.run.verify import draw, show_answer
+    from wasp_cli.run.verify import verify as verified
+    from wasp_cli.store.layout import Layout
+
+    layout = Layout(results_folder(folder, results).absolute())
+    drawn = draw(layout, cells, seed)
+    say(f"{len(drawn.cells)} of {drawn.of} cells are computed again; {drawn.others} others cannot be: their models are not in the folder")
+    same = 0
+    for answer in verified(layout, drawn.cells, cores() if jobs is None else max(1, jobs)):
+        same += not answer.differing
+        show_answer(answer, out())
+    out().print(f"{same} of {len(drawn.cells)} cells are the same to the bit", markup=False)
+    if same < len(drawn.cells):
+        raise typer.Exit(1)

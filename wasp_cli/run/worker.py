@@ -131,7 +131,7 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
             require_whole(layout, job.inputs.values())
             stage: Stage = load_target(job.stage)()
             keep_memory()
-            _set_threads(getattr(stage, "torch_threads", 1))
+            set_threads(getattr(stage, "torch_threads", 1))
             with placed(_clone_of(job, layout)):
                 summary = _finite(stage.run(_stage_job(job, layout, stage, staging, heartbeat.tell)))
         _require_planned_source(job)
@@ -218,7 +218,7 @@ def _stage_job(job: NodeJob, layout: Layout, stage: Stage, staging: Path, progre
         task=job.task,
         seed=job.seed,
         config=stage.config.model_validate(job.config),
-        settings=_settings(job.settings),
+        settings=settings_of(job.settings),
         axes=job.axes,
         inputs={name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()},
         out_dir=staging,
@@ -238,7 +238,7 @@ def _earlier(job: NodeJob, layout: Layout) -> Path | None:
     return layout.artifact(job.kind, job.earlier)
 
 
-def _settings(values: Mapping[str, Any]) -> dict[str, Any]:
+def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
     """Shared settings as the spec holds them: sections are models again."""
     settings = dict(values)
     for name, value in values.items():
@@ -349,7 +349,7 @@ def _plain(value: Any, name: str) -> Any:
     raise TrainingError(f"the stage returned {type(value).__name__} as '{name}'; only JSON values can be stored")
 
 
-def _set_threads(count: int) -> None:
+def set_threads(count: int) -> None:
     """Threads of linear algebra: a constant of the stage, since another number may give other bytes."""
     os.environ.update(OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1")
     if (torch := sys.modules.get("torch")) is not None:

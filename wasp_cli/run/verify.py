@@ -1,0 +1,164 @@
+"""Cells computed again from what lies beside them: do the rows follow from the models, to the bit?
+
+    drawn = draw(layout, cells=30, seed=7)
+    for answer in verify(layout, drawn.cells, jobs=2):
+        answer.label, answer.differing     # the columns that are not the same; none where all are
+
+A cell can be computed again where every artifact that it was computed from is whole in the same folder. Nothing of the folder is changed:
+each cell is written to an empty folder elsewhere, by today's code. Wall times are not compared, and steps only of the episodes whose steps
+ship.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from wasp_cli.console import duration
+from wasp_cli.errors import ArtifactError, StoreError, UsageError
+from wasp_cli.operators.registry import CLONED, PERSON
+from wasp_cli.plan.reasons import library_changes
+from wasp_cli.store.artifact import corruption, read_manifest, stored_keys
+from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import precision_of
+
+EVALUATE = "evaluate"
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The cells of a sample."""
+
+    cells: tuple[str, ...]
+    """Their keys."""
+    of: int
+    """Cells that could be computed again."""
+    others: int
+    """Cells of the folder that cannot: something that they were computed from is not there."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of a cell."""
+
+    label: str
+    differing: tuple[str, ...]
+    """Names of the columns that are not the same; `error: ...` where it could not be computed."""
+    libraries: tuple[str, ...]
+    """Libraries of another version than then, which may round differently."""
+    seconds: float
+
+
+def draw(layout: Layout, cells: int, seed: int) -> Drawn:
+    """Draw some of the cells that can be computed again, without replacement; all of them where there are fewer.
+
+    Raises:
+        UsageError: the folder has no such cell.
+        StoreError: it cannot be read.
+    """
+    import numpy as np
+
+    keys = sorted(stored_keys(layout, EVALUATE))
+    possible = [key for key in keys if why_not(layout, key) is None]
+    if not possible:
+        reason = f": {why_not(layout, keys[0])}" if keys else ""
+        raise UsageError(f"'{layout.root}' has no cell that can be computed again from what is there{reason}", "name a folder with models")
+    drawn = np.random.default_rng(seed).choice(len(possible), min(cells, len(possible)), replace=False)
+    return Drawn(tuple(possible[i] for i in sorted(drawn)), len(possible), len(keys) - len(possible))
+
+
+def why_not(layout: Layout, key: str) -> str | None:
+    """Return why a cell cannot be computed again from its folder; None where it can."""
+    try:
+        manifest = read_manifest(layout, EVALUATE, key)
+        if manifest["axes"]["operator"] in (PERSON, CLONED):
+            return "a person drove in it"
+        for name, upstream in manifest["upstream"].items():
+            kind = manifest["upstream_kinds"][name]
+            if (why := corruption(layout, kind, upstream)) is not None:
+                return why
+            if inexact := precision_of(read_manifest(layout, kind, upstream)):
+                return f"{kind} {upstream} is {inexact}"
+    except (ArtifactError, LookupError, TypeError, AttributeError) as error:
+        return str(error)
+    return None
+
+
+def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
+    """Compute cells again, and yield what became of each as it ends.
+
+    Args:
+        layout: the folder; see `draw`.
+        keys: of cells.
+        jobs: processes side by side.
+    """
+    from joblib import Parallel, delayed
+
+    yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(again)(layout.root, key) for key in keys)
+
+
+def again(root: Path, key: str) -> Answer:
+    """Compute a cell again in an empty folder, and compare it with what is stored."""
+    import time
+
+    from wasp_cli.registry import load_target
+    from wasp_cli.run.worker import set_threads, settings_of
+    from wasp_cli.stages.base import Job, Stage
+    from wasp_cli.stages.registry import STAGES
+
+    layout, began = Layout(root), time.monotonic()
+    manifest = read_manifest(layout, EVALUATE, key)
+    libraries = tuple(library_changes(manifest))
+    inputs = {name: layout.artifact(manifest["upstream_kinds"][name], upstream) for name, upstream in manifest["upstream"].items()}
+    stage: Stage = load_target(STAGES[EVALUATE].target)()
+    set_threads(getattr(stage, "torch_threads", 1))
+    with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
+        out = Path(folder)
+        job = Job(
+            EVALUATE, manifest["task"], manifest["seed"], stage.config.model_validate(manifest["config"]),
+            settings_of(manifest["settings"]), manifest["axes"], inputs, out, out,
+        )  # fmt: skip
+        try:
+            stage.run(job)
+            differing = tuple(differences(layout.artifact(EVALUATE, key), out))
+        except (ArtifactError, StoreError) as error:
+            differing = (f"error: {error.message}",)
+    return Answer(str(manifest["label"]), differing, libraries, time.monotonic() - began)
+
+
+def show_answer(answer: Answer, console: Console) -> None:
+    """Print a line about a cell."""
+    text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}"
+    if answer.differing:
+        text += f"  {', '.join(answer.differing)}"
+        text += f"  ({', '.join(answer.libraries)})" if answer.libraries else ""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def differences(stored: Path, computed: Path) -> list[str]:
+    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are not the same to the bit.
+
+    Raises:
+        StoreError: a file cannot be read.
+    """
+    import pyarrow.compute as pc
+
+    from wasp_cli.store.tables import TIMING, cell_file, lacking, read_episodes, read_steps, read_version
+
+    paths = [cell_file(folder) for folder in (stored, computed)]
+    added = lacking(min(map(read_version, paths)))
+    then, now = (read_episodes([path]) for path in paths)
+    found = [name for name in then.column_names if name not in (*TIMING, *added) and not then[name].equals(now[name])]
+    then, now = (read_steps(path) for path in paths)
+    now = now.filter(pc.is_in(now["episode"], then["episode"].unique()))
+    return found + [f"steps.{name}" for name in then.column_names if not _same(then[name], now[name])]
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two columns are equal, undefined numbers included, whatever their chunks."""
+    return bool(a.combine_chunks().equals(b.combine_chunks()))
