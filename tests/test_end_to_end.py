@@ -37,8 +37,8 @@ seeds: [4]
 episodes: 2
 wasp: {tau_c: 0.05, tau_r: 0.0}   # untrained models see little: gates that fire all the same
 printed: {tau_c: 0.05}
-ida: &forward {vote: -0.9, quantile: 0.05}
-ida-guarded: *forward
+ida: {vote: -0.9, quantile: 0.05}
+ida-guarded: {vote: -0.9, quantile: 0.05}
 """
 
 

@@ -228,12 +228,3 @@ def test_a_run_records_every_file(base: Path, tmp_path: Path) -> None:
     text = recorded(path)
     assert text == f"---\n# {path}\n{FAST}seeds: [0]  # one is enough\n---\n# {base}\n{BASE}"
     assert [document["name"] for document in YAML(typ="safe").load_all(text)] == ["fast", "base"]
-
-
-def test_merge_keys_reach_across_no_file_but_keep_their_places(base: Path) -> None:
-    base.write_text(BASE + "critics: &c {updates: x}\npolicies: {<<: *c}\n", encoding="utf-8")
-    assert places(written(base.parent, "fast", FAST)) == [
-        ("base.yaml", (9, 23), "policies.updates: should be an integer, not 'x'"),
-        ("base.yaml", (9, 23), "should be an integer, not 'x'"),
-    ]
-    assert places(written(base.parent, "other", FAST + "policies: {<<: *c}\n"))[0][0] == "other.yaml"

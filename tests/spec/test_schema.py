@@ -69,7 +69,6 @@ def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsons
         GOOD + "episodes: 1e1\nfilter: {tau_c: calibrated}\nwasp: {tau_r: 0.3}\ntraining_seed: null\n",
         GOOD + "residual: {operators: {laggy: [0.5]}}\nevaluate: {success_goals: null}\n",
         GOOD + "by_task: {formula1: {world_model: {privileged: 25}, policies: {hidden: [256, 256]}}}\n",
-        GOOD + "critics: &c {updates: 3}\npolicies: {<<: *c}\n",
     ],
 )
 def test_what_specs_may_write_validates(text: str, validator: jsonschema.Draft202012Validator) -> None:

@@ -72,8 +72,7 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
         if problem.position is None or (problem.source, problem.position) not in seen:
             problems.append(problem)
     if problems or spec is None:
-        # An alias may lead to one mistake from several sections.
-        raise InvalidSpec(chain.ordered(list(dict.fromkeys(problems))))
+        raise InvalidSpec(chain.ordered(problems))
     return Loaded(spec, chain, tuple(overrides))
 
 

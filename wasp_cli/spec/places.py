@@ -35,8 +35,6 @@ class Place:
     position: Position
     depth: int
     """How many parts of the `loc` the document really has."""
-    borrowed: bool
-    """It is written in another section, and comes through a merge (`<<`) or an alias."""
 
 
 def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> Place:
@@ -47,7 +45,7 @@ def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> 
     """
     wants_key = at_key or (bool(loc) and loc[-1] == KEY)
     position, node, depth = START, document, 0
-    parent, merged, alias = document, False, False
+    parent = document
     for index, part in enumerate(loc):
         if part == KEY:
             break
@@ -58,21 +56,18 @@ def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> 
                 continue
             break
         last = index == len(loc) - 1 or loc[index + 1] == KEY
-        parent = _home(node, part)
-        merged = merged or alias or parent is not node
-        key = (wants_key and last) or child is None
-        alias = not key and _is_alias(parent, part)
-        position = _position(parent, part, key=key) or position
+        parent = node
+        position = _position(parent, part, key=(wants_key and last) or child is None) or position
         node, depth = child, index + 1
     if isinstance(node, CommentedMap | CommentedSeq) and depth < len(loc) and depth:
         # Something is missing inside: the key of the section says more than its first entry.
-        position, alias = _position(parent, loc[depth - 1], key=True) or position, False
-    return Place(position, depth, merged or alias)
+        position = _position(parent, loc[depth - 1], key=True) or position
+    return Place(position, depth)
 
 
 def key_position(node: CommentedMap, key: Any) -> Position | None:
     """Return where a key is written, whatever it is; None where ruamel does not say."""
-    return _position(_home(node, key), key, key=True)
+    return _position(node, key, key=True)
 
 
 _ABSENT = object()
@@ -94,24 +89,6 @@ def _written(node: CommentedMap, part: Any) -> Any:
     # Python refuses to write very large numbers; they are no keys of a spec.
     numbers = (key for key in node if isinstance(key, int | float) and abs(key) < LARGEST)
     return next((key for key in numbers if str(key) == str(part)), _ABSENT)
-
-
-def _home(node: Any, part: Any) -> Any:
-    """The collection that has an entry itself: a merge brings those of other mappings."""
-    if not isinstance(node, CommentedMap) or (key := _written(node, part)) in (node.lc.data or {}):
-        return node
-    for entry in node.merge:
-        merged = entry[1] if isinstance(entry, tuple) else entry  # older versions of ruamel.yaml say also where
-        if isinstance(merged, CommentedMap) and key in merged:
-            return _home(merged, key)
-    return node
-
-
-def _is_alias(node: Any, part: str | int) -> bool:
-    """Whether a value is an alias: it has the position of its anchor, which stands above."""
-    value, key = _position(node, part, key=False), _position(node, part, key=True)
-    begin = key if isinstance(node, CommentedMap) else Position(node.lc.line + 1, node.lc.col + 1)
-    return value is not None and begin is not None and (value.line, value.column) < (begin.line, begin.column)
 
 
 def _position(node: Any, part: Any, *, key: bool) -> Position | None:

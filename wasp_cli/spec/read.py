@@ -1,6 +1,6 @@
-"""From the text of a spec file to plain values: reading, values that stand at a wrong place, and what JSON cannot hold.
+"""From the text of a spec file to plain values.
 
-What YAML knows beyond JSON (dates, tags, sets) is a problem with a place.
+What YAML knows beyond JSON (dates, anchors, merges, tags) is a problem with a place: `extends` is the one way to share sections.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import datetime
 import math
 import re
-import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -16,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedOrderedMap, CommentedSeq
-from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning, YAMLError
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
+from ruamel.yaml.tokens import AliasToken, AnchorToken, ScalarToken, TagToken
 
 from wasp_cli.errors import did_you_mean
 from wasp_cli.spec.places import KEY, LARGEST, START, InvalidSpec, Loc, Position, Problem, key_position, locate
@@ -37,9 +37,8 @@ class Source:
     document: Any
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
-        """Return a problem at a place; where a merge or an alias brings it from another section, the message names the user."""
-        place = locate(self.document, loc, at_key=at_key)
-        return self.problem_at(place.position, f"{dotted(loc)}: {message}" if place.borrowed else message, hint)
+        """Return a problem at a place."""
+        return self.problem_at(locate(self.document, loc, at_key=at_key).position, message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
         """Return a problem at a position of the text."""
@@ -60,9 +59,7 @@ def read(path: Path) -> Source:
 def parse(text: str, name: str) -> Source:
     """Parse a YAML mapping; `name` stands for the file in messages."""
     source = Source(name, text, None)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ReusedAnchorWarning)  # YAML allows it: an alias means the last one above it
-        document = _document(source)
+    document = _document(source)
     if not isinstance(document, CommentedMap):
         what = "the file is empty" if document is None else f"a spec is a mapping of keys to values, not {kind_of(document)}"
         raise InvalidSpec([source.problem_at(START, what, "specs/quickstart.yaml is an example")])
@@ -72,6 +69,7 @@ def parse(text: str, name: str) -> Source:
 def _document(source: Source) -> Any:
     text = source.text
     try:
+        _refuse_sharing(source)
         return YAML(typ="rt").load(text)
     except MarkedYAMLError as error:
         raise InvalidSpec([_yaml_problem(source, error)]) from error
@@ -84,6 +82,21 @@ def _document(source: Source) -> Any:
         # ruamel builds dates and numbers while it loads, and lets their errors through without a position.
         position, reason = unplaced(text) or (START, str(error))
         raise InvalidSpec([source.problem_at(position, f"not valid YAML: {reason}")]) from error
+
+
+SHARING = {AnchorToken: "an anchor (&)", AliasToken: "an alias (*)", TagToken: "a tag (!)"}
+MERGE = "<<"
+
+
+def _refuse_sharing(source: Source) -> None:
+    """See that a text has no anchors, aliases, merges and tags: what is meant at one place should be read there."""
+    for token in YAML(typ="rt").scan(source.text):
+        what = SHARING.get(type(token))
+        if isinstance(token, ScalarToken) and token.plain and token.value == MERGE:
+            what = f"a merge ({MERGE})"
+        if what is not None:
+            hint = "write the value where it is used; whole sections are shared with `extends`"
+            raise InvalidSpec([source.problem_at(_at(token), f"{what} is no part of a spec", hint)])
 
 
 def _text(path: Path) -> str:
@@ -159,10 +172,6 @@ _KINDS = {
     "CommentedKeyMap": "a mapping",
     "CommentedSeq": "a list",
     "CommentedKeySeq": "a list",
-    "CommentedSet": "a set",
-    "CommentedOrderedMap": "an ordered mapping",
-    "TaggedScalar": "a value with a tag",
-    "bytes": "binary data",
 }
 
 
@@ -182,14 +191,7 @@ def dotted(loc: Loc) -> str:
 
 
 _TAG = "tag:yaml.org,2002:"
-_MERGE = f"{_TAG}merge"
-_NO_SCALAR = {
-    "int": "not an integer",
-    "float": "not a number",
-    "timestamp": "not a valid date",
-    "bool": "not a boolean",
-    "omap": "not an ordered mapping",
-}
+_NO_SCALAR = {"int": "not an integer", "float": "not a number", "timestamp": "not a valid date", "bool": "not a boolean"}
 """By tag: what is said of a scalar that cannot be built. Those of other tags always can, or have an error with a position."""
 _LONGEST = 40
 Fault = tuple[Position, str]
@@ -199,51 +201,29 @@ def unplaced(text: str) -> Fault | None:
     """Return the place and the reason of the first value in a text that cannot be built, or None when every one can."""
     reader = YAML(typ="rt")
     with suppress(RecursionError):
-        return _Search(reader).within(reader.compose(text), ())
+        return next(_faults(reader, reader.compose(text)), None)
     return None
 
 
-@dataclass
-class _Search:
-    reader: YAML
-    seen: set[int] = field(default_factory=set)
-    """Aliases lead to a node many times."""
-
-    def within(self, node: Any, above: tuple[int, ...]) -> Fault | None:
-        if id(node) in self.seen:
-            return None
-        self.seen.add(id(node))
-        above = (*above, id(node))
-        below: list[Any] = []
-        if isinstance(node, ScalarNode):
-            return self.built(node, str(node.tag).removeprefix(_TAG))
-        if isinstance(node, SequenceNode):
-            below = node.value
-        elif isinstance(node, MappingNode):
-            for key, value in node.value:
-                merged = value.value if isinstance(value, SequenceNode) else [value]
-                if key.tag == _MERGE and any(id(each) in above for each in merged):
-                    return _at(key), "a merge (<<) includes a mapping in itself"
-                below += [key, value]
-        return next((fault for each in below if (fault := self.within(each, above)) is not None), None)
-
-    def built(self, node: ScalarNode, tag: str) -> Fault | None:
-        if tag not in _NO_SCALAR:
-            return None
-        try:
-            self.reader.constructor.construct_object(node)
-        except Exception:  # whatever Python says of a text that is no number
-            value = node.value if len(node.value) <= _LONGEST else node.value[: _LONGEST - 3] + "..."
-            return _at(node), f"'{value}' is {_NO_SCALAR[tag]}"
-        return None
+def _faults(reader: YAML, node: Any) -> Iterator[Fault]:
+    if isinstance(node, ScalarNode):
+        tag = str(node.tag).removeprefix(_TAG)
+        if tag in _NO_SCALAR:
+            try:
+                reader.constructor.construct_object(node)
+            except Exception:  # whatever Python says of a text that is no number
+                value = node.value if len(node.value) <= _LONGEST else node.value[: _LONGEST - 3] + "..."
+                yield _at(node), f"'{value}' is {_NO_SCALAR[tag]}"
+    elif isinstance(node, SequenceNode | MappingNode):
+        for below in node.value:
+            for each in below if isinstance(below, tuple) else (below,):
+                yield from _faults(reader, each)
 
 
 def _at(node: Any) -> Position:
     return Position(node.start_mark.line + 1, node.start_mark.column + 1)
 
 
-MAX_VALUES = 100_000
-"""Aliases of aliases can stand for more values than any memory holds."""
 MAX_DEPTH = 32
 """Of lists and mappings in each other; JSON readers give up at some depth without a place."""
 
@@ -252,10 +232,10 @@ def plain(source: Source) -> tuple[dict[str, Any], list[Problem]]:
     """Return the document as JSON values, and what in it is none.
 
     Raises:
-        InvalidSpec: it has too many values or levels for anything to be said of them.
+        InvalidSpec: it has too many levels for anything to be said of them.
     """
     reader = _Reader(source)
-    values: dict[str, Any] = reader.value(source.document, (), ())
+    values: dict[str, Any] = reader.value(source.document, ())
     return values, reader.problems
 
 
@@ -263,24 +243,17 @@ def plain(source: Source) -> tuple[dict[str, Any], list[Problem]]:
 class _Reader:
     source: Source
     problems: list[Problem] = field(default_factory=list)
-    budget: Iterator[int] = field(default_factory=lambda: iter(range(MAX_VALUES)))
 
-    def value(self, node: Any, loc: Loc, above: tuple[int, ...]) -> Any:
-        if next(self.budget, None) is None:
-            raise InvalidSpec([self.source.problem_at(START, f"more than {MAX_VALUES:,} values; aliases of aliases?")])
-        if id(node) in above:
-            self.problems.append(self.source.problem(loc, "contains itself through an alias", at_key=True))
-            return None
-        if len(above) > MAX_DEPTH:
+    def value(self, node: Any, loc: Loc) -> Any:
+        if len(loc) > MAX_DEPTH:
             raise InvalidSpec([self.source.problem(loc, "nested too deeply")])
-        above = (*above, id(node))
-        if isinstance(node, CommentedMap) and not isinstance(node, CommentedOrderedMap):
-            return self.mapping(node, loc, above)
+        if isinstance(node, CommentedMap):
+            return self.mapping(node, loc)
         if isinstance(node, CommentedSeq):
-            return [self.value(value, (*loc, index), above) for index, value in enumerate(node)]
+            return [self.value(value, (*loc, index)) for index, value in enumerate(node)]
         return self.scalar(node, loc)
 
-    def mapping(self, node: CommentedMap, loc: Loc, above: tuple[int, ...]) -> dict[str, Any]:
+    def mapping(self, node: CommentedMap, loc: Loc) -> dict[str, Any]:
         result: dict[str, Any] = {}
         for key, value in node.items():
             reason = _no_key(key)
@@ -292,14 +265,12 @@ class _Reader:
                     self.source.problem(loc, reason, at_key=True) if position is None else self.source.problem_at(position, reason)
                 )
                 continue
-            result[str(key)] = self.value(value, (*loc, str(key)), above)
+            result[str(key)] = self.value(value, (*loc, str(key)))
         return result
 
     def scalar(self, node: Any, loc: Loc) -> Any:
         if node is None or isinstance(node, bool):
             return node
-        if type(node).__name__ == "ScalarBoolean":  # an anchored true is an int to ruamel
-            return bool(node)
         if isinstance(node, int):
             return int(node) if abs(node) < LARGEST else self.refuse(loc, "is too large a number")
         if isinstance(node, float):
