@@ -53,7 +53,7 @@ SECTIONS = {
     "baselines": "ida_q denoiser residual",
     "consistency": "consistency",
     "reachability": "reachability",
-    "judged": "heldout coverage calibration evaluate counterfactual",
+    "judged": "heldout calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
 
@@ -94,8 +94,7 @@ MAY_HAVE = {
         "learning.informed"
     ),
     "clone": f"{OPERATOR} {WEIGHTS} models.base models.clone operators.* learning.clone learning.sampling",
-    "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
-    "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
+    "calibration": f"{ASSISTANT} {METHOD} metrics.windows learning.heldout",
     "evaluate": (
         f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation learning.informed store store.parquet store.tables"
     ),
@@ -167,7 +166,6 @@ def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> Non
         "informed",
         "nominal",
         "counterfactual",
-        "coverage",
         "playback",
         "rerun",
     }

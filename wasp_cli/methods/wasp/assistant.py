@@ -16,7 +16,7 @@ from torch import Tensor
 
 from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
-from wasp_cli.methods.configs import Coverage, WASPConfig
+from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import chosen
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Scored, Situation, corrected, imagination_of
@@ -129,11 +129,6 @@ class WASP:
         self.plan = plan
         return outcome.decision()
 
-    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
-        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision."""
-        everyone = torch.arange(len(a_h), device=a_h.device)
-        return self._look(self._situation(latent, a_h, operator, everyone), self.noise.streams()).futures.cost[:, 0]
-
     def _situation(self, latent: Latent, a_h: Tensor, operator: Operator, here: Tensor) -> Situation:
         if self.config.variant != "knows-operator":
             operator = Operator(self.imagination.expert, a_h.shape[1], DrawnNoise(a_h.new_zeros(0, 1, 0)), len(a_h))
@@ -184,7 +179,7 @@ class WASP:
         """
         cost = self._everywhere(heldout, heldout.a_h, operator, seed).futures.cost[:, 0]  # [K]
         free = cost[cost_ahead == 0]
-        if self.single and not isinstance(self.config.tau_c, Coverage):
+        if self.single:
             # In the unit of one step: it lets through as many of the expert's decisions as the whole method.
             whole = WASP(self.config.model_copy(update={"variant": "full"}), self.imagination, {}, self.motors, self.device)
             rate = whole.calibrate(heldout, cost_ahead, operator, seed)["safety_rate"]
