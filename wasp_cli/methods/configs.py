@@ -104,7 +104,7 @@ WASPVariant = Literal["full", "safety-only", "task-only", "no-case2", "no-rollou
 class WASPConfig(Config):
     """WASP: the command, then the expert, beside the correction, then the expert. N candidates, M rollouts, H horizon, L residuals."""
 
-    variant: WASPVariant | Literal["knows-operator"] = "full"
+    variant: WASPVariant = "full"
     horizon: int = from_paper(15, "H, section 5.1", ge=1)
     residual_steps: int = from_paper(5, "L, section 5.1", ge=1)
     rollouts: int = assumed(8, "M: rollouts of each future, with common random numbers; the paper has one M and does not give it", ge=1)

@@ -53,8 +53,6 @@ class MethodInfo:
     """False where nobody is at the controls: no command is read, so that a distance to it means nothing, and tables have none."""
     variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
     """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
-    rows: Mapping[str, str] = field(default_factory=dict)
-    """Variants that are no ablations: each with its title, under which it has a row of its own in every table."""
     instead_of: str = ""
     """The method in whose place the claims of a paper are judged a second time with this one."""
     own_thresholds: tuple[str, ...] = ()
@@ -140,8 +138,7 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
             calibrated=True,
-            variants={**_ABLATIONS, "knows-operator": "knows the operator"},
-            rows={"knows-operator": "WASP (knows the operator)"},
+            variants=_ABLATIONS,
             own_thresholds=("no-rollout",),
             rule="WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe correction "
             "is expected to gain more return than τ_r.",
