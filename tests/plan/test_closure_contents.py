@@ -59,7 +59,7 @@ SECTIONS = {
 
 MAY_HAVE = {
     "expert": f"{POLICY} {PPO} learning.expert learning.privileged stages.finite",
-    "dataset": f"{POLICY} learning.dataset learning.parts learning.contents learning.shards",
+    "dataset": f"{POLICY} learning.dataset learning.contents learning.shards",
     "world_model": f"{WORLD} {LATENTS} learning.encoding learning.checkpoint learning.device learning.windows learning.world_model "
     "learning.privileged_state",
     "latents": f"{WORLD} learning.latents learning.shards learning.encoding learning.device",
