@@ -81,11 +81,7 @@ MAY_HAVE = {
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser learning.labelled "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
-    "consistency": (
-        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser models.consistency learning.denoiser learning.consistency "
-        "learning.labelled learning.configs.baselines "
-        "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
-    ),
+    "consistency": f"{POLICY} {LATENTS} models.base models.consistency learning.consistency learning.labelled",
     "reachability": (
         f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout metrics metrics.ranking metrics.windows"
     ),
