@@ -28,7 +28,7 @@ methods: [human, ida, diffusion, csa, saferl, wasp, printed, ida-guarded, ida-le
 variants: [full, safety-only, task-only]
 operators:
   laggy: {severe: 0.85}
-stages: [diagnostics, coverage, counterfactual]
+stages: [diagnostics, counterfactual]
 action_repeat: 20                    # a fifth of the decisions of usual episodes, which are whole all the same
 dataset: {steps: 300}
 expert: {interactions: 500, evaluation_episodes: 1}
@@ -91,21 +91,6 @@ def test_methods_act_and_human_only_does_not(results: Path) -> None:
     assert rates["expert"] == 0
     for name in ("ida", "diffusion", "saferl", "filter", "reach", "wasp", "printed", "ida-guarded", "mpmi", "planner"):
         assert rates[name] > 0, f"{name} never acted"
-
-
-def test_a_threshold_with_a_guarantee_is_taken_from_episodes_of_the_operators_and_shown(results: Path, tmp_path: Path) -> None:
-    """The trained parts are the same; episodes, calibration and cells are new, and in a folder of their own."""
-    spec, results = results.parent / "chain.yaml", shutil.copytree(results, tmp_path / "results")
-    narrowed = ("methods=[human, wasp]", "variants=[full]", "stages=[]", "name=guarantee")
-    options = [part for setting in (*narrowed, "wasp.tau_c={coverage: 0.5}", "coverage.episodes=16") for part in ("--set", setting)]
-    done = wasp("run", str(spec), "--results", str(results), "-j", "2", *options)
-    assert done.returncode == 0, done.stderr
-    (told,) = (results / "store" / "calibration").glob("*/coverage.json")
-    statement = json.loads(told.read_text())["statement"]
-    assert "at most 50.0% have an onset without an alert" in statement
-    shown = wasp("show", told.parent.name, "--results", str(results))
-    assert "without an alert" in shown.stdout, shown.stderr
-    assert statement in (results / "reports" / "guarantee" / "report.md").read_text(encoding="utf-8")
 
 
 def branches(results: Path) -> dict[str, Path]:

@@ -63,7 +63,7 @@ def learn_denoiser(kind: Kind, demonstrations: Path, folder: Path, config: Denoi
     latents = Latents(state, torch.zeros(len(state), 0, dtype=torch.uint8), 1)
     torch.manual_seed(derive("external-denoiser-weights", kind))
     denoiser, schedule, summary = train_denoiser(
-        recording, labels, latents, config, 1, derive("external-denoiser", kind), lambda share, text: report(f"{kind}: {text}")
+        recording, labels, latents, config, derive("external-denoiser", kind), lambda share, text: report(f"{kind}: {text}")
     )
     save_weights(
         denoiser, folder / "denoiser.safetensors", features=SEEN, action=labels.shape[1], hidden=list(config.hidden), steps=schedule.steps,

@@ -52,7 +52,7 @@ def test_a_denoiser_brings_commands_to_the_expert_s_actions_and_a_larger_ratio_d
     expert = latents.h[:, :2].tanh()  # what the expert does is in the latent
     torch.manual_seed(0)
     config = DenoiserConfig(updates=1500, batch=256, hidden=(64, 64), ema=0.99)
-    denoiser, schedule, summary = train_denoiser(recorded, expert, latents, config, 4, 1, no_progress)
+    denoiser, schedule, summary = train_denoiser(recorded, expert, latents, config, 1, no_progress)
     source = torch.Generator().manual_seed(2)
     held = torch.from_numpy(np.flatnonzero(recorded.held_out(0.1)))
     features = latents.at(held).features
@@ -74,7 +74,7 @@ def test_the_weights_that_are_used_are_the_average_over_the_updates(data: tuple[
     def weights(updates: int, ema: float) -> torch.Tensor:
         torch.manual_seed(0)
         config = DenoiserConfig(updates=updates, batch=16, hidden=(8,), ema=ema)
-        denoiser, _, _ = train_denoiser(recorded, latents.h[:, :2].tanh(), latents, config, 4, 1, no_progress)
+        denoiser, _, _ = train_denoiser(recorded, latents.h[:, :2].tanh(), latents, config, 1, no_progress)
         return torch.cat([parameter.flatten() for parameter in denoiser.parameters()])
 
     last = [weights(updates, 0.0) for updates in (1, 2, 3)]  # of a training of the same draws that stops there

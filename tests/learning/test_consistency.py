@@ -155,7 +155,7 @@ def test_commands_are_brought_to_the_expert_s_actions_and_the_more_so_the_higher
     torch.manual_seed(0)
     config = ConsistencyConfig(levels=20, width=48, batch=128, teacher_updates=500, updates=200, learning_rate=3e-3, ema=0.99)
     shares: list[float] = []
-    student, _, summary = train_consistency(recorded, expert, latents, config, 4, 1, lambda share, text: shares.append(share))
+    student, _, summary = train_consistency(recorded, expert, latents, config, 1, lambda share, text: shares.append(share))
     held = torch.from_numpy(np.flatnonzero(recorded.held_out(0.1)))
     uniform = 2 * torch.rand(len(held), 2, generator=generator(2)) - 1
     found = consistency_quality(student, latents.at(held).features, expert[held], {"expert": expert[held], "uniform": uniform})
@@ -177,7 +177,7 @@ def test_the_same_seed_gives_the_same_weights() -> None:
 
     def weights(seed: int) -> torch.Tensor:
         torch.manual_seed(0)
-        student, _, _ = train_consistency(recorded, latents.h[:, :2].tanh(), latents, config, 4, seed, no_progress)
+        student, _, _ = train_consistency(recorded, latents.h[:, :2].tanh(), latents, config, seed, no_progress)
         return torch.cat([parameter.flatten() for parameter in student.parameters()])
 
     assert torch.equal(weights(1), weights(1))

@@ -16,7 +16,7 @@ from torch import Tensor
 from tests.learning.recordings import recording
 from wasp_cli.learning.configs import CriticsConfig, ReturnsConfig
 from wasp_cli.learning.critic_quality import Pairs, heldout_pairs, pairs, quality, returns_ahead, write_pairs
-from wasp_cli.learning.critics import Starts, imagine, train_critics
+from wasp_cli.learning.critics import imagine, starts_of, train_critics
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.recorded_values import Segments, recorded_values
 from wasp_cli.learning.sampling import generator
@@ -166,20 +166,10 @@ def test_steps_after_a_likely_end_count_little() -> None:
     assert rollout.arrived.h[:, 0, 0].tolist() == [1, 2, 3, 4]
 
 
-def test_starts_leave_out_ends_and_find_what_comes_before_a_cost() -> None:
+def test_starts_leave_out_ends_and_held_out_episodes() -> None:
     data = recording((12, 9, 15, 4))  # the last one is held out
-    data.cost[:] = 0
-    data.cost[[5, 12, 30]] = 1  # row 12 is the first of an episode: what came before belongs to another
     data.terminal[[20, 5]] = 1
-    starts = Starts(data, 0.5, horizon=3)
-    assert starts.every.tolist() == [i for i in range(36) if i not in (5, 20)]
-    assert starts.risky.tolist() == [2, 3, 4, 27, 28, 29]
-    drawn = starts.sample(400, generator(0))
-    assert set(drawn.tolist()) <= set(starts.every.tolist())
-    assert set(drawn[:200].tolist()) == set(starts.risky.tolist())
-    assert len(set(drawn[200:].tolist())) > 20
-    data.cost[:] = 0
-    assert len(Starts(data, 0.5, 3).sample(10, generator(0))) == 10  # nothing ever cost
+    assert starts_of(data).tolist() == [i for i in range(36) if i not in (5, 20)]
 
 
 def test_returns_ahead_by_hand() -> None:

@@ -35,7 +35,7 @@ def job(root: Path, name: str, progress: Any = lambda share, text: None, work: s
     folders = [root / name, root / (work or f"{name}-work")]
     for folder in folders:
         folder.mkdir(exist_ok=True)
-    config = DatasetConfig(steps=ENVS * SHARDS * 125 - 40, envs=ENVS, decisions=None)
+    config = DatasetConfig(steps=ENVS * SHARDS * 125 - 40, envs=ENVS)
     return Job("dataset", TASK, 1, config, {"action_repeat": 4}, {}, {"expert": root / "expert"}, *folders, progress)
 
 

@@ -24,7 +24,6 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.plan.grid import lay_out, stage_class
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import load
-from wasp_cli.spec.places import InvalidSpec
 from wasp_cli.stages.base import Job
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.recorded import read_recorded
@@ -150,11 +149,3 @@ def test_what_drives_there_reads_the_expert_and_elsewhere_does_not(tmp_path: Pat
     assert reading[TASK] - reading["goal1"] == {"heldout", "residual", "evaluate", "counterfactual"}
     path.write_text(text.replace("TASKS", "goal1"))
     assert {node.key for node in lay_out(load(path).spec).nodes} == {node.key for node in grid.nodes if node.task == "goal1"}
-
-
-def test_a_threshold_with_a_guarantee_is_refused_there() -> None:
-    """It plays operators again over latents, which do not say what these intended."""
-    overrides = ["wasp.tau_c={coverage: 0.1}", "methods=[human, wasp]"]
-    with pytest.raises(InvalidSpec, match="a guarantee for tau_c is not known on 'goal1-two'"):
-        load(Path("smoke"), ["tasks=[goal1, goal1-two]", *overrides])
-    load(Path("smoke"), ["tasks=[goal1]", *overrides])

@@ -83,7 +83,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> Parts:
     recording = Recording(**dict.fromkeys(Recording._fields, np.zeros(0)) | {"episode": np.arange(200) // 20})
     latents = Latents(state, torch.zeros(200, 0, dtype=torch.uint8), 1)
     torch.manual_seed(0)
-    denoiser, schedule, _ = train_denoiser(recording, torch.ones(200, 1), latents, config, 1, 0, lambda share, text: None)
+    denoiser, schedule, _ = train_denoiser(recording, torch.ones(200, 1), latents, config, 0, lambda share, text: None)
     levels = {"steps": schedule.steps, "beta_min": config.beta_min, "beta_max": config.beta_max}
     save_weights(denoiser, folder / "denoiser.safetensors", features=1, action=1, hidden=[32], steps=schedule.steps, schedule=levels)
     critics = QEnsemble(4, 1, 1, [])

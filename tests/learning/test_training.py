@@ -12,8 +12,6 @@ from safetensors.torch import load_file, save_file
 from tests.learning.recordings import MIRROR, ROWS, SOURCES, TINY, recording
 from wasp_cli.errors import ArtifactError, TrainingError
 from wasp_cli.learning.checkpoint import restore_training, save_training
-from wasp_cli.learning.configs import DenoiserConfig
-from wasp_cli.learning.denoiser import demonstrations
 from wasp_cli.learning.encoding import encode
 from wasp_cli.learning.lagrangian import MultiplierRule
 from wasp_cli.learning.privileged_state import Readout, new_readout
@@ -186,19 +184,3 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it() -> None:
     staged = MultiplierRule(initial=0.3, rate=0.1, bound=5.0, limit=25.0, later=(1000, 5.0))
     assert staged.next(0.3, 25.0, 999) == pytest.approx(0.3)
     assert staged.next(0.3, 25.0, 1000) == pytest.approx(0.7)  # five times the second limit
-
-
-def test_demonstrations_are_the_careful_near_expert_episodes() -> None:
-    data = recording((12, 9, 15, 4, 6))  # near-expert: episodes 0, 2 and 4, of which the last is held out
-    data.cost_env[(data.episode == 2) & (data.first == 0)] = 2  # 28 of 56 env steps: 500 of 1000
-
-    def careful(limit: float) -> DenoiserConfig:
-        return DenoiserConfig(states="careful", cost_limit=limit)
-
-    assert set(data.episode[demonstrations(data, careful(500.0), 4)]) == {0, 2}
-    assert set(data.episode[demonstrations(data, careful(499.0), 4)]) == {0}
-    assert set(data.episode[demonstrations(data, DenoiserConfig(), 4)]) == {0, 1, 2, 3}
-    data.cost_env[(data.episode == 0) & (data.first == 0)] = 4
-    assert set(data.episode[demonstrations(data, careful(25.0), 4)]) == {2}  # none is careful: the least costly one
-    with pytest.raises(TrainingError, match="no near-expert episode"):
-        demonstrations(data.rows(data.episode % 2 == 1), careful(25.0), 4)

@@ -33,12 +33,8 @@ METHODS: dict[str, dict[str, Any]] = {
 VARIANTS = ("safety-only", "no-case2", "no-rollout")
 CASES = [
     *((name, {}) for name in METHODS), *((name, {"variant": variant}) for name in ("wasp", "printed") for variant in VARIANTS),
-    ("wasp", {"variant": "knows-operator"}),
 ]  # fmt: skip
-NOWHERE = [
-    *((method, changes, "laggy") for method, changes in CASES),
-    ("printed", {}, "noisy"), ("wasp", {"variant": "knows-operator"}, "reaction-time"),
-]  # fmt: skip
+NOWHERE = [*((method, changes, "laggy") for method, changes in CASES), ("printed", {}, "noisy"), ("printed", {}, "reaction-time")]
 
 
 @pytest.fixture(scope="module")

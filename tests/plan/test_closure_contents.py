@@ -53,13 +53,13 @@ SECTIONS = {
     "baselines": "ida_q denoiser residual",
     "consistency": "consistency",
     "reachability": "reachability",
-    "judged": "heldout coverage calibration evaluate counterfactual",
+    "judged": "heldout calibration evaluate counterfactual",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
 
 MAY_HAVE = {
     "expert": f"{POLICY} {PPO} learning.expert learning.privileged stages.finite",
-    "dataset": f"{POLICY} learning.dataset learning.parts learning.contents learning.shards",
+    "dataset": f"{POLICY} learning.dataset learning.contents learning.shards",
     "world_model": f"{WORLD} {LATENTS} learning.encoding learning.checkpoint learning.device learning.windows learning.world_model "
     "learning.privileged_state",
     "latents": f"{WORLD} learning.latents learning.shards learning.encoding learning.device",
@@ -81,11 +81,7 @@ MAY_HAVE = {
         f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser learning.denoiser learning.labelled "
         "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
     ),
-    "consistency": (
-        f"{POLICY} {WORLD} {LATENTS} {OPERATOR} models.denoiser models.consistency learning.denoiser learning.consistency "
-        "learning.labelled learning.configs.baselines "
-        "methods methods.base methods.configs methods.diffusion methods.noise methods.record metrics metrics.episode"
-    ),
+    "consistency": f"{POLICY} {LATENTS} models.base models.consistency learning.consistency learning.labelled",
     "reachability": (
         f"{ASSISTANT} {LATENTS} models.reachability learning.reachability learning.heldout metrics metrics.ranking metrics.windows"
     ),
@@ -94,8 +90,7 @@ MAY_HAVE = {
         "learning.informed"
     ),
     "clone": f"{OPERATOR} {WEIGHTS} models.base models.clone operators.* learning.clone learning.sampling",
-    "coverage": f"{DRIVING} {OPERATORS_BY_NAME} methods.human metrics metrics.coverage learning.coverage",
-    "calibration": (f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} metrics.coverage metrics.windows learning.coverage learning.heldout"),
+    "calibration": f"{ASSISTANT} {METHOD} metrics.windows learning.heldout",
     "evaluate": (
         f"{DRIVING} {METHOD} {OPERATORS_BY_NAME} learning.device learning.evaluation learning.informed store store.parquet store.tables"
     ),
@@ -167,7 +162,6 @@ def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> Non
         "informed",
         "nominal",
         "counterfactual",
-        "coverage",
         "playback",
         "rerun",
     }

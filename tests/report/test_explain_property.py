@@ -29,9 +29,7 @@ def cells(draw: st.DrawFn) -> Invented:
     method = draw(st.sampled_from(["wasp", "printed", "ida", "filter", "human", "diffusion", "theirs"]))
     variant = draw(st.sampled_from(["full", "safety-only", "task-only", "no-case2", "no-rollout", "own"]))
     limits = Thresholds(draw(thresholds), draw(thresholds), draw(thresholds))
-    config = draw(
-        st.sampled_from([{}, WASP, PRINTED, {**WASP, "variant": "knows-operator"}, {"vote": 0.5}, {"horizon": "long", "feasible": None}])
-    )
+    config = draw(st.sampled_from([{}, WASP, PRINTED, {"vote": 0.5}, {"horizon": "long", "feasible": None}]))
     made = Invented(draw(st.integers(1, 12)), method, variant, limits, dict(config), draw(st.integers(1, 2)))
 
     def series(elements: Callable[[], Any]) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.report.explained import PRINTED, WASP, Invented, decision_text, episode_text
+from tests.report.explained import PRINTED, Invented, decision_text, episode_text
 from wasp_cli.methods.wasp import search
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.collect import summarize
@@ -61,12 +61,6 @@ def test_the_printed_wasp_probes_and_imagines_the_operator(tmp_path: Path) -> No
     assert "  task    ΔG -       τ_r 0.500  not asked: the safety gate fired" in text
     assert "  commands alone            0.600" in text
     assert "other rollouts" not in text, "it plans on the rollouts of its gates"
-
-
-def test_the_variant_that_knows_the_operator_imagines_it(tmp_path: Path) -> None:
-    episode = Invented(variant="knows-operator", config={**WASP, "variant": "knows-operator"}).read(tmp_path)
-    assert "discounted, if the operator goes on alone (Eq. 9)" in decision_text(episode, 0)
-    assert "by the expert's action now" in decision_text(episode, 0)
 
 
 def test_the_search_classifies_the_elites_that_it_keeps_again() -> None:

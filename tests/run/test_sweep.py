@@ -105,7 +105,7 @@ def test_every_value_is_a_run_that_reports_find(fakes: Fakes, small_spec: Path, 
     ("vary", "methods", "settings", "message"),
     [
         ("diffusion.ratio=0.2,0.4", ("ida", "wasp"), (), "'diffusion.ratio' changes no cell of ida, wasp"),
-        ("coverage.episodes=1,2", (), (), "'coverage.episodes' changes no cell of human, ida, wasp, expert"),
+        ("residual.epochs=1,2", (), (), "'residual.epochs' changes no cell of human, ida, wasp, expert"),
         ("critics.updates=1,2", (), ("methods=[]",), "there is nothing to compare"),
     ],
 )

@@ -28,8 +28,6 @@ from wasp_cli.tasks.registry import TASKS
         ("world_model: {mirror: 'False'}\n", "write false"),
         ("ida: {copilot: Expert}\n", "did you mean 'expert'?"),
         ("filter: {tau_c: auto}\n", "known: calibrated"),
-        ("wasp: {tau_c: {covrage: 0.1}}\n", "did you mean 'coverage'?"),
-        ("wasp: {tau_c: {coverage: 2}}\n", None),
         ("filter: {tau_c: '0.3'}\n", "without quotes: 0.3"),
         ("wasp: {rollouts: '3'}\n", "without quotes: 3"),
         ("wasp: {rollouts: '3.5'}\n", None),

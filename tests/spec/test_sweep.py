@@ -135,7 +135,7 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec: Path
         (str(spec), "unknown task 'gaol1'"),
         ("--set ida.vote=9", "ida.vote: should be less than or equal to 1"),
         ("--vary wasp.tau_c=-1", "wasp.tau_c: should be greater than 0 or 'calibrated'"),
-        ("--vary wasp.tau_c=no", "wasp.tau_c: should be a number or 'calibrated' or a mapping of keys to values"),
+        ("--vary wasp.tau_c=no", "wasp.tau_c: should be a number or 'calibrated'"),
     ]
 
 

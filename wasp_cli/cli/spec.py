@@ -151,7 +151,7 @@ def methods(json: JsonOption = False) -> None:
 
     assistants = [
         {
-            "name": info.name, "title": info.title, "rule": info.rule, "variants": list(dict.fromkeys((*info.variants, *info.rows))),
+            "name": info.name, "title": info.title, "rule": info.rule, "variants": list(info.variants),
             "needs": list(info.needs), "needs_with": list(dict.fromkeys(kind for *_, kind in info.needs_with)),
             "module": module_of(info.target),
         }

@@ -38,7 +38,7 @@ class Futures:
         self._horizon = int(getattr(config, "horizon", HORIZON))
         self._hold = isinstance(config, PrintedConfig)
         self._expert: Operator | None = None
-        if isinstance(config, WASPConfig) and config.variant != "knows-operator":
+        if isinstance(config, WASPConfig):
             self._expert = following(parts.skills.expert, world.action_size, 1)
         self._seconds = 0.0
 

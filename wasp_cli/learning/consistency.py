@@ -15,15 +15,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from wasp_cli.learning.configs.baselines import DenoiserConfig
 from wasp_cli.learning.configs.consistency import ConsistencyConfig
-from wasp_cli.learning.denoiser import demonstrations
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator
-from wasp_cli.learning.shards import Recording
+from wasp_cli.learning.shards import HELD_OUT, Recording
 from wasp_cli.models.consistency import SIGMA_DATA, SIGMA_MAX, SIGMA_MIN, Consistency, ladder, sigma_at
 
 RATIOS = (0.1, 0.25, 0.4, 0.69)
@@ -37,21 +36,20 @@ Report = Callable[[float, str], None]
 
 
 def train_consistency(
-    recording: Recording, labels: Tensor, latents: Latents, config: ConsistencyConfig, action_repeat: int, seed: int, report: Report
+    recording: Recording, labels: Tensor, latents: Latents, config: ConsistencyConfig, seed: int, report: Report
 ) -> tuple[Consistency, Consistency, dict[str, float]]:
     """Train a teacher on the data of Diffusion, and distil it; returns student, teacher and numbers of the training.
 
     Args:
-        recording: recorded rows.
+        recording: recorded rows; held-out ones are not learned.
         labels: the expert's own action at every row [N, A].
         latents: of every row.
         config: sizes and budgets.
-        action_repeat: env steps of a recorded decision.
         seed: of this training.
         report: called about every 100 updates.
     """
     source = generator(seed)
-    rows = torch.from_numpy(demonstrations(recording, DenoiserConfig(), action_repeat))
+    rows = torch.from_numpy(np.flatnonzero(~recording.held_out(HELD_OUT)))
 
     def draw() -> tuple[Tensor, Tensor]:
         index = rows[torch.randint(len(rows), (config.batch,), generator=source)]

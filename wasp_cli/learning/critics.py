@@ -27,27 +27,9 @@ Q_SHARE = 0.3
 """Share of the progress that Q takes."""
 
 
-class Starts:
-    """Recorded rows from which imagination begins: never held out or after an episode's own end, a share of them shortly before a cost."""
-
-    def __init__(self, recording: Recording, share: float, horizon: int) -> None:
-        goes_on = (recording.terminal == 0) & ~recording.held_out(HELD_OUT)
-        # Entry t counts the costly rows before t; a cost in rows t+1 .. t+horizon of the same episode makes row t a risky one.
-        before = np.concatenate([[0], np.cumsum(recording.cost > 0)])
-        rows = np.arange(len(goes_on))
-        ends = np.searchsorted(recording.episode, recording.episode, side="right")
-        risky = before[np.minimum(rows + 1 + horizon, ends)] > before[rows + 1]
-        self.every = torch.from_numpy(np.flatnonzero(goes_on))
-        self.risky = torch.from_numpy(np.flatnonzero(goes_on & risky))
-        self._share = share
-
-    def sample(self, count: int, source: torch.Generator) -> Tensor:
-        """Draw indices [count] of rows."""
-        index = self.every[torch.randint(len(self.every), (count,), generator=source)]
-        wanted = round(self._share * count)
-        if wanted and len(self.risky):
-            index[:wanted] = self.risky[torch.randint(len(self.risky), (wanted,), generator=source)]
-        return index
+def starts_of(recording: Recording) -> Tensor:
+    """Return the indices of the recorded rows from which imagination may begin: never held out or after an episode's own end."""
+    return torch.from_numpy(np.flatnonzero((recording.terminal == 0) & ~recording.held_out(HELD_OUT)))
 
 
 class Rollout(NamedTuple):
@@ -111,11 +93,12 @@ def train_critics(
     slow = copy.deepcopy(critics).requires_grad_(False)
     optimizer = torch.optim.Adam(critics.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
-    starts = Starts(recording, config.cost_starts, config.horizon)
+    starts = starts_of(recording)
     recent: list[Tensor] = []
     for update in range(config.updates):
         with torch.no_grad():
-            rollout = imagine(model, skills, latents.at(starts.sample(config.starts, source)), config.horizon, source)
+            index = starts[torch.randint(len(starts), (config.starts,), generator=source)]
+            rollout = imagine(model, skills, latents.at(index), config.horizon, source)
             value_r, value_c = slow.value_r(rollout.arrived), slow.value_c(rollout.arrived)
             target_r = td_lambda_all(rollout.reward, value_r, returns.gamma_r, returns.lam, rollout.keep)
             target_c = td_lambda_all(rollout.cost, value_c, returns.gamma_c, returns.lam, rollout.keep)

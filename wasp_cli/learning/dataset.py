@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,10 +46,6 @@ class Behaviour:
     """Index of a second checkpoint: the intended command is the mean of both."""
 
 
-EXPERT = Behaviour("expert", gaussian=0.25)
-"""The expert, who makes small mistakes so as not to see its own way alone."""
-
-
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
     """Draw a behaviour for each episode, in the shares of the mixture; `skills` is the number of checkpoints.
 
@@ -57,7 +53,7 @@ def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np
     behaviour may be missing among them, or one that always costs may outweigh the others.
     """
     variants: dict[str, list[Behaviour]] = {
-        "expert": [EXPERT],
+        "expert": [Behaviour("expert", gaussian=0.25)],  # small mistakes, so as not to see its own way alone
         "noisy": [Behaviour("noisy", replace=e) for e in (0.2, 0.4, 0.6)],
         "laggy": [Behaviour("laggy", repeat=p) for p in (0.5, 0.7, 0.85)],
         "delayed": [Behaviour("delayed", delay=d) for d in (2, 3, 5)],
@@ -130,24 +126,14 @@ class Commander:
         return self._last
 
 
-class Parts(NamedTuple):
-    """What is recorded of B episodes."""
-
-    begin: Mapping[str, NDArray[Any]]
-    """Snapshot of the task in which every row is where its part begins."""
-    decisions: NDArray[np.int64]
-    """[B] most decisions from there on"""
-
-
 def record(
     task: VectorTask,
     seeds: Sequence[int],
     command: Callable[[NDArray[np.float32]], NDArray[Any]],
     names: Sequence[str],
     number: int,
-    parts: Parts | None = None,
 ) -> Recording:
-    """Record one episode per row, or a part of it, as a shard.
+    """Record one episode per row as a shard.
 
     Args:
         task: B episodes with pixels and privileged observations.
@@ -155,11 +141,8 @@ def record(
         command: from privileged observations [B, P] to actions [B, A].
         names: behaviour of each row.
         number: index of the first episode in the dataset.
-        parts: where the recording of each row begins and ends; None: whole episodes.
     """
     seen = task.reset(seeds)
-    if parts is not None:
-        seen = task.restore(dict(parts.begin))
     batch, kinds = task.batch, task.cost_sources
     assert seen.pixels is not None
     assert seen.privileged is not None
@@ -173,7 +156,7 @@ def record(
     ]  # fmt: skip
     alive = [np.ones(batch, bool)]
     ended = np.zeros(batch, bool)
-    for count in range(1, task.max_decisions + 1):
+    for _ in range(task.max_decisions):
         assert seen.privileged is not None
         action = command(seen.privileged)
         step = task.step(action)
@@ -191,10 +174,6 @@ def record(
         )  # fmt: skip
         alive.append(~ended)
         ended = ended | step.ended
-        if parts is not None and (cut := (count >= parts.decisions) & ~ended).any():
-            ended = ended | cut
-            # For the task they end here, so that it neither moves nor shows them any longer.
-            task.restore({**task.snapshot(), "ended": ended})
         if ended.all():
             break
     kept = np.stack(alive, 1)  # [B, T + 1]

@@ -11,10 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.errors import TrainingError
 from wasp_cli.learning.configs.baselines import DenoiserConfig
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator
@@ -26,44 +24,23 @@ RATIOS = (0.2, 0.3, 0.4, 0.6)
 """Forward diffusion ratios; at 0 a command stays as it is."""
 
 
-def demonstrations(recording: Recording, config: DenoiserConfig, action_repeat: int) -> NDArray[np.int64]:
-    """Choose the rows [K] whose expert action is learned, never held-out ones: all, or the near-expert episodes within the cost limit.
-
-    When no near-expert episode is within it, the one of least cost has to do. A decision is `action_repeat` env steps.
-
-    Raises:
-        TrainingError: there is no near-expert episode.
-    """
-    learned = ~recording.held_out(HELD_OUT)
-    if config.states == "all":
-        return np.flatnonzero(learned)
-    near = (recording.behaviour == "expert") & learned
-    rows = [np.flatnonzero(near & (recording.episode == e)) for e in np.unique(recording.episode[near])]
-    if not rows:
-        raise TrainingError("the dataset has no near-expert episode", "raise dataset.mixture.expert or dataset.steps")
-    # The first row of an episode is its start, not a decision.
-    rate = [1000 * float(recording.cost_env[r].sum()) / ((len(r) - 1) * action_repeat) for r in rows]
-    careful = [r for r, cost in zip(rows, rate, strict=True) if cost <= config.cost_limit]
-    return np.sort(np.concatenate(careful or [rows[int(np.argmin(rate))]]))
-
-
 def train_denoiser(
     recording: Recording,
     labels: torch.Tensor,
     latents: Latents,
     config: DenoiserConfig,
-    action_repeat: int,
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[Denoiser, NoiseSchedule, dict[str, float]]:
     """Predict the noise in diffused expert actions; the averaged weights are what is returned.
 
+    As with the original's option of random behaviour and the expert's labels, the expert's action is learned in all recorded states.
+
     Args:
-        recording: recorded rows.
+        recording: recorded rows; held-out ones are not learned.
         labels: the expert's own action at every row [N, A].
         latents: of every row.
         config: sizes and budgets.
-        action_repeat: env steps of a recorded decision.
         seed: of this training.
         report: called about every 100 updates.
     """
@@ -73,7 +50,7 @@ def train_denoiser(
     average = copy.deepcopy(denoiser).requires_grad_(False)
     optimizer = torch.optim.Adam(denoiser.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
-    rows = torch.from_numpy(demonstrations(recording, config, action_repeat))
+    rows = torch.from_numpy(np.flatnonzero(~recording.held_out(HELD_OUT)))
     smoothed = 1.0
     for update in range(config.updates):
         index = rows[torch.randint(len(rows), (config.batch,), generator=source)]

@@ -45,7 +45,7 @@ def load_labelled(inputs: Mapping[str, Path]) -> LabelledStates:
     Raises:
         ArtifactError: a file is missing or damaged.
     """
-    recording = read_shards(inputs["dataset"], ["privileged", "action", "cost_env", "first", "episode", "behaviour"])
+    recording = read_shards(inputs["dataset"], ["privileged", "action", "first", "episode"])
     with torch.inference_mode():
         labels = load_privileged(inputs["expert"], 1.0)(torch.from_numpy(recording.privileged))
     return LabelledStates(recording, labels.clone(), load_latents(inputs["latents"]))

@@ -101,26 +101,17 @@ class SafeRLConfig(Config):
 WASPVariant = Literal["full", "safety-only", "task-only", "no-case2", "no-rollout"]
 
 
-class Coverage(Config):
-    """A threshold by what it has to guarantee, taken from Human-only episodes (stage `coverage`)."""
-
-    coverage: float = assumed(
-        0.1, "largest share of costly episodes of the operators alone with an onset before which nothing was foreseen", gt=0.0, lt=1.0
-    )
-
-
 class WASPConfig(Config):
     """WASP: the command, then the expert, beside the correction, then the expert. N candidates, M rollouts, H horizon, L residuals."""
 
-    variant: WASPVariant | Literal["knows-operator"] = "full"
+    variant: WASPVariant = "full"
     horizon: int = from_paper(15, "H, section 5.1", ge=1)
     residual_steps: int = from_paper(5, "L, section 5.1", ge=1)
     rollouts: int = assumed(8, "M: rollouts of each future, with common random numbers; the paper has one M and does not give it", ge=1)
-    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] | Coverage = assumed(
+    tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
         1.0,
         "costly decision steps expected within H, discounted by gamma_c, above which the safety gate fires; `calibrated`: a quantile of "
-        "the signal under the expert; `{coverage: 0.1}`: of the costly episodes of the operators alone at most this share has an onset "
-        "without an alert",
+        "the signal under the expert",
     )
     tau_c_quantile: float = assumed(
         0.95, "which one, over held-out decisions of the unimpaired expert after which nothing cost within W", gt=0.0, lt=1.0

@@ -38,7 +38,7 @@ class Planner(WASP):
         """Plan, whatever the commands a_h [B, A] are: `gate` says where the action is another one."""
         streams, here = self.noise.streams(), chosen(~self.resting)
         action = self.imagination.expert(latent.features).clamp(-1, 1)
-        start = self._situation(latent, action, operator, here)
+        start = self._situation(latent, action, here)
         draws = self._draws(streams, GATES, start)
         alone = self._scored(start, self.plan.new_zeros(len(here), 1, *self.plan.shape[1:]), draws)
         # Where WASP's search begins with what its gates saw, the command and a correction, this one has the expert alone.

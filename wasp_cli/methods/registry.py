@@ -42,8 +42,7 @@ class MethodInfo:
     needs: tuple[str, ...] = ()
     """Stage kinds whose artifacts it reads, besides `world_model` and `policies`."""
     needs_with: tuple[tuple[str, str, str], ...] = ()
-    """Further ones that it reads only under a setting: (field of its configuration, value, stage kind). A field that is a mapping has the
-    value among its keys: `tau_c: {coverage: 0.1}` has `coverage`."""
+    """Further ones that it reads only under a setting: (field of its configuration, value, stage kind)."""
     calibrated: bool = False
     """Whether its thresholds come from held-out episodes of the unimpaired expert (stage `calibration`)."""
     impaired: bool = True
@@ -54,8 +53,6 @@ class MethodInfo:
     """False where nobody is at the controls: no command is read, so that a distance to it means nothing, and tables have none."""
     variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
     """Ablations, each with its title in tables: values of the field `variant` of the configuration. `full` is the whole method."""
-    rows: Mapping[str, str] = field(default_factory=dict)
-    """Variants that are no ablations: each with its title, under which it has a row of its own in every table."""
     instead_of: str = ""
     """The method in whose place the claims of a paper are judged a second time with this one."""
     own_thresholds: tuple[str, ...] = ()
@@ -67,7 +64,7 @@ class MethodInfo:
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the stage kinds that it reads under a configuration (resolved, as JSON values)."""
-        return (*self.needs, *(kind for field, value, kind in self.needs_with if _has(config.get(field), value)))
+        return (*self.needs, *(kind for field, value, kind in self.needs_with if config.get(field) == value))
 
     def config_model(self) -> type[Config]:
         """Import and return the model of its configuration.
@@ -82,10 +79,6 @@ class MethodInfo:
         if not (isinstance(model, type) and issubclass(model, Config)):
             raise WaspError(f"'{self.config}' of the method '{self.name}' is no configuration", "derive it from wasp_cli.config.Config")
         return model
-
-
-def _has(setting: Any, value: str) -> bool:
-    return value in setting if isinstance(setting, Mapping) else bool(setting == value)
 
 
 _VOTE = Signal("vote", "on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1 (all do)", "vote")
@@ -144,10 +137,8 @@ METHODS: Registry[MethodInfo] = Registry(
             "wasp_cli.methods.wasp.assistant:wasp",
             "wasp_cli.methods.configs:WASPConfig",
             ("critics",),
-            needs_with=(("tau_c", "coverage", "coverage"),),
             calibrated=True,
-            variants={**_ABLATIONS, "knows-operator": "knows the operator"},
-            rows={"knows-operator": "WASP (knows the operator)"},
+            variants=_ABLATIONS,
             own_thresholds=("no-rollout",),
             rule="WASP corrects the command where the expert behind it is imagined to cost more than τ_c, or else where a safe correction "
             "is expected to gain more return than τ_r.",

@@ -1,4 +1,4 @@
-"""An operator that is a different variant in every episode: what SafeRL-Res trains with, and what coverage is measured on."""
+"""An operator that is a different variant in every episode: what SafeRL-Res trains with."""
 
 from __future__ import annotations
 

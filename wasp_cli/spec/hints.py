@@ -52,17 +52,10 @@ def _below(model: type[BaseModel], prefix: str) -> list[str]:
 
 
 def _section(field: FieldInfo | None) -> type[BaseModel] | None:
-    """The model of a field that is a mapping, or that may be one instead of a number or a word."""
+    """The model of a field that is a mapping, or that may be one."""
     members = () if field is None else get_args(field.annotation) or (field.annotation,)
     models = [member for member in members if isinstance(member, type) and issubclass(member, BaseModel)]
     return models[0] if models else None
-
-
-def _is_union(place: Loc) -> bool:
-    """Whether the setting at a place may be a mapping or something else, so that pydantic says which of them it speaks of."""
-    model = model_at(place[:-1]) if place else None
-    field = model.model_fields.get(str(place[-1])) if model is not None else None
-    return _section(field) is not None and len(get_args(field.annotation if field is not None else None)) > 1
 
 
 CLOSE = "did you mean"
@@ -168,22 +161,9 @@ def findings(
     for entry in error.errors(include_url=False):
         loc = _without_tags(entry["loc"], document)
         found.setdefault(loc, []).append({**entry, "loc": loc})
-    # To a number out of its range nobody says that it could have been a mapping.
-    ranged = {loc for loc, entries in found.items() if any(entry["type"] in _RANGE for entry in entries)}
-    for loc in ranged:
-        found[loc] = [entry for entry in found[loc] if entry["type"] != "model_type"]
     # pydantic counts the valid entries of a list only; that the others are wrong is said where they stand.
-    # Nor has to be said that a mapping is no number, where its mistake is found.
-    hollow = {
-        loc
-        for loc, entries in found.items()
-        if (entries[0]["type"] == "too_short" or _is_union(loc)) and any(_within(other, loc) for other in found)
-    }
+    hollow = {loc for loc, entries in found.items() if entries[0]["type"] == "too_short" and any(_within(other, loc) for other in found)}
     return [_worded(loc, entries, key_hint, description) for loc, entries in found.items() if loc not in hollow]
-
-
-_RANGE = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
-"""pydantic's names of a number that is none of the allowed ones."""
 
 
 def _within(loc: Loc, section: Loc) -> bool:
@@ -192,20 +172,16 @@ def _within(loc: Loc, section: Loc) -> bool:
 
 def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
     node: Any = document
-    kept: Loc = ()
     for index, part in enumerate(loc):
         if isinstance(node, Mapping) and str(part) in node:
             node = node[str(part)]
         elif isinstance(node, list) and isinstance(part, int) and part < len(node):
             node = node[part]
         elif not isinstance(node, Mapping | list):
-            return kept  # what follows a scalar can only be the tag of a union
-        elif _is_union(kept):
-            continue
+            return loc[:index]  # what follows a scalar can only be the tag of a union
         else:
-            return (*kept, *loc[index:])
-        kept = (*kept, part)
-    return kept
+            return loc
+    return loc
 
 
 _WORDS = {

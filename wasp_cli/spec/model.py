@@ -37,7 +37,6 @@ from wasp_cli.spec.names import (
 from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.spec.study import StudyConfig
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.tasks.registry import TASKS
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severities = Annotated[dict[SeverityName, float], Field(min_length=1)]
@@ -45,8 +44,6 @@ Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 """Where, what, and the value that is wrong."""
 DEFAULT_STAGES: tuple[str, ...] = tuple(kind for kind, info in STAGES.own.items() if info.by_default)
 """What every spec trains besides what its methods need."""
-COVERAGE = "coverage"
-"""The stage behind a threshold with a guarantee."""
 
 
 def refuse(problems: list[Problem]) -> None:
@@ -146,7 +143,7 @@ class Spec(Config):
     def _parts_fit(self, info: ValidationInfo) -> Spec:
         # Of a spec that ran, all methods may be those of a plugin that is absent now.
         nothing = [] if (info.context or {}).get(RECORDED) else _nothing_to_do(self)
-        refuse(nothing + _variant_problems(self) + _operator_problems(self) + _skill_problems(self) + _guarantee_problems(self))
+        refuse(nothing + _variant_problems(self) + _operator_problems(self) + _skill_problems(self))
         _check_tasks(self)
         return self
 
@@ -241,21 +238,8 @@ def _skill_problems(spec: Spec) -> list[Problem]:
             for index, value in enumerate(values):
                 if not OPERATORS[variant].low <= value <= OPERATORS[variant].high:
                     problems.append(((section, "operators", variant, index), _out_of_range(variant), value))
-                elif variant == "limited-skill" and value not in checkpoints and not STAGES[section].skips_missing_skills:
+                elif variant == "limited-skill" and value not in checkpoints:
                     problems.append(((section, "operators", variant, index), what, value))
-    return problems
-
-
-def _guarantee_problems(spec: Spec) -> list[Problem]:
-    """A guarantee plays operators again over latents, which do not say what those intended who know more than the cameras show."""
-    problems: list[Problem] = []
-    for index, task in enumerate(spec.tasks):
-        settings = {name: spec.method(name, task=task).model_dump(mode="json") for name in spec.methods if TASKS[task].informed}
-        if any(COVERAGE in METHODS[name].needs_of(values) for name, values in settings.items()):
-            hint = {"task": task, "hint": "operators know more there than the cameras show; take tau_c from a quantile"}
-            problems.append(
-                (("tasks", index), PydanticCustomError("no_guarantee", "a guarantee for tau_c is not known on '{task}'", hint), task)
-            )
     return problems
 
 

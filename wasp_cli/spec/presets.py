@@ -36,7 +36,6 @@ _SMOKE: Document = {
     "critics": {"updates": 5, "starts": 16, "hidden": [32, 32], "q_updates": 5, "q_batch": 16},
     "clone": {"updates": 5, "batch": 32, "hidden": [16]},
     "heldout": {"episodes": 2},
-    "coverage": {"episodes": 6, "fresh": 2},
     "ida_q": {"updates": 20, "batch": 64, "hidden": [32, 32]},
     "denoiser": {"updates": 50, "batch": 64, "hidden": [32, 32]},
     "consistency": {"teacher_updates": 50, "updates": 50, "batch": 64, "width": 32, "depth": 2},

@@ -1,14 +1,12 @@
 """Calibration of one method's thresholds on the held-out episodes.
 
-Artifact: `calibration.json` (thresholds by name, and the distributions they come from); `coverage.json` where tau_c has a guarantee (what
-it says, and what it was taken from).
+Artifact: `calibration.json` (thresholds by name, and the distributions they come from).
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, cast
 
 from wasp_cli.learning.configs.judged import CalibrationConfig
@@ -29,7 +27,6 @@ class CalibrationStage:
         import torch
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
-        from wasp_cli.learning.coverage import guaranteed, load_drives
         from wasp_cli.learning.heldout import load_heldout
         from wasp_cli.methods.base import CalibratedAssistant, Heldout
         from wasp_cli.metrics.windows import sums_ahead
@@ -46,16 +43,6 @@ class CalibrationStage:
         chosen = Heldout(Latent(heldout.latent.h[index], heldout.latent.z[index]), *(field[index] for field in heldout[1:]))
         parts = load_parts(job.inputs, job.settings["returns"], motors=TASKS[job.task].motors)
         assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
-        statement: dict[str, Any] = {}
-        if "coverage" in job.inputs:
-            eps = float(job.axes["method_config"]["tau_c"]["coverage"])
-            drives, facts = load_drives(job.inputs["coverage"])
-            with torch.inference_mode():
-                statement = guaranteed(assistant, drives, facts, parts.skills, eps, config.window, (job.task, job.seed))
-            (job.out_dir / "coverage.json").write_text(json.dumps(statement, indent=1))
-            # The other thresholds are calibrated under this one.
-            parts = replace(parts, thresholds={"tau_c": statement["tau_c"]})
-            assistant = build_assistant(job.axes["method"], job.axes["method_config"], parts)
         # The unimpaired operator has no memory, so only its policy and its number of rows matter here.
         context = OperatorContext(parts.skills.at, heldout.a_h.shape[1], 0.0)
         operator = Operator.build(1.0, context, EpisodeNoise([0] * len(index)), len(index))
@@ -65,5 +52,4 @@ class CalibrationStage:
         gained = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), config.window)
         thresholds["tau_R"] = config.tau_R_fraction * float(np.nanmean(gained))
         (job.out_dir / "calibration.json").write_text(json.dumps(thresholds, indent=1, sort_keys=True))
-        told = {"guarantee": statement["statement"]} if statement else {}
-        return told | {name: round(value, 4) for name, value in thresholds.items()}
+        return {name: round(value, 4) for name, value in thresholds.items()}

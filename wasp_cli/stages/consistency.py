@@ -22,7 +22,7 @@ class ConsistencyStage:
 
     kind = "consistency"
     config = ConsistencyConfig
-    settings = ("action_repeat",)
+    settings: tuple[str, ...] = ()
     needs: tuple[str, ...] = ("expert", "dataset", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
@@ -40,7 +40,7 @@ class ConsistencyStage:
         states = load_labelled(job.inputs)
         torch.manual_seed(derive("consistency-weights", job.task, job.seed))
         seed = derive("consistency", job.task, job.seed)
-        student, teacher, summary = train_consistency(*states, config, job.settings["action_repeat"], seed, job.progress)
+        student, teacher, summary = train_consistency(*states, config, seed, job.progress)
         save_weights(
             rounded(student), job.out_dir / "consistency.safetensors",
             features=states.features, action=states.labels.shape[1], width=config.width, depth=config.depth,

@@ -27,8 +27,7 @@ class DatasetStage:
         import numpy as np
 
         from wasp_cli.learning.contents import ALL, contents_of, unseen_sources
-        from wasp_cli.learning.dataset import EXPERT, Commander, behaviours, record
-        from wasp_cli.learning.parts import can_begin_later, lead, mean_decisions, whole_episodes
+        from wasp_cli.learning.dataset import Commander, behaviours, record
         from wasp_cli.learning.shards import HELD_OUT, count_rows, hand_over, held_out_period, write_shard
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.seeds import derive
@@ -40,33 +39,21 @@ class DatasetStage:
         # Episodes may end early, so shards are added until the steps are there; the behaviours of a shard are drawn from its number.
         expert = job.inputs["expert"]
         skills = [load_privileged(expert, f) for f in checkpoint_fractions(expert)]
-        part = config.decisions if config.decisions is not None and can_begin_later(task) else None
         steps = shard = 0
         period = held_out_period(HELD_OUT)  # a schedule of whole periods stays balanced when it begins again
-        expected = config.steps / mean_decisions(part, config.whole_share, task.max_decisions)
-        planned = period * max(1, math.ceil(expected / period))
+        planned = period * max(1, math.ceil(config.steps / task.max_decisions / period))
         schedule = behaviours(
             config.mixture.model_dump(), planned, len(skills), np.random.default_rng(derive("dataset-mixture", job.task, job.seed))
         )
-        uncut = whole_episodes(config.whole_share, planned, np.random.default_rng(derive("dataset-whole", job.task, job.seed)))
-        blind = make_task(job.task, config.envs, action_repeat=job.settings["action_repeat"], observe=("privileged",), threads=job.threads)
         files = []
         while steps < config.steps:
             path = job.work_dir / f"shard-{shard:04d}.parquet"
-            numbers = [(shard * config.envs + i) % planned for i in range(config.envs)]
-            rows = [schedule[i] for i in numbers]
+            rows = [schedule[(shard * config.envs + i) % planned] for i in range(config.envs)]
             if not path.exists():
                 random = np.random.default_rng(derive("dataset-commands", job.task, job.seed, shard))
                 commander = Commander(skills, rows, task.action_size, random)
                 seeds = [derive("dataset-episode", job.task, job.seed, shard * config.envs + i) for i in range(config.envs)]
-                parts = None
-                if part is not None:
-                    chance = np.random.default_rng(derive("dataset-lead", job.task, job.seed, shard))
-                    # Half of the rows are brought there by the expert, who gets everywhere, the others by their own behaviour.
-                    drivers = [EXPERT if chance.random() < 0.5 else row for row in rows]
-                    ahead = Commander(skills, drivers, task.action_size, chance)
-                    parts = lead(blind, seeds, ahead.command, uncut[np.array(numbers)], part, chance)
-                recording = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs, parts)
+                recording = record(task, seeds, commander.command, [b.name for b in rows], shard * config.envs)
                 partial = path.with_suffix(".partial")
                 write_shard(partial, recording, task.cost_sources)
                 partial.rename(path)  # an interrupted collection goes on after its last whole shard

@@ -19,7 +19,7 @@ class DenoiserStage:
 
     kind = "denoiser"
     config = DenoiserConfig
-    settings = ("action_repeat",)
+    settings: tuple[str, ...] = ()
     needs: tuple[str, ...] = ("expert", "dataset", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
@@ -36,9 +36,7 @@ class DenoiserStage:
         config = cast(DenoiserConfig, job.config)
         states = load_labelled(job.inputs)
         torch.manual_seed(derive("denoiser-weights", job.task, job.seed))
-        denoiser, schedule, summary = train_denoiser(
-            *states, config, job.settings["action_repeat"], derive("denoiser", job.task, job.seed), job.progress
-        )
+        denoiser, schedule, summary = train_denoiser(*states, config, derive("denoiser", job.task, job.seed), job.progress)
         save_weights(
             rounded(denoiser), job.out_dir / "denoiser.safetensors",
             features=states.features, action=states.labels.shape[1], hidden=list(config.hidden),

@@ -30,8 +30,6 @@ class StageInfo:
     person drove, and a run only reads it."""
     by_default: bool = False
     """Whether a spec that lists no `stages` trains it, although no method needs it."""
-    skips_missing_skills: bool = False
-    """Whether it leaves out a limited skill that is no checkpoint of the expert, instead of refusing the spec."""
     weight: int = 10
     """Where no time was measured, nodes of heavier stages start first, so that a run does not end with one busy worker."""
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -60,7 +58,6 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("critics", "wasp_cli.stages.critics:CriticsStage", weight=7),
         StageInfo("reachability", "wasp_cli.stages.reachability:ReachabilityStage", weight=7),
         StageInfo("heldout", "wasp_cli.stages.heldout:HeldoutStage", weight=4),
-        StageInfo("coverage", "wasp_cli.stages.coverage:CoverageStage", skips_missing_skills=True, weight=6),
         StageInfo("ida_q", "wasp_cli.stages.ida_q:IDAQStage", weight=5),
         StageInfo("denoiser", "wasp_cli.stages.denoiser:DenoiserStage", weight=9),
         StageInfo("consistency", "wasp_cli.stages.consistency:ConsistencyStage", weight=9),

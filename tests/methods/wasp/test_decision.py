@@ -140,17 +140,15 @@ def test_the_cases_above_hold_every_outcome() -> None:
     assert seen == {(GATE_NONE, False), (GATE_SAFETY, False), (GATE_SAFETY, True), (GATE_TASK, False)}
 
 
-def test_nothing_of_the_operator_is_imagined_but_by_the_variant_that_knows_it() -> None:
+def test_nothing_of_the_operator_is_imagined() -> None:
     laggy = LaggyOperator(policy, 1, EpisodeNoise([0]), 1)
     laggy.p, laggy.memory = 1.0, {"last": torch.tensor([[1.0]]), "started": torch.ones(1, 1, dtype=torch.bool)}
-    for variant, alike in (("full", True), ("knows-operator", False)):
-        records = []
-        for operator in (laggy, unimpaired()):
-            record = decided(ready(variant=variant, tau_c=9.0, tau_r=9.0), -0.3, 1.0, operator).record
-            assert record is not None
-            records.append(float(record.g_cost))
-        assert (records[0] == records[1]) == alike
-    assert records[0] > records[1], "who repeats full throttle runs into the hazard"
+    records = []
+    for operator in (laggy, unimpaired()):  # who repeats full throttle runs into the hazard
+        record = decided(ready(tau_c=9.0, tau_r=9.0), -0.3, 1.0, operator).record
+        assert record is not None
+        records.append(float(record.g_cost))
+    assert records[0] == records[1]
 
 
 def test_the_correction_is_the_least_of_its_force_and_without_another_force_there_is_none() -> None:

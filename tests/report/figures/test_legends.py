@@ -18,7 +18,7 @@ from wasp_cli.report.tables.titles import who_title
 
 ROWS = [
     ("human", "full"), ("wasp", "full"), ("filter", "full"), ("ida", "full"), ("diffusion", "full"), ("saferl", "full"),
-    ("wasp", "knows-operator"), ("wasp", "safety-only"), ("wasp", "no-case2"),
+    ("wasp", "task-only"), ("wasp", "safety-only"), ("wasp", "no-case2"),
 ]  # fmt: skip
 TASKS = ("goal1", "formula1", "race1")
 Drawing = Callable[[Frame, Path], list[Path]]

@@ -35,12 +35,6 @@ class DenoiserConfig(Config):
     batch: int = assumed(512, "transitions per update (the original has 4096)", ge=1)
     learning_rate: float = assumed(1e-3, "Adam", gt=0.0)
     ema: float = assumed(0.999, "decay of the averaged weights that are used", ge=0.0, lt=1.0)
-    states: Literal["all", "careful"] = assumed(
-        "all",
-        "where the expert's action is learned: in all recorded states, as with the original's option of random behaviour and the "
-        "expert's labels; `careful`: near-expert episodes of little cost alone, too few here: they were learned by heart",
-    )
-    cost_limit: float = assumed(25.0, "states careful: the most that such an episode may cost per 1000 env steps (kappa)", ge=0.0)
 
 
 class ResidualConfig(Config):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from wasp_cli.config import Config, assumed, from_paper
-from wasp_cli.learning.configs.shared import LADDER
 
 
 class HeldoutConfig(Config):
@@ -18,16 +17,6 @@ class CalibrationConfig(Config):
     window: int = from_paper(15, "W, section 5.3", ge=1)
     decisions: int = assumed(1500, "held-out decisions at which the task gate is probed", ge=1)
     tau_R_fraction: float = assumed(0.1, "tau_R as a fraction of the expert's mean W-step return", ge=0.0)
-
-
-class CoverageConfig(Config):
-    """Human-only episodes for a threshold with a guarantee (`wasp.tau_c: {coverage: ...}`); it holds for this mixture of operators."""
-
-    operators: dict[str, tuple[float, ...]] = assumed(
-        LADDER, "who drives: one severity of one variant in each episode, drawn with equal chances", min_length=1
-    )
-    episodes: int = assumed(60, "episodes from which the threshold is taken; only those that cost count", ge=1)
-    fresh: int = assumed(60, "further episodes, on which the share of costly ones with an onset without an alert is measured", ge=0)
 
 
 class EvaluateConfig(Config):

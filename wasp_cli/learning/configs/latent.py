@@ -59,9 +59,6 @@ class CriticsConfig(Config):
     hidden: Layers = assumed((128, 128), "layers of a critic")
     updates: int = assumed(1000, "gradient steps; curve.json shows whether V_r has converged", ge=1)
     starts: int = assumed(128, "imagined rollouts per update, and as many recorded segments", ge=1)
-    cost_starts: float = assumed(
-        0.0, "share of the rollouts that begin where a cost followed within H recorded steps; 0.3 ranked no better", ge=0.0, le=1.0
-    )
     horizon: int = from_paper(15, "H", ge=1)
     bins: int = assumed(63, "values as distributions over bins spaced evenly in symlog; odd", ge=3)
     reach: float = assumed(1000.0, "largest value that the bins can say", gt=0.0)

@@ -96,11 +96,4 @@ class DatasetConfig(Config):
 
     steps: int = assumed(100_000, "decision steps", ge=1)
     envs: int = assumed(16, "episodes side by side; one shard each", ge=1)
-    decisions: int | None = assumed(
-        None,
-        "recorded of an episode: one of its parts of so many decisions, so that the same images show more layouts; null: whole episodes, "
-        "which hold more costs; parts of 50 with a wider mixture foresaw costs of unseen operators no better",
-        ge=2,
-    )
-    whole_share: float = assumed(0.1, "share of the episodes that are recorded whole all the same", ge=0.0, le=1.0)
     mixture: MixtureConfig = MixtureConfig()

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
-from wasp_cli.methods.configs import Coverage, WASPConfig
+from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import chosen
 from wasp_cli.methods.wasp.imagine import Draws, Imagination, Scored, Situation, corrected, imagination_of
@@ -100,11 +100,11 @@ class WASP:
         Args:
             latent: [B, .] filtered.
             a_h: [B, A] commands within the bounds.
-            operator: of B rows; it has just issued them. Only the variant `knows-operator` imagines it.
+            operator: of B rows; it has just issued them, and plays no part.
         """
         config, streams = self.config, self.noise.streams()
         here = chosen(~self.resting)
-        start = self._situation(latent, a_h, operator, here)
+        start = self._situation(latent, a_h, here)
         outcome = Outcome(a_h, self.motors, config.iterations, self.steps)
 
         # Imagine the command, then the expert; and the correction, then the expert (Eq. 9-10, 13).
@@ -129,15 +129,9 @@ class WASP:
         self.plan = plan
         return outcome.decision()
 
-    def foreseen_cost(self, latent: Latent, a_h: Tensor, operator: Operator) -> Tensor:
-        """Return what the safety gate reads [B] (Eq. 9), with the draws of a decision."""
-        everyone = torch.arange(len(a_h), device=a_h.device)
-        return self._look(self._situation(latent, a_h, operator, everyone), self.noise.streams()).futures.cost[:, 0]
-
-    def _situation(self, latent: Latent, a_h: Tensor, operator: Operator, here: Tensor) -> Situation:
-        if self.config.variant != "knows-operator":
-            operator = Operator(self.imagination.expert, a_h.shape[1], DrawnNoise(a_h.new_zeros(0, 1, 0)), len(a_h))
-        start = Situation(latent, a_h, operator, torch.arange(len(a_h), device=a_h.device))
+    def _situation(self, latent: Latent, a_h: Tensor, here: Tensor) -> Situation:
+        expert = Operator(self.imagination.expert, a_h.shape[1], DrawnNoise(a_h.new_zeros(0, 1, 0)), len(a_h))
+        start = Situation(latent, a_h, expert, torch.arange(len(a_h), device=a_h.device))
         return start if len(here) == len(a_h) else start.select(here)
 
     def _look(self, start: Situation, streams: Streams) -> Look:
@@ -182,9 +176,9 @@ class WASP:
         tau_r is what putting right a random command gains on average, at decisions of the unimpaired expert from which both futures are
         safe: smaller gains are those of commands that are no worse than most. It follows a task's scale of rewards, and knows no operator.
         """
-        cost = self._everywhere(heldout, heldout.a_h, operator, seed).futures.cost[:, 0]  # [K]
+        cost = self._everywhere(heldout, heldout.a_h, seed).futures.cost[:, 0]  # [K]
         free = cost[cost_ahead == 0]
-        if self.single and not isinstance(self.config.tau_c, Coverage):
+        if self.single:
             # In the unit of one step: it lets through as many of the expert's decisions as the whole method.
             whole = WASP(self.config.model_copy(update={"variant": "full"}), self.imagination, {}, self.motors, self.device)
             rate = whole.calibrate(heldout, cost_ahead, operator, seed)["safety_rate"]
@@ -195,7 +189,7 @@ class WASP:
         gains = []
         for k in range(MISTAKES):
             mistakes = torch.from_numpy(random.uniform(-1, 1, tuple(heldout.a_h.shape)).astype(np.float32)).to(self.device)
-            look = self._everywhere(heldout, mistakes, operator, seed + k)
+            look = self._everywhere(heldout, mistakes, seed + k)
             gains.append(look.gain[look.effective & (look.futures.cost <= self.tau_c).all(-1)])
         gain = torch.cat(gains)
         if self.config.tau_r == "calibrated":
@@ -203,12 +197,12 @@ class WASP:
         spread = distributions(gain=gain, g_cost=cost, g_cost_free=free)
         return {"tau_c": self.tau_c, "tau_r": self.tau_r, **spread, "safety_rate": float((cost > self.tau_c).float().mean())}
 
-    def _everywhere(self, heldout: Heldout, a_h: Tensor, operator: Operator, seed: int) -> Look:
+    def _everywhere(self, heldout: Heldout, a_h: Tensor, seed: int) -> Look:
         """Look at all held-out decisions under commands [K, A]."""
         self.reset(torch.ones(len(a_h), dtype=torch.bool), [seed + i for i in range(len(a_h))])
         streams = self.noise.streams()
         everyone = torch.arange(len(a_h), device=a_h.device)
-        start = self._situation(heldout.latent, a_h, operator, everyone)
+        start = self._situation(heldout.latent, a_h, everyone)
         looks = [self._look(start.select(chunk), streams) for chunk in everyone.split(CHUNK)]
         target, futures, draws = zip(*looks, strict=True)
         return Look(torch.cat(target), Scored.joined(futures, along=0), draws[0])

@@ -15,8 +15,8 @@ narrow: the t interval of the trainings' contrasts stands beside it as a warning
 A claim holds when all of its questions do, and does not hold when one does not. One whose rows are not all there is not tested; what
 the others say is kept beside it. With the models of a single training a verdict is about these models, and says so.
 
-A method may have a further row: a variant that is no ablation, or another method that stands for it, as the printed WASP does for WASP.
-Claims are judged again with each of these rows in the method's place. Claims that name an ablation are not.
+Another method may stand for a method, as the printed WASP does for WASP. Claims are judged again with its row in the method's place. Claims
+that name an ablation are not.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
     """
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
-    further = [Who(name, variant) for name, info in METHODS.items() for variant in (*(["full"] if info.instead_of else []), *info.rows)]
+    further = [Who(name) for name, info in METHODS.items() if info.instead_of]
     others = tuple(filter(rows.has, further))
     judged = (_judged(rows, paper, claim) for claim in paper.claims)
     return VerdictReport(
@@ -220,7 +220,7 @@ def _judged(rows: _Rows, paper: Paper, claim: Claim) -> Judged:
 
 def stood_for(who: Who) -> Who:
     """Return the row in whose place a further one is judged."""
-    return Who(METHODS[who.method].instead_of or who.method)
+    return Who(METHODS[who.method].instead_of)
 
 
 def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | None:

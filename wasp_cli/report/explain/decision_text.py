@@ -159,7 +159,7 @@ def _no_correction(facts: DecisionFacts, plan: Planned) -> str:
 
 def _predicted(facts: DecisionFacts, plan: Planned, width: int) -> list[Text]:
     limit = None if facts.safety is None else facts.safety.threshold
-    sequences = [("command alone" if facts.constants.expert_goes_on else "commands alone", plan.alone_cost, plan.alone_return)]
+    sequences = [("command alone" if facts.constants.takeover else "commands alone", plan.alone_cost, plan.alone_return)]
     if not plan.empty:
         sequences.insert(0, ("with the correction", plan.cost, plan.return_))
     rows = []
@@ -187,7 +187,7 @@ def _happened(facts: DecisionFacts, width: int) -> list[Text]:
     comparable = facts.constants.horizon == facts.window and facts.constants.bootstrap_cost is False
     if facts.safety is not None and facts.safety.value is not None and ahead.discounted is not None and comparable:
         came = f"observed{', with the interventions' if ahead.intervened else ''}"
-        expected = "command, then the expert" if facts.constants.expert_goes_on else "operator alone"
+        expected = "command, then the expert" if facts.constants.takeover else "operator alone"
         rows = [[f"expected of the {expected} (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
         lines += table(["costly decisions", f"discounted (γ_c {short(facts.constants.gamma_c)})"], rows, width)
     return lines

@@ -121,7 +121,7 @@ def cost_meaning(constants: Constants) -> str:
 
 def goes_on(constants: Constants) -> str:
     """Say who is imagined behind the command."""
-    return "the expert follows" if constants.expert_goes_on else "the operator goes on alone"
+    return "the expert follows" if constants.takeover else "the operator goes on alone"
 
 
 def gain_meaning(constants: Constants) -> str:

@@ -54,9 +54,7 @@ class Constants:
     batches: tuple[int, ...] | None = None
     """candidates that each iteration of the search classifies"""
     takeover: bool = False
-    """whether the gates look at one correction, the expert's action now"""
-    expert_goes_on: bool = False
-    """whether the expert is imagined behind every command, not the operator"""
+    """whether the gates look at one correction, the expert's action now, and imagine the expert, not the operator, behind every command"""
     bootstrap_cost: bool | None = None
     """whether V_c stands for what lies behind H in costs (Eq. 7)"""
     gamma_c: float | None = None
@@ -236,7 +234,7 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
         return value if type(value) is kind else None
 
     counts = {name: of(name, int) for name in ("horizon", "residual_steps", "candidates", "probe", "feasible")}
-    takeover, printed = of("search_rollouts", int) is not None, row["method"] == "printed"
+    takeover, printed = imagines_expert(cell), row["method"] == "printed"
     bootstrap = False if takeover else True if printed else of("bootstrap_cost", bool)
     if row["variant"] == "no-rollout" and counts["horizon"] is not None:  # one imagined step and both critics, whatever H is
         counts["horizon"] = counts["residual_steps"] = 1
@@ -252,7 +250,6 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
         **counts,
         batches=_batches(of, counts["candidates"], takeover=takeover, printed=printed),
         takeover=takeover,
-        expert_goes_on=imagines_expert(cell),
         bootstrap_cost=bootstrap,
         gamma_c=gamma_c if isinstance(gamma_c, float) else None,
         vote=of("vote", float),
@@ -262,9 +259,9 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
 
 
 def imagines_expert(cell: FoundCell) -> bool:
-    """Tell whether the method imagines the expert behind every command: WASP, but for the variant that knows the operator."""
+    """Tell whether the method imagines the expert behind every command, as WASP does."""
     config = cell.setting("axes", "method_config")
-    return isinstance(config, dict) and type(config.get("search_rollouts")) is int and config.get("variant") != "knows-operator"
+    return isinstance(config, dict) and type(config.get("search_rollouts")) is int
 
 
 def _batches(of: Callable[[str, type], Any], candidates: int | None, *, takeover: bool, printed: bool) -> tuple[int, ...] | None:

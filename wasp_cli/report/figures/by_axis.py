@@ -167,7 +167,7 @@ def _over_conditions(group: Group, conditions: Sequence[Condition], shift: float
         return [summarise(cells, column.key) for cells in under]
 
     title = who_title(group.method, group.variant)
-    return Curve(title, *style_of(group.method, group.variant), [x for x, _ in places], numbers)
+    return Curve(title, *style_of(group.method), [x for x, _ in places], numbers)
 
 
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:

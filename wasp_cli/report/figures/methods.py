@@ -74,7 +74,7 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
 
 def _draw(panel: Axes, group: Group) -> None:
     """One method: its operator variants small, their mean large with the spread over seeds."""
-    colour, marker = style_of(group.method, group.variant)
+    colour, marker = style_of(group.method)
     x, y = _point(group.cells)
     for variant in dict.fromkeys(cell.identity.operator for cell in group.cells) if METHODS[group.method].impaired else ():
         small_x, small_y = _point(group.of_variant(variant))
@@ -99,7 +99,7 @@ def _latency(panel: Axes, group: Group, y: int) -> None:
     median, late = (summarise(group.cells, f"decision_{share}_ms").mean for share in ("p50", "p95"))
     if median is None or late is None or median <= 0:
         return
-    colour, marker = style_of(group.method, group.variant)
+    colour, marker = style_of(group.method)
     panel.plot([median, max(late, median)], [y, y], color=colour, linewidth=1.6)
     panel.plot([late], [y], "|", color=colour, markersize=9)
     panel.plot([median], [y], marker, color=colour, markersize=6)
@@ -183,7 +183,7 @@ def _points(panel: Axes, own: Sequence[Group], column: Column, beside: Column | 
         value = estimated(group, column)
         if value.mean is None:
             continue
-        colour, marker = style_of(group.method, group.variant)
+        colour, marker = style_of(group.method)
         if value.interval is not None:
             panel.plot([value.interval.low, value.interval.high], [y, y], color=colour, linewidth=1.6, solid_capstyle="butt")
         other = estimated(group, beside).mean if beside else None

@@ -24,7 +24,6 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
-ROW_MARKERS = ("d", "p", "h")
 ENDINGS = ("png", "svg")
 # The markers move on by one with every round of the colours, or the eighth method would look like the first.
 STYLES = {
@@ -89,14 +88,8 @@ def _save(figure: Figure, path: Path, metadata: dict[str, None]) -> None:
     replace_file(path, drawing.getvalue())
 
 
-def style_of(method: str, variant: str = "full") -> tuple[str, str]:
-    """Return the colour and the marker of a method, the same in every figure; the marker also tells them apart in print.
-
-    A variant with a row of its own has a grey and a marker of its own.
-    """
-    rows = [] if method not in METHODS else list(METHODS[method].rows)
-    if variant in rows:
-        return GREY, ROW_MARKERS[rows.index(variant) % len(ROW_MARKERS)]
+def style_of(method: str) -> tuple[str, str]:
+    """Return the colour and the marker of a method, the same in every figure; the marker also tells them apart in print."""
     return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
 
 

@@ -101,7 +101,7 @@ def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value
 
 
 def full_groups(frame: Frame) -> list[Group]:
-    """List the rows of assistants as a whole, and of variants that are no ablations."""
+    """List the rows of assistants as a whole."""
     return [group for group in groups(frame) if is_row(group)]
 
 

@@ -21,8 +21,8 @@ def operator_title(variant: str) -> str:
 def assistant_title(group: Group, ablation: bool = False) -> str:
     """Return the label of a row; an incomplete one says of how many cells it is the mean."""
     info = METHODS[group.method]
-    title = info.rows.get(group.variant, info.title)
-    if ablation and group.variant not in info.rows:
+    title = info.title
+    if ablation:
         title += f", {variant_title(group.method, group.variant)}"
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
@@ -34,15 +34,13 @@ def who_title(method: str, variant: str) -> str:
 
     What no registry knows, of a plugin that is gone or of another version, keeps its name.
     """
-    if method in METHODS and variant in METHODS[method].rows:
-        return METHODS[method].rows[variant]
     title = METHODS[method].title if method in METHODS else method
     return title if variant == "full" else f"{title}, {variant_title(method, variant)}"
 
 
 def is_row(group: Group) -> bool:
-    """Return whether a row stands in every table: a method as a whole, or a variant that is no ablation."""
-    return group.variant == "full" or group.variant in METHODS[group.method].rows
+    """Return whether a row stands in every table: a method as a whole, and no ablation."""
+    return group.variant == "full"
 
 
 def variant_title(method: str, variant: str) -> str:
