@@ -13,7 +13,7 @@ from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.kept import drawn_before, keep, mark_of
-from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure
+from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure, profile_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.notes import Note, lines_of
 from wasp_cli.report.page.build import build_page
@@ -184,6 +184,7 @@ def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folde
     files = cost_return_figure(frame, folder)
     files += necessity_figure(frame, folder)
     files += severity_figure(frame, folder)
+    files += profile_figure(frame, folder)
     files += latency_figure(frame, folder)
     files += learning_figure(layout, trained, folder)
     files += reliability_figure(layout, trained, folder)

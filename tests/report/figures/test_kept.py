@@ -36,7 +36,7 @@ def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tuple
         return files
 
     monkeypatch.setattr(document, "cost_return_figure", draw)
-    for name in ("necessity_figure", "severity_figure", "latency_figure", "learning_figure", "reliability_figure"):
+    for name in ("necessity_figure", "severity_figure", "profile_figure", "latency_figure", "learning_figure", "reliability_figure"):
         monkeypatch.setattr(document, name, lambda *arguments: [])
 
     def report() -> tuple[list[str], bool]:

@@ -6,9 +6,9 @@ import numpy as np
 from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.figures.methods import cost_return_figure
-from wasp_cli.report.figures.style import PALETTE, STYLES
-from wasp_cli.report.stats.frame import Frame
+from wasp_cli.report.figures.methods import cost_return_figure, profile, profile_figure
+from wasp_cli.report.figures.style import LINES, PALETTE, STYLES, place_of_round
+from wasp_cli.report.stats.frame import Frame, groups
 
 
 def test_same_numbers_same_bytes(frame: Frame, tmp_path: Path) -> None:
@@ -37,5 +37,23 @@ def test_methods_differ_in_colour_and_marker() -> None:
     assert len({colour for colour, _ in first}) == len({marker for _, marker in first}) == len(first)
 
 
+def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> None:
+    for group in groups(frame):
+        for key, at_least in (("return", True), ("cost", False)):
+            x, share = profile(group, key, at_least=at_least)
+            for value in x:
+                met = [np.mean(cell.episodes[key] >= value if at_least else cell.episodes[key] <= value) for cell in group.cells]
+                # Equal values make a step: the curve meets the share at one end of it.
+                ends = share[x == value]
+                assert np.isclose(ends.max(), np.mean(met))
+
+
+def test_profiles_tell_methods_of_one_colour_apart(frame: Frame, tmp_path: Path) -> None:
+    looks = {(STYLES[name][0], LINES[place_of_round(name)]) for name in METHODS}
+    assert len(looks) == len(METHODS)
+    _, svg = profile_figure(frame, tmp_path)
+    assert all(METHODS[cell.identity.method].title in svg.read_text(encoding="utf-8") for cell in frame.cells)
+
+
 def test_nothing_to_draw(tmp_path: Path) -> None:
-    assert cost_return_figure(Frame(()), tmp_path) == []
+    assert cost_return_figure(Frame(()), tmp_path) == profile_figure(Frame(()), tmp_path) == []

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.figures.style import drawn, figure_files, legend, ruled, style_of
+from wasp_cli.report.figures.style import LINES, drawn, figure_files, legend, place_of_round, ruled, style_of
 from wasp_cli.report.stats.frame import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.stats.summary import summarise
 from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups, row_title
@@ -70,6 +70,47 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
             panel.set_xlabel("ms per decision: median (mark), 95 % (bar)")
             ruled(panel, "x")
         return figure_files(figure, folder, "latency")
+
+
+def profile_figure(frame: Frame, folder: Path) -> list[Path]:
+    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and of cost, a column for each task.
+
+    Returns:
+        The written files; none when no cell has been computed.
+    """
+    drawable = [group for group in groups(frame) if is_row(group) and group.cells]
+    tasks = list(dict.fromkeys(group.task for group in drawable))
+    if not tasks:
+        return []
+    with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
+        panels = figure.subplots(2, len(tasks), squeeze=False, sharey=True)
+        for column, task in zip(panels.T, tasks, strict=True):
+            for group in drawable:
+                if group.task == task:
+                    for panel, key in zip(column, ("return", "cost"), strict=True):
+                        x, share = profile(group, key, at_least=key == "return")
+                        panel.step(x, share, where="post" if key == "cost" else "pre", color=style_of(group.method)[0],
+                                   linestyle=LINES[place_of_round(group.method)], linewidth=1.3, label=assistant_title(group))  # fmt: skip
+            column[0].set_title(task_title(task), loc="left", fontweight="bold")
+            column[0].set_xlabel("return x of an episode (better: up)")
+            column[1].set_xlabel("cost x of an episode (better: up)")
+            for panel in column:
+                panel.set_ylim(0.0, 1.02)
+                ruled(panel)
+        column = panels[:, 0]
+        column[0].set_ylabel("share of episodes that return ≥ x")
+        column[1].set_ylabel("share of episodes that cost ≤ x")
+        legend(figure, panels[0], loc="outside right upper")
+        return figure_files(figure, folder, "profile")
+
+
+def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
+    """Return values x [N] in their order, and the share [N] of episodes with at least x, or at most x; every cell weighs the same."""
+    values = np.concatenate([cell.episodes[key] for cell in group.cells])
+    weights = np.concatenate([np.full(cell.count, 1.0 / cell.count) for cell in group.cells]) / len(group.cells)
+    order = np.argsort(values, kind="stable")
+    x, reached = values[order], np.cumsum(weights[order])
+    return x, 1.0 - reached + weights[order] if at_least else reached
 
 
 def _draw(panel: Axes, group: Group) -> None:

@@ -30,6 +30,8 @@ STYLES = {
     name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)
 }
 """Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
+LINES = ("-", "--", ":")
+"""Of methods with one colour, in their rounds."""
 LOOK: dict[Any, Any] = {
     "font.size": 9,
     "svg.hashsalt": "wasp",
@@ -44,6 +46,8 @@ CAPTIONS = {
     "figure3": "What the interventions were worth: how many costly decisions would have followed without them, and what they changed; bars "
     "are the limits of the table.",
     "severity": "Return, cost and intervention rate under every operator and severity; bars are standard deviations over seeds.",
+    "profile": "Performance profiles: the share of episodes that return at least x, and that cost at most x; every operator and seed "
+    "weighs the same.",
     "latency": "Time of a decision: the median, and the 95th percentile as a bar. The episodes of a cell are decided side by side.",
     "learning": "Learning curves: what learns in the task, and the losses of the world model (means of neighbouring points).",
     "reliability": "Of the imagined steps that the world model calls costly with some probability, the share that was.",
@@ -91,6 +95,12 @@ def _save(figure: Figure, path: Path, metadata: dict[str, None]) -> None:
 def style_of(method: str) -> tuple[str, str]:
     """Return the colour and the marker of a method, the same in every figure; the marker also tells them apart in print."""
     return STYLES.get(method, (PALETTE[0], METHOD_MARKERS[0]))
+
+
+def place_of_round(method: str) -> int:
+    """Return in which round of the colours a method is, for LINES."""
+    known = list(METHODS)
+    return known.index(method) // len(PALETTE) % len(LINES) if method in known else 0
 
 
 def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
