@@ -17,7 +17,7 @@ NO_VERB = re.compile(
 )
 """Words with which a docstring does not say what a function does."""
 
-ROOMS_OF_ARRAYS = ("learning", "models", "methods", "operators", "tasks", "metrics", "video", "studies")
+ROOMS_OF_ARRAYS = ("learning", "models", "methods", "operators", "tasks", "metrics", "video")
 ARRAYS = re.compile(r"\b(Tensor|NDArray|ndarray|Floats|Bools|Ints|Images|Pixels)\b")
 NAMED = re.compile(r"dict\[str, [\w.]+(\[\w+\])?\]")
 """a dictionary of arrays: it says their names instead"""

@@ -5,15 +5,17 @@ from __future__ import annotations
 import platform
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+ROOT = Path(__file__).parents[1]
 
 COUNT = """\
 import resource
 import torch
-from wasp_cli.studies.planner_timing import Setup
+from tests.benchmarks.decisions import Setup, configs
 from wasp_cli.memory import keep_memory
-from wasp_cli.spec.derived import bench_configs
 
 def faults():
     decide()
@@ -21,7 +23,7 @@ def faults():
 
 assert keep_memory()
 with torch.inference_mode():
-    decide = Setup(*bench_configs(None)["paper"], 1).decision("safety")
+    decide = Setup(*configs("paper"), 1).decision("safety")
     faults()
     before = faults()
     print(faults() - before)
@@ -30,5 +32,5 @@ with torch.inference_mode():
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="mallopt is glibc's")
 def test_a_decision_gets_almost_no_new_pages() -> None:
-    done = subprocess.run([sys.executable, "-c", COUNT], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", COUNT], capture_output=True, text=True, timeout=60, check=True, cwd=ROOT)
     assert int(done.stdout) < 3000  # 30,000 to 40,000 without it

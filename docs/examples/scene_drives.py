@@ -23,7 +23,6 @@ from wasp_cli.methods.wasp.printed import Printed
 from wasp_cli.metrics.episode import GATE_NONE, INTERVENED
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import DrawnNoise, Operator
-from wasp_cli.studies.oracle import NoCritics
 
 Array = NDArray[Any]
 
@@ -38,6 +37,16 @@ def settings(variant: str = "full", **changes: object) -> PrintedConfig:
     """WASP as printed in these scenes: its defaults but for what belongs to a world: thresholds, size and weight of residuals."""
     world = {"tau_c": TAU_C, "tau_r": TAU_R, "alpha": 0.02, "initial_std": 1.0}
     return PrintedConfig.model_validate({"variant": variant, "rollouts": 1, **world, **changes})
+
+
+class NoCritics:
+    """Nothing beyond the horizon."""
+
+    def value_r(self, latent: Latent) -> Tensor:
+        """Return zeros [...]."""
+        return torch.zeros_like(latent.h[..., 0])
+
+    value_c = value_r
 
 
 def imagination(world: PointWorld) -> Imagination:

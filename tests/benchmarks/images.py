@@ -23,9 +23,9 @@ def camera(name: str, batch: int) -> Iterator[dict[str, Any]]:
     """Draw the same scenes again and again: those of `batch` episodes, every few decisions."""
     import numpy as np
 
+    from tests.benchmarks.task_speed import _task
     from wasp_cli.tasks.camera.camera import Camera
     from wasp_cli.tasks.driver import drive
-    from wasp_cli.tasks.speed import _task
 
     task = _task(name, batch, (), 4)
     scenes = []

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 import torch
 
+from tests.benchmarks.decisions import THRESHOLDS, Setup, configs
 from wasp_cli.memory import keep_memory
-from wasp_cli.spec.derived import bench_configs
-from wasp_cli.studies.planner_timing import THRESHOLDS, Setup
 
 EPISODES, PAIRS = 10, 3
 
@@ -22,7 +21,7 @@ def test_decisions_of_a_cell(benchmark: Any, kind: str) -> None:
     keep_memory()
     torch.set_num_threads(1)
     with torch.inference_mode():
-        setup = Setup(*bench_configs(None)["cpu"], EPISODES)  # type: ignore[arg-type]
+        setup = Setup(*configs("cpu"), EPISODES)
         packed, plain = setup.decision(kind), setup.decision(kind, reference=True)
         packed(), plain()
         peers = []

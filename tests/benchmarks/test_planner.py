@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from wasp_cli.spec.derived import bench_configs
-from wasp_cli.studies.planner_timing import THRESHOLDS, Setup, matrix_rate, products
+from tests.benchmarks.decisions import THRESHOLDS, Setup, configs, matrix_rate, products
 
 THREADS = min(2, os.cpu_count() or 1)
 
@@ -21,7 +20,7 @@ def test_decision(benchmark: Any, planner: str, kind: str) -> None:
     torch.set_num_threads(THREADS)
     try:
         with torch.inference_mode():
-            setup = Setup(*bench_configs(None)[planner], 1)  # type: ignore[arg-type]
+            setup = Setup(*configs(planner), 1)
             decide = setup.decision(kind)
             roof = matrix_rate()
             benchmark.pedantic(decide, rounds=5, warmup_rounds=1)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wasp_cli.tasks import speed
+from tests.benchmarks import task_speed as speed
 from wasp_cli.tasks.camera.camera import Camera
 from wasp_cli.tasks.driver import drive
 

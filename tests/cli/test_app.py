@@ -63,7 +63,6 @@ def test_help_names_every_command_and_an_example() -> None:
         "operators",
         "sweep",
         "explain",
-        "bench",
         "tasks",
         "doctor",
         "wasp run quickstart",
@@ -72,7 +71,7 @@ def test_help_names_every_command_and_an_example() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "plan", "check", "schema", "report", "ablate", "operators", "sweep", "explain", "bench", "tasks", "doctor"]
+    "command", ["run", "plan", "check", "schema", "report", "ablate", "operators", "sweep", "explain", "tasks", "doctor"]
 )
 def test_every_command_has_help(command: str) -> None:
     done = here(command, "--help")

@@ -14,7 +14,7 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.load import load
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = [[], *([name] for name in sorted(get_command(app).commands)), ["tasks", "show"], ["bench", "planner"]]  # type: ignore[attr-defined]
+COMMANDS = [[], *([name] for name in sorted(get_command(app).commands)), ["tasks", "show"]]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)

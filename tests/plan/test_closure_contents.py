@@ -23,8 +23,6 @@ from wasp_cli.tasks.registry import TASKS
 EVERY = "config seeds learning learning.configs stages stages.base tasks tasks.*"
 """The worlds are roots of every node, so that all of `tasks` is allowed but what checks and shows them (see NEVER)."""
 NEVER = (
-    "tasks.*conformance",
-    "tasks.comparison",
     "tasks.describe",
     "tasks.sheet",
     "tasks.driver",
@@ -169,7 +167,7 @@ def test_what_is_evaluated_trains_nothing_and_reads_no_dataset(kind: str) -> Non
 
 
 DRAWS = ("matplotlib", "PIL.ImageDraw", "PIL.ImageFont", "imageio", "rich", "jinja2", "markupsafe", "typer", "click")
-ROOMS = ("report", "video", "cli", "studies", "compare")
+ROOMS = ("report", "video", "cli", "compare")
 
 
 def imported(module: str) -> Iterator[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
@@ -12,7 +11,7 @@ from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_run
-from wasp_cli.spec.derived import ablation, bench_configs, read_sweep
+from wasp_cli.spec.derived import ablation, read_sweep
 from wasp_cli.spec.load import LONGEST_CHAIN, load
 from wasp_cli.spec.places import InvalidSpec
 from wasp_cli.store.layout import Layout
@@ -206,13 +205,11 @@ def test_options_lie_over_all_files(base: Path) -> None:
         load(path, ["wasp.elites"])
 
 
-def test_sweeps_ablations_and_benchmarks_take_a_chain(base: Path) -> None:
+def test_sweeps_and_ablations_take_a_chain(base: Path) -> None:
     path = written(base.parent, "fast", FAST + "wasp: {elites: 3}\n")
     sweep = read_sweep(path, "wasp.candidates=6,8")
     assert [point.loaded.spec.name for point in sweep.points] == ["fast-wasp.candidates-6", "fast-wasp.candidates-8"]
     assert ablation(path, "no-case2", tasks=["race1"]).spec.operators == {"noisy": {"mild": 0.2, "severe": 0.6}}
-    own: Any = bench_configs(path)["smoke"][-2]
-    assert (own.candidates, own.elites) == (10, 3)
 
 
 def test_a_run_records_every_file(base: Path, tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.conformance import __main__ as conformance
+from tests.conformance.comparison import compare
 from tests.tasks.conftest import DATA, load_recording
-from wasp_cli.tasks import conformance
-from wasp_cli.tasks.comparison import compare
 from wasp_cli.tasks.goal.task import Goal
 
 RECORDINGS = sorted(path.name for path in DATA.glob("*.npz"))

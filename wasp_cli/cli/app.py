@@ -11,7 +11,6 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from wasp_cli import __version__
-from wasp_cli.cli.bench import bench_app
 from wasp_cli.cli.doctor import doctor_app
 from wasp_cli.cli.drive import drive_app
 from wasp_cli.cli.inspect import inspect_app
@@ -55,7 +54,6 @@ app = typer.Typer(
 for group in (run_app, report_app, view_app, inspect_app, drive_app, spec_app, store_app):
     app.add_typer(group)
 app.add_typer(tasks_app, name="tasks", cls=_Group, rich_help_panel="Specs and tasks")
-app.add_typer(bench_app, name="bench", cls=_Group, rich_help_panel="Maintenance")
 app.add_typer(doctor_app)
 for added in app.registered_groups:
     for command in added.typer_instance.registered_commands if added.typer_instance else ():

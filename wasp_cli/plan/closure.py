@@ -30,7 +30,6 @@ ORCHESTRATION = frozenset(
         "report",
         "run",
         "spec",
-        "studies",
         "video",
         "view",
         "web",

@@ -1,8 +1,8 @@
 """Seconds of nodes that this machine has not computed yet: measured on another one, and scaled by the speed of this one.
 
-The figures are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size. `wasp bench times RESULTS` makes
-them. A variant that nobody measured is taken for its method,
-and a method that nobody measured for WASP, the slowest.
+The figures are medians by preset, stage, task and method, for stages in `SIZES` per unit of their size.
+`python -m tests.benchmarks.times RESULTS` makes them. A variant that nobody measured is taken for its method, and a method that nobody
+measured for WASP, the slowest.
 """
 
 from __future__ import annotations

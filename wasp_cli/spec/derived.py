@@ -1,4 +1,4 @@
-"""Specs that are made from another one: the ablation of a method, the planner's benchmark, the check of the operators, a sweep.
+"""Specs that are made from another one: the ablation of a method, the check of the operators, a sweep.
 
 A sweep is one spec, once for each value of one of its settings.
 """
@@ -6,19 +6,15 @@ A sweep is one spec, once for each value of one of its settings.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.learning.configs.latent import CriticsConfig, PoliciesConfig
-from wasp_cli.learning.configs.shared import ReturnsConfig
-from wasp_cli.learning.configs.world import WorldModelConfig
-from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.load import Chain, Loaded, Override, chain_of, load, loaded, override, path_of, value_of
-from wasp_cli.spec.model import Spec, method_sections, preset_names, validate
+from wasp_cli.spec.model import Spec, method_sections, preset_names
 from wasp_cli.spec.names import LONGEST, assistant_variants, spec_name
 from wasp_cli.spec.places import InvalidSpec, Problem
 from wasp_cli.spec.read import read
@@ -61,46 +57,6 @@ def ablation(
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
     return load(path, [*narrowed, *sized(preset, settings)])
-
-
-PAPER: Mapping[str, int] = {"candidates": 300, "elites": 100, "iterations": 6, "feasible": 100}
-"""N, N_e and I of section 5.1; N_f = N_e, which it leaves open."""
-
-
-class PlannerConfigs(NamedTuple):
-    """What a decision of WASP is measured with."""
-
-    world_model: WorldModelConfig
-    policies: PoliciesConfig
-    critics: CriticsConfig
-    wasp: WASPConfig
-    returns: ReturnsConfig
-
-
-def bench_configs(path: Path | None, settings: Sequence[str] = ()) -> dict[str, PlannerConfigs]:
-    """Return, by planner: the sections of the models, of WASP, and of the returns. Without a spec, those of the preset `cpu`.
-
-    Raises:
-        InvalidSpec: the spec is not valid.
-        UsageError: settings without a spec.
-    """
-    if path is None and settings:
-        raise UsageError("--set needs a spec to change", "wasp bench planner SPEC --set KEY=VALUE")
-    spec = _smallest() if path is None else load(path, settings).spec
-    own = cast(WASPConfig, spec.method("wasp"))
-    paper = WASPConfig.model_validate({**own.model_dump(), **PAPER})
-    models = (
-        cast(WorldModelConfig, spec.stage("world_model")),
-        cast(PoliciesConfig, spec.stage("policies")),
-        cast(CriticsConfig, spec.stage("critics")),
-    )
-    return {"paper": PlannerConfigs(*models, paper, spec.returns), spec.preset: PlannerConfigs(*models, own, spec.returns)}
-
-
-def _smallest() -> Spec:
-    """A spec of defaults."""
-    operators = {"laggy": {"moderate": 0.7}}
-    return validate({"name": "bench", "tasks": ["goal1"], "methods": ["wasp"], "operators": operators, "seeds": [0]})
 
 
 def operators_alone(path: Path, settings: Sequence[str] = ()) -> Loaded:

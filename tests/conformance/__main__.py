@@ -1,4 +1,4 @@
-"""`python -m wasp_cli.tasks.conformance FOLDER`: hold the tasks against recordings of the reference package.
+"""`python -m tests.conformance FOLDER`: hold the tasks against recordings of the reference package.
 
 Every `.npz` in the folder is checked; one line per file and quantity tells the worst error and the tolerance. The exit code is 1 when a
 quantity is out of tolerance, a file cannot be read or nothing could be checked, 2 on wrong usage. Recordings of other tasks are skipped.
@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.conformance.car import XY, CarTask, check_car_dynamics, check_car_episode
+from tests.conformance.comparison import Check, Recording
+from tests.conformance.point import check_point_dynamics, check_point_goal
 from wasp_cli.errors import WaspError
-from wasp_cli.tasks.car_conformance import XY, CarTask, check_car_dynamics, check_car_episode
-from wasp_cli.tasks.comparison import Check, Recording
 from wasp_cli.tasks.formula.model import build_model as build_formula
 from wasp_cli.tasks.formula.task import Formula
 from wasp_cli.tasks.formula.track import SIDES as FORMULA_SIDES
-from wasp_cli.tasks.goal.conformance import check_point_dynamics, check_point_goal
 from wasp_cli.tasks.race.model import build_model as build_race
 from wasp_cli.tasks.race.task import HAZARD_RADIUS, Race
 from wasp_cli.tasks.race.task import SIDES as RACE_SIDES
@@ -57,11 +57,11 @@ def main(arguments: Sequence[str]) -> int:
         print(__doc__)
         return 0
     if len(arguments) != 1:
-        print("usage: python -m wasp_cli.tasks.conformance FOLDER", file=sys.stderr)
+        print("usage: python -m tests.conformance FOLDER", file=sys.stderr)
         return 2
     folder = Path(arguments[0])
     if not folder.is_dir():
-        print(f"error: there is no folder '{folder}'\n       usage: python -m wasp_cli.tasks.conformance FOLDER", file=sys.stderr)
+        print(f"error: there is no folder '{folder}'\n       usage: python -m tests.conformance FOLDER", file=sys.stderr)
         return 2
     paths = sorted(path for path in folder.glob("*.npz") if path.is_file())
     if not paths:

@@ -19,9 +19,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.conformance.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
-from wasp_cli.tasks.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
 from wasp_cli.tasks.frames import distance, quaternion_rotation, wrapped, yaw_quaternion
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments

@@ -1,4 +1,4 @@
-"""`python -m wasp_cli.tasks.speed [TASK...]`: how fast the tasks run here, beside what this machine can do at all.
+"""`python -m tests.benchmarks.task_speed [TASK...]`: how fast the tasks run here, beside what this machine can do at all.
 
 Every figure is measured on one thread, in this run. A robot is driven by the script of `driver`; time outside of the task is not counted.
 """

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.conformance.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
 from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.comparison import Check, Recording, check_rewards, check_rules, compare, errors, mean_ratio, path_means
 from wasp_cli.tasks.frames import quaternion_rotation, wrapped
 from wasp_cli.tasks.goal.model import HAZARD_RADIUS, build_model
 from wasp_cli.tasks.goal.task import Goal
