@@ -28,7 +28,7 @@ Q_SHARE = 0.3
 
 
 def starts_of(recording: Recording) -> Tensor:
-    """Return the indices of the recorded rows from which imagination may begin: never held out or after an episode's own end."""
+    """Return the indices [S] of the recorded rows from which imagination may begin: never held out or after an episode's own end."""
     return torch.from_numpy(np.flatnonzero((recording.terminal == 0) & ~recording.held_out(HELD_OUT)))
 
 
