@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.report.explained import KEY, NAN, PRINTED, Invented, decision_text, episode_text, text_of
-from tests.store.former import write_former
 from wasp_cli.errors import UsageError
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.collect import decision_facts, merge_runs, summarize
@@ -344,20 +343,6 @@ def test_half_of_the_strip_is_the_threshold(tmp_path: Path) -> None:
     styles = {curve.plain[span.start] + curve.plain[span.end - 1]: span.style for span in curve.spans}
     assert styles["▁▄"] == "green"
     assert styles["▅█"] == "red"
-
-
-def test_an_older_table_says_what_it_does_not_know(tmp_path: Path) -> None:
-    made = Invented()
-    made.fire(2, GATE_SAFETY)
-    path = write_former(made.write(tmp_path), tmp_path / "former", 1)
-    episode = read_episode(FoundCell(path, KEY, made.manifest()), 0)
-    assert episode.version == 1
-    text = decision_text(episode, 2)
-    assert "  safety  G^c 0.500  τ_c 0.300  yes" in text
-    assert "not recorded (the file has an older table version)" in text
-    assert "not stored the predicted return" in " ".join(text.split())
-    assert "(table version 1; a new run of the cell stores them)" in " ".join(episode_text(episode).split())
-    assert len(as_json(decision_facts(episode, 2))["unknown"]) == 2
 
 
 @pytest.mark.parametrize("episode", [-1, 3, 99])

@@ -81,7 +81,7 @@ def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("without_figures")
 def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) -> None:
     partial = shutil.copytree(results, tmp_path / "results")
-    cell = sorted(partial.glob("store/evaluate/*/cell.parquet"))[0]
+    cell = sorted(partial.glob("store/evaluate/*/episodes.parquet"))[0]
     key = cell.parent.name
     shutil.rmtree(cell.parent)
     whole = run_here("report", results, "--no-films", "--strict", columns=120)

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.plans import plans_of
-from tests.store.former import with_former_names, write_former
+from tests.store.former import with_former_names
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
 from wasp_cli.report.stats.frame import Wanted, read_frame
@@ -25,7 +25,6 @@ from wasp_cli.store.tables import (
     STEPS_FILE,
     CellIdentity,
     Thresholds,
-    cell_file,
     first_rows,
     read_episodes,
     read_steps,
@@ -144,10 +143,9 @@ def test_same_input_same_bytes(write: Callable[..., Path]) -> None:
     assert first.with_name(STEPS_FILE).read_bytes() == second.with_name(STEPS_FILE).read_bytes()
 
 
-def test_times_are_those_of_the_decisions_of_each_episode(write: Callable[..., Path], tmp_path: Path) -> None:
+def test_times_are_those_of_the_decisions_of_each_episode(write: Callable[..., Path]) -> None:
     path = write()
-    for version in (path, write_former(path, tmp_path / "former")):
-        assert [times.tolist() for times in read_times(version)] == [[1, 2, 3, 4, 5], [1], [1, 2, 3, 4, 5, 6, 7, 8, 9]]
+    assert [times.tolist() for times in read_times(path)] == [[1, 2, 3, 4, 5], [1], [1, 2, 3, 4, 5, 6, 7, 8, 9]]
 
 
 def test_same_rows_leaves_timing_out(write: Callable[..., Path]) -> None:
@@ -177,7 +175,7 @@ def test_every_column_is_written_from_its_own_field() -> None:
 
 def test_truncated_file(write: Callable[..., Path]) -> None:
     path = write()
-    for file, reads in ((path.with_name(STEPS_FILE), (read_steps, read_times)), (path, (lambda _: read_episodes([path]), read_steps))):
+    for file, reads in ((path.with_name(STEPS_FILE), (read_steps, read_times)), (path, (lambda _: read_episodes([path]),))):
         file.write_bytes(file.read_bytes()[:-100])
         for read in reads:
             with pytest.raises(StoreError, match=rf"{file.name} is damaged"):
@@ -195,14 +193,6 @@ def test_steps_that_are_gone_or_a_link_are_named(write: Callable[..., Path], tmp
     for read in (read_steps, read_times, lambda path: same_rows(path, path)):
         with pytest.raises(StoreError, match=r"_steps\.pq is no plain file"):
             read(path)
-
-
-def test_the_file_of_a_version_before_is_taken_only_where_there_is_no_other(write: Callable[..., Path], tmp_path: Path) -> None:
-    path = write()
-    former = write_former(path, tmp_path / "former")
-    assert (cell_file(path.parent), cell_file(former.parent)) == (path, former)
-    assert cell_file(write_former(path, path.parent).parent) == path
-    assert cell_file(tmp_path / "nowhere") == tmp_path / "nowhere" / EPISODES_FILE
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"not a table at all, only text"])
@@ -283,24 +273,6 @@ def test_other_readers_see_all_cells_as_one_table(write: Callable[..., Path], tm
             assert pq.read_table(paths).num_rows == count
         else:
             assert len(pytest.importorskip("pandas").read_parquet(paths)) == count
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_tables_of_earlier_versions_are_read(write: Callable[..., Path], tmp_path: Path, version: int) -> None:
-    path = write()
-    former = write_former(path, tmp_path / "former", version)
-    assert (read_version(former), read_version(path)) == (version, 5)
-    old, new = read_episodes([former]), read_episodes([path])
-    assert old.drop_columns([*ADDED]).equals(new.drop_columns([*ADDED]))
-    assert all(old[name].null_count == old.num_rows > new[name].null_count for name in ADDED)
-    numbers = read_numbers(former, ("jump", "return"))
-    assert (numbers is None) == (version == 1)
-    assert numbers is None or numbers.table.equals(old.select(["jump", "return"]))
-    assert same_rows(former, path) == (version == 2)
-    if version == 1:
-        again = read_steps(former)
-        assert again["reward"].equals(read_steps(path)["reward"])
-        assert all(again[name].null_count == again.num_rows for name in (*PLANNED, "g_return"))
 
 
 def test_former_names_of_columns_are_read(write: Callable[..., Path], tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.models.world_model import load_world_model as load_weights
 from wasp_cli.store.artifact import corruption, read_manifest, read_record, stored_keys
 from wasp_cli.store.find import find_node
-from wasp_cli.store.layout import MANIFESTS, Layout, is_key
+from wasp_cli.store.layout import MANIFEST, Layout, is_key
 
 KIND = "world_model"
 IMAGES = (6, 64, 64)
@@ -180,7 +180,7 @@ def load_world_model(which: str | Path = "results", results: str | Path = "resul
     """
     folder = Path(which)
     if (folder / "world_model.safetensors").is_file():
-        manifest = next((record for name in MANIFESTS if (record := read_record(folder / name))), {})
+        manifest = read_record(folder / MANIFEST) or {}
         return LoadedWorldModel(load_weights(folder), manifest)
     if folder.is_dir():
         layout = Layout(folder)

@@ -34,18 +34,11 @@ TABLES = (
     "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
     "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
 )  # fmt: skip
-FORMER = "ladder"
-"""The name of `severity_check` in reports of earlier versions."""
 PAGES = ("report.md", "report.html")
 KNOWN = frozenset(
     {
         *PAGES,
-        *(
-            f"{name}.{ending}"
-            for names, endings in (((*TABLES, FORMER), RENDERERS), (CAPTIONS, ENDINGS))
-            for name in names
-            for ending in endings
-        ),
+        *(f"{name}.{ending}" for names, endings in ((TABLES, RENDERERS), (CAPTIONS, ENDINGS)) for name in names for ending in endings),
     }
 )
 """Every file that a report can write."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.store.layout import MANIFEST, MANIFESTS, Layout, is_key, is_name
+from wasp_cli.store.layout import MANIFEST, Layout, is_key, is_name
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import parse, printable, read_plain
 
@@ -77,7 +77,7 @@ def stored_kinds(layout: Layout) -> list[str]:
 
 
 def _holds_manifest(entry: os.DirEntry[str]) -> bool:
-    return entry.is_dir(follow_symlinks=False) and any(os.path.isfile(f"{entry.path}/{name}") for name in MANIFESTS)
+    return entry.is_dir(follow_symlinks=False) and os.path.isfile(f"{entry.path}/{MANIFEST}")
 
 
 def exists(layout: Layout, kind: str, key: str) -> bool:
@@ -130,8 +130,8 @@ def missing_file(layout: Layout, place: str, files: Mapping[str, int]) -> str | 
     return None
 
 
-WHY, FORMER_WHY = "_why.txt", "why.txt"
-"""Lies in an artifact that was taken out of use; the second by an earlier version."""
+WHY = "_why.txt"
+"""Lies in an artifact that was taken out of use."""
 
 _verified: dict[str, tuple[int, int]] = {}
 """Time and size of each file whose bytes this process has seen to be those of the manifest."""
@@ -171,9 +171,8 @@ def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:
 
 def why_invalid(layout: Layout, kind: str, key: str) -> str | None:
     """Return why an artifact was taken out of use; None of others."""
-    for name in (WHY, FORMER_WHY):
-        with suppress(OSError, ValueError):
-            return " ".join(printable(read_plain(layout.artifact(kind, key) / name)).split())[:500] or None
+    with suppress(OSError, ValueError):
+        return " ".join(printable(read_plain(layout.artifact(kind, key) / WHY)).split())[:500] or None
     return None
 
 
@@ -268,7 +267,7 @@ def _files(folder: Path) -> dict[str, dict[str, Any]]:
         if path.is_symlink():
             raise ArtifactError(f"'{path}' is a link; artifacts hold plain files only")
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and name not in MANIFESTS:
+        if path.is_file() and name != MANIFEST:
             found[name] = {"size": path.stat().st_size, "sha256": file_digest(path)}
     return found
 

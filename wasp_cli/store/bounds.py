@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from wasp_cli.errors import StoreError
-from wasp_cli.store.tables import EPISODES_FILE, FORMER_STEPS_FILE, STEPS_FILE
+from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
 
 MOST_EPISODES = 100_000
 """Rows of a cell: a spec cannot ask for more episodes."""
@@ -33,10 +33,9 @@ def require_size(path: Path) -> None:
     """
     cell = path.name == EPISODES_FILE
     _require(path, MOST_EPISODES if cell else None)
-    for name in (STEPS_FILE, FORMER_STEPS_FILE) if cell else ():
-        steps = path.with_name(name)
-        if steps.is_file() and not steps.is_symlink():
-            _require(steps, None)
+    steps = path.with_name(STEPS_FILE)
+    if cell and steps.is_file() and not steps.is_symlink():
+        _require(steps, None)
 
 
 def values_of(footer: pq.FileMetaData) -> int:

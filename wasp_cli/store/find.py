@@ -21,7 +21,7 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
-from wasp_cli.store.layout import MANIFESTS, Layout, is_key
+from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import printable
 from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
@@ -224,7 +224,7 @@ def _by_path(layout: Layout, text: str, wanted: str, labels: Sequence[str]) -> F
             )
     elif not os.path.isfile(text):
         raise _unknown(layout, wanted, labels)
-    manifest = next((record for name in MANIFESTS if (record := read_record(path.with_name(name)))), {})
+    manifest = read_record(path.with_name(MANIFEST)) or {}
     key = manifest.get("key")
     return FoundCell(path, key if isinstance(key, str) and is_key(key) else None, manifest)
 

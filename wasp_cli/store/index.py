@@ -16,7 +16,7 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store.artifact import is_file_name, listed_files, missing_file, read_manifest, replace_file, why_invalid
-from wasp_cli.store.layout import FORMER_MANIFEST, MANIFEST, Layout, is_key
+from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import read_plain
 
 LEAST_GAIN = 50
@@ -69,7 +69,7 @@ def scan(layout: Layout, kinds: Iterable[str], facts: Facts, version: int) -> Ar
         folder = str(layout.kind(kind))
         for key in _keys(layout, kind):
             place = f"{folder}/{key}"  # a Path for each of 100,000 takes a second
-            state = _state(f"{place}/{MANIFEST}") or _state(f"{place}/{FORMER_MANIFEST}")
+            state = _state(f"{place}/{MANIFEST}")
             if state is None:
                 damaged[key] = why_invalid(layout, kind, key) or f"'{place}/{MANIFEST}' is gone"
                 continue

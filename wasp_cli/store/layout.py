@@ -29,9 +29,6 @@ MANIFEST = "_manifest.json"
 """Begins as what readers of Parquet folders leave alone."""
 SESSION_FILE = "_session.json"
 """What only the cell of a person has, finished or not; see `store.people`."""
-FORMER_MANIFEST = "manifest.json"
-"""Its name in results of earlier versions."""
-MANIFESTS = (MANIFEST, FORMER_MANIFEST)
 
 
 @dataclass(frozen=True)
@@ -70,10 +67,8 @@ class Layout:
         return self.kind(kind) / _key(key)
 
     def manifest(self, kind: str, key: str) -> Path:
-        """Return what is known of an artifact: the file of an earlier version where there is only that."""
-        folder = self.artifact(kind, key)
-        path, former = folder / MANIFEST, folder / FORMER_MANIFEST
-        return path if os.path.lexists(path) or not os.path.lexists(former) else former
+        """Return what is known of an artifact."""
+        return self.artifact(kind, key) / MANIFEST
 
     @property
     def failures(self) -> Path:

@@ -16,9 +16,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from wasp_cli.store.bounds import MOST_EPISODES
-from wasp_cli.store.tables import LAST_NESTED, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds, columns_of
+from wasp_cli.store.tables import OLDEST, SCHEMA, VERSION, VERSION_KEY, CellIdentity, Thresholds, columns_of
 
-ALIKE = {str(version).encode(): version for version in range(LAST_NESTED, VERSION + 1)}
+ALIKE = {str(version).encode(): version for version in range(OLDEST, VERSION + 1)}
 """Versions whose episode columns are those of `tables.SCHEMA` but for names and what they lack."""
 
 SHARED = tuple(name for kind in (CellIdentity, Thresholds) for name in kind.__dataclass_fields__)

@@ -26,7 +26,7 @@ from wasp_cli.store.artifact import (
     stored_keys,
     stored_kinds,
 )
-from wasp_cli.store.layout import MANIFESTS, Layout, is_key
+from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
 from wasp_cli.store.slim import first_episodes
@@ -119,7 +119,7 @@ def not_used(kind: str, key: str, why: str) -> str:
 def _offer(source: Layout, kind: str, key: str) -> Offer:
     manifest = read_manifest(source, kind, key)
     path = source.manifest(kind, key)
-    if {*MANIFESTS} & {*listed_files(manifest, path)}:
+    if MANIFEST in listed_files(manifest, path):
         raise ArtifactError(f"'{path}' is damaged: it lists itself")
     recipe, behind = manifest.get(RECIPE), manifest.get(BEHIND)
     own = manifest.get("kind") == kind and manifest.get("key") == key

@@ -14,9 +14,8 @@
 A report opens thousands of cells and reads no step, so that episodes lie in a small file of their own. Both files name their cell in every
 row: `from read_parquet('store/evaluate/*/_steps.pq') where method = 'wasp'` needs no other file. The steps have a name that readers of
 folders leave alone (an underscore) and that `*.parquet` does not match, since one table of both would be neither: `store/evaluate` is a
-dataset of episodes. Undefined numbers are null. Everything but the TIMING columns is a function of the cell's key. Earlier versions named
-the steps `steps.parquet`; until version 2 a cell was one file, `cell.parquet`, with the steps inside its rows. ADDED is null in their rows,
-and RENAMED has their names of columns.
+dataset of episodes. Undefined numbers are null. Everything but the TIMING columns is a function of the cell's key. In the rows of
+earlier versions ADDED is null, and RENAMED has their names of columns.
 """
 
 from __future__ import annotations
@@ -40,15 +39,13 @@ from wasp_cli.store.parquet import opened_table, write_table
 
 EPISODES_FILE, STEPS_FILE = "episodes.parquet", "_steps.pq"
 """Names of the tables inside the artifact of a cell."""
-FORMER_STEPS_FILE, FORMER_FILE = "steps.parquet", "cell.parquet"
-"""Names of the steps in earlier results, and of the one table until version 2."""
 
 VERSION = 5
 """Grows with every change of SCHEMA or STEPS_SCHEMA; a file of a newer version is refused."""
 
 VERSION_KEY, STEPS_KEY = b"wasp.cell", b"wasp.steps"
-LAST_NESTED = 2
-"""The last version with the steps inside the rows of episodes."""
+OLDEST = 3
+"""The first version that is read: rows and steps in files of their own."""
 
 
 def _required(kind: pa.DataType, *names: str) -> list[pa.Field]:
@@ -269,9 +266,8 @@ def _array_of(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
 
 
 def cell_file(folder: Path) -> Path:
-    """Return where the rows of a cell are in the folder of its artifact: in the file of an earlier version where there is only that."""
-    path, former = folder / EPISODES_FILE, folder / FORMER_FILE
-    return path if os.path.lexists(path) or not os.path.lexists(former) else former
+    """Return where the rows of a cell are in the folder of its artifact."""
+    return folder / EPISODES_FILE
 
 
 def read_episodes(paths: Iterable[Path]) -> pa.Table:
@@ -304,22 +300,8 @@ def read_steps(path: Path) -> pa.Table:
         StoreError: as `read_episodes`, also of the file of the steps.
     """
     names = ["episode", *(field.name for field in STEP)]
-    if read_version(path) > LAST_NESTED:
-        table = _read_steps(path, names)
-        return pa.table([table[name] for name in names], names=names)
-    table = _read(path, ("episode", "steps"))
-    nested = table["steps"].combine_chunks()
-    lengths = np.asarray(nested.value_lengths())
-    flat = nested.flatten()
-    episode = pa.array(np.repeat(np.asarray(table["episode"]), lengths), pa.int32())
-    known = {flat.type.field(i).name: i for i in range(flat.type.num_fields)}
-    # An older file has fewer fields, or one of another type: what it does not say is null.
-    fields = [
-        flat.field(known[field.name]) if field.name in known and flat.type.field(known[field.name]).type == field.type
-        else pa.nulls(len(flat), field.type)
-        for field in STEP
-    ]  # fmt: skip
-    return pa.table([episode, *fields], names=names)
+    table = _read_steps(path, names)
+    return pa.table([table[name] for name in names], names=names)
 
 
 def read_times(path: Path) -> list[NDArray[np.float64]]:
@@ -328,8 +310,6 @@ def read_times(path: Path) -> list[NDArray[np.float64]]:
     Raises:
         StoreError: as `read_steps`.
     """
-    if read_version(path) <= LAST_NESTED:
-        return [np.asarray(times, np.float64) for times in _read(path, ("decision_ms",))["decision_ms"].to_pylist()]
     table = _read_steps(path, ("episode", "decision_ms"))
     episode, times = np.asarray(table["episode"]), np.asarray(table["decision_ms"], np.float64)
     return [times[episode == number] for number in _read(path, ("episode",))["episode"].to_pylist()]
@@ -397,13 +377,12 @@ def _read_steps(path: Path, columns: Sequence[str]) -> pa.Table:
 
 def _files(path: Path) -> list[Path]:
     """Return the files of the cell at `path`."""
-    return [path, _steps_file(path)] if read_version(path) > LAST_NESTED else [path]
+    return [path, _steps_file(path)]
 
 
 def _steps_file(path: Path) -> Path:
     """Return where the steps of the cell at `path` lie. Who reads a cell has seen that `path` is a plain file; nobody has of this one."""
-    beside, former = path.with_name(STEPS_FILE), path.with_name(FORMER_STEPS_FILE)
-    beside = former if os.path.lexists(former) and not os.path.lexists(beside) else beside
+    beside = path.with_name(STEPS_FILE)
     if not os.path.lexists(beside):
         raise StoreError(f"{beside} does not exist", "it belongs to the cell: copy both files, or run the spec again")
     if beside.is_symlink() or not beside.is_file():

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.report.invented import invent, write_rows
-from tests.store.former import write_former
+from tests.store.former import with_former_names
 from wasp_cli.report.stats import frame as frames
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.stats.kept import CELLS_KEY, VERSION_KEY
@@ -81,7 +81,7 @@ def test_what_has_changed_since_is_read_again(grid: Grid, kept: Path, opened: li
     hit = column.data_page_offset + column.total_compressed_size - 1
     wanted[2].path.write_bytes(content[:hit] + bytes([content[hit] ^ 4]) + content[hit + 1 :])  # of the same size
     wanted[4] = replace(wanted[4], identity=wanted[3].identity)
-    wanted[5] = replace(wanted[5], path=write_former(wanted[5].path, tmp_path / wanted[5].path.parent.name))
+    wanted[5] = replace(wanted[5], path=with_former_names(wanted[5].path, tmp_path / wanted[5].path.parent.name))
     opened.clear()
     frame = read_frame(wanted, kept)
     assert opened == [wanted[i].path for i in (0, 2, 4, 5)]

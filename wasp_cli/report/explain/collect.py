@@ -51,7 +51,7 @@ def summarize(episode: Episode) -> EpisodeSummary:
     series = {"gate": gate, **{name: episode.numbers[name] for name in ("g_cost", "deviation", "cost_env")}}
     return EpisodeSummary(
         identity(episode), episode.thresholds, episode.constants, episode.gated, episode.selective, totals, _runs(episode), series,
-        unknown(episode), episode.signal_limit,
+        episode.signal_limit,
     )  # fmt: skip
 
 
@@ -147,7 +147,6 @@ def decision_facts(episode: Episode, t: int) -> DecisionFacts:
         ahead=_happened(episode, t, window),
         window=window,
         ms=number(float(episode.ms[t])) if t < len(episode.ms) else None,
-        unknown=unknown(episode),
     )
 
 
@@ -228,17 +227,6 @@ def identity(episode: Episode) -> Who:
         episodes=episode.episodes,
         episode_seed=row["episode_seed"],
         decisions=episode.decisions,
-        table_version=episode.version,
-    )
-
-
-def unknown(episode: Episode) -> tuple[str, ...]:
-    """Return what a file of an older table version does not say."""
-    if episode.version > 1 or not episode.gated:
-        return ()
-    return (
-        "the predicted return of the commands alone (G^r)",
-        "the plans: residuals, safe candidates and case per iteration, predicted cost and return",
     )
 
 

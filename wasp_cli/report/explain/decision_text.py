@@ -46,7 +46,7 @@ def decision_lines(facts: DecisionFacts, width: int) -> list[Text]:
         heading(f"{who.label} · episode {who.episode} · decision {facts.t}", f"of 0 to {who.decisions - 1}"),
         *sentence(_headline(facts), width),
     ]
-    lines += [Text(), *fields(cell_fields(who, facts.unknown), width)]
+    lines += [Text(), *fields(cell_fields(who), width)]
     lines += [Text(), heading("Action"), *_action(facts, width)]
     if facts.safety is not None and facts.task is not None:
         lines += [Text(), heading("Gates"), *_gates(facts, facts.safety, facts.task, width)]
@@ -109,9 +109,8 @@ def _plan(facts: DecisionFacts, width: int) -> list[Text]:
     plan = facts.plan
     if plan is None:
         fired = facts.gate in ("safety", "task")
-        older = " (the file has an older table version)" if fired and facts.unknown else ""
         why = "the assistant was late" if facts.gate == "late" else "no gate fired"
-        return fields([("search", f"not recorded{older}" if fired else f"none: {why}")], width)
+        return fields([("search", "not recorded" if fired else f"none: {why}")], width)
     if not plan.searched:
         said = [("search", "none: the correction that the gate compared with the command is predicted safe, and is carried out")]
         return fields(said, width) + _corrections(facts, plan, width) + _predicted(facts, plan, width)

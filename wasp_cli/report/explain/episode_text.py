@@ -58,7 +58,7 @@ def episode_lines(summary: EpisodeSummary, width: int, command: str = "wasp expl
     """
     who, totals = summary.who, summary.totals
     lines = [heading(f"{who.label} · episode {who.episode}", f"of 0 to {who.episodes - 1}"), *sentence(_headline(summary), width), Text()]
-    lines += fields([*cell_fields(who, summary.unknown), *_outcome(summary)], width)
+    lines += fields([*cell_fields(who), *_outcome(summary)], width)
     if summary.selective:
         lines += [Text(), heading("Gates" if summary.gated else "Decisions"), *_gates(summary, width)]
     strip = strip_lines(summary, width)

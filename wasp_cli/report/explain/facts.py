@@ -43,7 +43,6 @@ class Who:
     episode_seed: int
     """of the world"""
     decisions: int
-    table_version: int
 
 
 @dataclass(frozen=True)
@@ -125,8 +124,6 @@ class EpisodeSummary:
     """Of one gate each; where one gate holds throughout, stretches with and without cost."""
     series: Mapping[str, NDArray[Any]]
     """[T] each: `gate` (metrics.episode.GATE_*), `g_cost`, `deviation`, `cost_env`"""
-    unknown: tuple[str, ...]
-    """what the file does not know"""
     signal_limit: float | None
     """what the method's own signal must exceed for an intervention"""
 
@@ -227,7 +224,6 @@ class DecisionFacts:
     window: int
     ms: float | None
     """decision time divided by the episodes that were decided side by side"""
-    unknown: tuple[str, ...]
 
 
 def exceeds(value: float | None, limit: float | None) -> bool:

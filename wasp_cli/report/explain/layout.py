@@ -80,19 +80,16 @@ def _wrapped(text: str, width: int, indent: int) -> list[str]:
     return [line.replace("\u00a0", " ") for line in filler.wrap(whole)]
 
 
-def cell_fields(who: Who, unknown: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the fields that say which cell it is, how its method decides, and what an older table does not know."""
+def cell_fields(who: Who) -> list[tuple[str, str]]:
+    """Return the fields that say which cell it is, and how its method decides."""
     task = TASKS[who.task].title if who.task in TASKS else who.task
     rule = METHODS[who.method].rule if who.method in METHODS else ""
-    entries = [
+    return [
         ("cell", f"{task}, {who_title(who.method, who.variant)}, seed {who.seed}, world {who.episode_seed}"),
         ("operator", _operator(who)),
         ("method", rule or f"not described: see the documentation of '{who.method}'"),
         ("key", who.key or f"none; read from {who.path}"),
     ]
-    if unknown:
-        entries.append(("not stored", f"{'; '.join(unknown)} (table version {who.table_version}; a new run of the cell stores them)"))
-    return entries
 
 
 def _operator(who: Who) -> str:

@@ -20,7 +20,7 @@ from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.plain import printable
 from wasp_cli.store.slim import without_steps
-from wasp_cli.store.tables import Thresholds, read_episodes, read_steps, read_times, read_version
+from wasp_cli.store.tables import Thresholds, read_episodes, read_steps, read_times
 from wasp_cli.tasks.registry import TASKS
 
 Floats = NDArray[np.float64]
@@ -75,8 +75,6 @@ class Episode:
     """The episode columns of `store.tables`"""
     episodes: int
     """in the cell, all decided side by side"""
-    version: int
-    """of the table"""
     gate: NDArray[np.int64]
     """[T]"""
     costly: Bools
@@ -200,7 +198,6 @@ def _read(cell: FoundCell, episode: int) -> Episode:
         cell=cell,
         row=row,
         episodes=len(numbers),
-        version=read_version(cell.path),
         # A value that this version does not know can only be a rule of some method.
         gate=np.array([gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64),
         costly=np.asarray(mine["cost"].to_pylist(), bool),
