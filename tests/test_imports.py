@@ -22,6 +22,7 @@ ALLOWED: Mapping[str, str] = {
     "registry.py": "the one place that imports what registries and plugins name",
     "methods/registry.py": "the config model that a method's registry entry names: its section of the spec",
     "plan/grid.py": "the stage that a node's registry entry names",
+    "run/verify.py": "the stage that evaluates cells, in the process that runs it",
     "run/worker.py": "the stage that a node names, in the process that runs it",
     "run/cluster.py": "whether dask or ray is installed, without importing it",
     "learning/configs/__init__.py": "the file of a section that is asked for, so that a stage's closure has its own group alone",

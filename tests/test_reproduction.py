@@ -15,6 +15,7 @@ import pytest
 
 from tests.commands import run_here
 from wasp_cli.spec.load import load
+from wasp_cli.store.tables import read_episodes
 
 ROOT = Path(__file__).parents[1]
 STORE = ROOT / "results" / "published" / "store"
@@ -60,6 +61,7 @@ def test_the_experts_of_the_cards_are_those_of_all_three_trainings() -> None:
         rows = {row["task"]: row for row in csv.DictReader(file)}
     shipped = [json.loads(path.read_text()) for path in (STORE / "expert").glob("*/*manifest.json")]
     shipped = [manifest for manifest in shipped if manifest["config"]["evaluation_episodes"] == 64]  # the quickstart's is a small one
+    shipped = [manifest for manifest in shipped if not manifest["config"].get("bars")]  # those that reach bars are of docs/assistants.md
     assert sorted(manifest["task"] for manifest in shipped) == ["formula1", "goal1", "race1"]
     for manifest in shipped:
         row = rows[{"formula1": "FormulaOne1", "goal1": "Goal1", "race1": "Race1"}[manifest["task"]]]
@@ -110,7 +112,7 @@ def test_the_first_episodes_of_published_cells_are_those_of_the_whole_ones(tmp_p
     run_here("run", spec, "--results", tmp_path / "r", *only, columns=200)
     rows: dict[tuple[str, int], list[dict[str, object]]] = {}
     for path in tmp_path.glob("r/store/evaluate/*/episodes.parquet"):
-        for row in pq.read_table(path).to_pylist():
+        for row in read_episodes([path]).to_pylist():
             rows.setdefault((row["operator"], row["episode"]), []).append(row)
     assert len(rows) == 4 * 30
     assert all(len(both) == 1 + (episode < 10) and both[0] == both[-1] for (_, episode), both in rows.items())
@@ -151,7 +153,7 @@ def test_in_each_training_wasp_costs_less_than_the_baselines() -> None:
     moderate = {(operator, severity["moderate"]) for operator, severity in spec.operators.items()}
     costs: dict[tuple[str, int], dict[str, dict[int, list[int]]]] = {}
     for cell, path in claims.cells_of("evaluate/*/episodes.parquet").items():
-        if cell.method in ("wasp", *BASELINES) and cell.variant == "full" and (cell.variant, cell.value) in moderate:
+        if cell.method in ("wasp", *BASELINES) and cell.variant == "full" and (cell.operator, cell.value) in moderate:
             for row in pq.read_table(path, columns=["episode_seed", "cost"]).to_pylist():
                 worlds = costs.setdefault((cell.task, cell.seed), {}).setdefault(cell.method, {})
                 worlds.setdefault(row["episode_seed"], []).append(row["cost"])
@@ -179,7 +181,7 @@ def test_of_how_many_episodes_an_ablation_changed_nothing() -> None:
     for cell, path in claims.cells_of("evaluate/*/episodes.parquet").items():
         if (cell.task, cell.method, cell.seed) == ("formula1", "wasp", 1):
             for row in pq.read_table(path, columns=["episode", *columns]).to_pylist():
-                rows.setdefault(cell.variant, {})[cell.variant, row["episode"]] = [row[name] for name in columns]
+                rows.setdefault(cell.variant, {})[cell.operator, row["episode"]] = [row[name] for name in columns]
     assert all(len(rows[variant]) == 120 for variant in ("full", "no-case2", "task-only"))
     case2, gate = (sum(rows["full"][place] == row for place, row in rows[variant].items()) for variant in ("no-case2", "task-only"))
     assert f"without Case II {case2} of 120 episodes are identical to those of the whole, without the safety gate {gate}." in PAGE

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import pyarrow.parquet as pq
-
 from wasp_cli.report.claims.text import PLAIN, sentence
 from wasp_cli.report.claims.verdict import Answer, Judged, VerdictReport, any_of, judge
 from wasp_cli.report.render.text import markdown_row
@@ -18,7 +16,8 @@ from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
-from wasp_cli.store.tables import CellIdentity
+from wasp_cli.store.branches import BRANCHES_FILE, read_branches
+from wasp_cli.store.tables import CellIdentity, read_episodes
 
 ROOT = Path(__file__).parents[2]
 STORE = ROOT / "results" / "published" / "store"
@@ -28,8 +27,15 @@ HEADINGS = ("Claim", "Verdict", "As printed", "In", "Decides")
 
 def cells_of(pattern: str) -> dict[CellIdentity, Path]:
     """Return the tables of the store that match, by the cell that their rows name."""
+    return {identity_of(path): path for path in sorted(STORE.glob(pattern))}
+
+
+def identity_of(path: Path) -> CellIdentity:
+    """Return the cell that a table of episodes or of branches names."""
+    if path.name == BRANCHES_FILE:
+        return read_branches(path).cell.identity
     names = list(CellIdentity.__dataclass_fields__)
-    return {CellIdentity(**pq.read_table(path, columns=names).slice(0, 1).to_pylist()[0]): path for path in sorted(STORE.glob(pattern))}
+    return CellIdentity(**read_episodes([path]).select(names).slice(0, 1).to_pylist()[0])
 
 
 def frame_of(name: str, cells: dict[CellIdentity, Path], branches: dict[CellIdentity, Path]) -> Frame:
@@ -39,7 +45,7 @@ def frame_of(name: str, cells: dict[CellIdentity, Path], branches: dict[CellIden
     wanted = [
         Wanted(cell, str(cell), path, branches=Wanted(cell, str(cell), branches[cell]) if name == "figure3" and cell in branches else None)
         for cell, path in cells.items()
-        if (cell.variant, cell.value) in operators
+        if (cell.operator, cell.value) in operators
         and cell.task in spec.tasks
         and cell.seed in spec.seeds
         and cell.variant in (*spec.variants, "full", "as-printed")
