@@ -47,8 +47,6 @@ def parse(line: str) -> dict[str, Any]:
     """Parse a command line as `wasp` would, without running it."""
     name, *arguments = shlex.split(line)[1:]
     group: Any = typer.main.get_command(app)
-    while arguments and name in group.commands and arguments[0] in getattr(group.commands[name], "commands", {}):
-        group, name, arguments = group.commands[name], arguments[0], arguments[1:]
     assert name in group.commands, f"no command '{name}'"
     with group.commands[name].make_context(name, arguments) as context:
         parameters: dict[str, Any] = context.params

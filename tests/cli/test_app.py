@@ -19,7 +19,7 @@ from tests.run.harness import Fakes, fakes, prepared, small_spec
 from wasp_cli import __version__
 from wasp_cli.errors import CellsFailed
 from wasp_cli.plan.plan import cells_with_keys
-from wasp_cli.run.record import new_run
+from wasp_cli.run.record import Recorded, new_run
 from wasp_cli.spec.load import load
 
 __all__ = ["fakes", "small_spec"]
@@ -60,10 +60,12 @@ def test_help_names_every_command_and_an_example() -> None:
         "schema",
         "report",
         "ablate",
-        "operators",
+        "severities",
         "sweep",
         "explain",
-        "tasks",
+        "control",
+        "list",
+        "draw",
         "doctor",
         "wasp run quickstart",
     ):
@@ -71,7 +73,7 @@ def test_help_names_every_command_and_an_example() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "plan", "check", "schema", "report", "ablate", "operators", "sweep", "explain", "tasks", "doctor"]
+    "command", ["run", "plan", "check", "schema", "report", "ablate", "severities", "sweep", "explain", "control", "list", "draw", "doctor"]
 )
 def test_every_command_has_help(command: str) -> None:
     done = here(command, "--help")
@@ -80,9 +82,10 @@ def test_every_command_has_help(command: str) -> None:
 
 
 def test_an_ascii_terminal_gets_help_and_no_traceback() -> None:
-    done = wasp("--help", PYTHONIOENCODING="ascii")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "+- Run -" in done.stdout
+    for arguments, shown in ((["--help"], "Prepare "), (["run", "--help"], "+- Arguments -")):
+        done = wasp(*arguments, PYTHONIOENCODING="ascii")
+        assert (done.returncode, done.stderr) == (0, "")
+        assert shown in done.stdout
 
 
 def test_version() -> None:
@@ -289,7 +292,7 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
     monkeypatch.setattr(Report, "terminal", gone)
     with pytest.raises(BrokenPipeError):
-        show_report(layout, loaded.spec, cells_with_keys(plan.grid), [], [], load_paper())
+        show_report(layout, Recorded("run", loaded.spec, cells_with_keys(plan.grid), []), load_paper())
     assert (layout.reports("small") / "report.md").is_file()
 
 

@@ -9,14 +9,24 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
 from tests.commands import run_here
 from tests.compare.two_runs import episodes, write_results
+from wasp_cli.cli.app import app
 from wasp_cli.errors import UnknownName
 from wasp_cli.run.session import restricted
 from wasp_cli.spec.derived import sized
 from wasp_cli.spec.load import load
 
+SHARED = [
+    (
+        ["run", "ablate", "sweep", "severities"],
+        {"--dry-run", "--jobs", "--timeout", "--retries", "--backend", "--scheduler", "--reuse"},
+    ),
+    (["run", "plan", "ablate", "sweep", "severities", "publish", "clone"], {"--task", "--preset", "--set", "--results"}),
+    (["control", "logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
+]
 NO_PICTURES = ("--no-films", "--no-trained")
 
 
@@ -65,6 +75,17 @@ def test_where_the_files_cannot_be_written_the_tables_are_printed(results: Path)
     assert done.exit_code == 1
     assert "Main results" in done.stdout
     assert "--out" in done.stderr
+
+
+@pytest.mark.parametrize(("commands", "options"), SHARED, ids=lambda part: " ".join(sorted(part)))
+def test_commands_of_a_kind_have_the_same_options_with_the_same_words(commands: list[str], options: set[str]) -> None:
+    texts: list[dict[str, tuple[str, str]]] = []
+    for command in commands:
+        parameters = get_command(app).commands[command].params  # type: ignore[attr-defined]
+        words = {parameter.opts[0]: (parameter.help, parameter.metavar) for parameter in parameters if parameter.opts[0] in options}
+        assert words.keys() == options, command
+        texts.append(words)
+    assert all(words == texts[0] for words in texts)
 
 
 def test_two_results_folders_are_refused_and_one_may_be_said_twice(results: Path) -> None:

@@ -1,4 +1,4 @@
-"""What `--help` shows, and that its examples can be typed after the quickstart."""
+"""What `--help` shows: all commands on one screen, and examples that can be typed after the quickstart."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from typer.main import get_command
 
 from tests.commands import run_here
 from wasp_cli.cli.app import app
+from wasp_cli.cli.command import GROUPS
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.load import load
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = [[], *([name] for name in sorted(get_command(app).commands)), ["tasks", "show"]]  # type: ignore[attr-defined]
+COMMANDS = [[], *([name] for name in sorted(get_command(app).commands))]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
@@ -23,6 +24,33 @@ def test_help_has_no_type_behind_a_switch_and_labels_that_the_quickstart_has(com
     assert "--help" in shown
     assert "<bool>" not in shown
     require_labels(shown, labels)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], []], ids=["asked", "alone"])
+def test_all_commands_fit_on_a_screen_each_on_a_line(arguments: list[str]) -> None:
+    done = run_here(*arguments, columns=80)
+    assert done.exit_code == (0 if arguments else 2)
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    for name, line in listed(lines).items():
+        assert re.search(rf" {name} +[A-Z].*[.]$", line), line
+    options = next(line for line in lines if line.startswith("Options: "))
+    assert {"--debug", "--version", "--install-completion", "--help"} <= set(options.removeprefix("Options: ").split(", "))
+
+
+def test_the_list_has_every_command_once_and_begins_with_the_readme() -> None:
+    names = [name for group in GROUPS.values() for name in group]
+    assert sorted(names) == sorted(get_command(app).commands)  # type: ignore[attr-defined]
+    assert len(set(names)) == len(names)
+    start = re.findall(r"^\$ wasp (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert names[: len(start)] == start == ["run", "report"]
+
+
+def listed(lines: list[str]) -> dict[str, str]:
+    """The line of each command."""
+    names = [name for group in GROUPS.values() for name in group]
+    return {name: next(line.rstrip() for line in lines if re.search(rf"(^| ) *{name} {{2,}}", line)) for name in names}
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/running.md", "docs/commands.md", "docs/guide.md"])

@@ -1,4 +1,4 @@
-"""`wasp tasks` from outside: the list, the picture of a layout, what it says to wrong input."""
+"""`wasp list` and `wasp draw` from outside: the lists, the picture of a layout, what they say to wrong input."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def wasp(*arguments: str | Path, folder: Path = EXAMPLES, columns: int = 200) ->
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, env=variables, check=False)
 
 
-@pytest.mark.parametrize("arguments", [["tasks", "--help"], ["tasks", "show", "--help"]])
+@pytest.mark.parametrize("arguments", [["list", "--help"], ["draw", "--help"]])
 def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     code = (
         "import sys\nfrom wasp_cli.cli.app import main\nsys.argv[1:] = sys.argv[2:]\n"
@@ -42,7 +42,7 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
 
 
 def test_the_list_says_what_each_task_is() -> None:
-    done = wasp("tasks")
+    done = wasp("list", "tasks")
     assert done.returncode == 0, done.stderr
     task = make_task("goal1", 1, observe=())
     for info in TASKS.values():
@@ -60,11 +60,11 @@ def test_the_list_says_what_each_task_is() -> None:
     ):
         assert words in done.stdout
     # What goes into a pipe is as complete as on a wide screen.
-    assert wasp("tasks", columns=80).stdout.split() == done.stdout.split()
+    assert wasp("list", "tasks", columns=80).stdout.split() == done.stdout.split()
 
 
 def test_the_list_for_machines() -> None:
-    found = {task["name"]: task for task in json.loads(wasp("tasks", "--json").stdout)}
+    found = {task["name"]: task for task in json.loads(wasp("list", "tasks", "--json").stdout)}
     assert list(found) == list(TASKS)
     goal = found["goal1"]
     assert (goal["gym_id"], goal["state_size"], goal["pixels_shape"]) == ("wasp/SafetyPointGoal1-v0", 60, [6, 64, 64])
@@ -85,34 +85,34 @@ def contains(sheet: np.ndarray, image: np.ndarray) -> bool:
 
 
 def test_a_sheet_shows_the_map_and_both_cameras(tmp_path: Path) -> None:
-    done = wasp("tasks", "show", "goal1", "--seed", "3", "--out", tmp_path / "map.png")
+    done = wasp("draw", "goal1", "--seed", "3", "--out", tmp_path / "map.png")
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str(tmp_path / "map.png")
     sheet = read(tmp_path / "map.png")
     pixels = make_task("goal1", 1, observe=("pixels",)).reset([3]).pixels[0]
     for camera in (pixels[:3], pixels[3:]):
         assert contains(sheet, np.moveaxis(camera, 0, -1).repeat(4, 0).repeat(4, 1))
-    other = wasp("tasks", "show", "wasp/SafetyPointGoal1-v0", "--seed", "3", "--out", tmp_path / "same.png")
+    other = wasp("draw", "wasp/SafetyPointGoal1-v0", "--seed", "3", "--out", tmp_path / "same.png")
     assert other.returncode == 0, other.stderr
     assert (tmp_path / "same.png").read_bytes() == (tmp_path / "map.png").read_bytes()
 
 
 def test_a_sheet_may_be_of_a_later_moment(tmp_path: Path) -> None:
     for name, steps in (("first", 0), ("later", 30), ("again", 30)):
-        assert wasp("tasks", "show", "goal1", "--out", tmp_path / f"{name}.png", "--steps", str(steps)).returncode == 0
+        assert wasp("draw", "goal1", "--out", tmp_path / f"{name}.png", "--steps", str(steps)).returncode == 0
     assert (tmp_path / "later.png").read_bytes() == (tmp_path / "again.png").read_bytes() != (tmp_path / "first.png").read_bytes()
 
 
 def test_a_sheet_has_a_name_of_its_own_that_stays_in_the_folder(tmp_path: Path) -> None:
     (tmp_path / "puddle.py").write_bytes((EXAMPLES / "puddle.py").read_bytes())
     for task, name in (("goal1", "goal1_seed0.png"), ("puddle:Puddle-v0", "puddle-Puddle-v0_seed0.png")):
-        done = wasp("tasks", "show", task, folder=tmp_path)
+        done = wasp("draw", task, folder=tmp_path)
         assert done.returncode == 0, done.stderr
         assert (tmp_path / name).is_file()
 
 
 def test_a_sheet_of_anothers_environment_shows_its_camera(tmp_path: Path) -> None:
-    done = wasp("tasks", "show", "puddle:Puddle-v0", "--seed", "2", "--out", tmp_path / "p.png")
+    done = wasp("draw", "puddle:Puddle-v0", "--seed", "2", "--out", tmp_path / "p.png")
     assert done.returncode == 0, done.stderr
     pixels = make_task("puddle:Puddle-v0", 1, observe=("pixels",)).reset([2]).pixels[0]
     assert contains(read(tmp_path / "p.png"), np.moveaxis(pixels[:3], 0, -1).repeat(4, 0).repeat(4, 1))
@@ -133,7 +133,7 @@ def test_a_sheet_of_anothers_environment_shows_its_camera(tmp_path: Path) -> Non
     ],
 )
 def test_what_cannot_be_shown_is_said(arguments: list[str], code: int, expected: str) -> None:
-    done = wasp("tasks", "show", *arguments)
+    done = wasp("draw", *arguments)
     assert done.returncode == code, done.stderr
     assert expected in done.stderr
     assert "Traceback" not in done.stderr
@@ -141,12 +141,18 @@ def test_what_cannot_be_shown_is_said(arguments: list[str], code: int, expected:
 
 
 def test_json_is_of_the_list_alone() -> None:
-    done = wasp("tasks", "--json", "show", "goal1")
+    done = wasp("draw", "goal1", "--json")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "--json is for the list of tasks" in done.stderr
+    assert "No such option: --json" in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [["tasks"], ["tasks", "show", "goal1"], ["tasks", "show", "race1", "--steps", "3"]])
+def test_what_is_no_list_is_refused_with_what_is() -> None:
+    done = wasp("list", "stages")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "'stages' is not one of 'methods', 'operators', 'tasks'" in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize("arguments", [["list"], ["draw", "goal1"], ["draw", "race1", "--steps", "3"]])
 def test_mujoco_that_does_not_import_is_said(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "foo")
     done = wasp(*arguments, folder=tmp_path)
@@ -163,11 +169,12 @@ def test_check_counts_one_cell(tmp_path: Path) -> None:
     assert wasp("check", "one.yaml", folder=tmp_path).stdout.split(": ")[1].strip() == "ok, 1 cell"
 
 
-def test_methods_lists_every_assistant_and_operator() -> None:
-    listed = json.loads(wasp("methods", "--json").stdout)
-    assert [each["name"] for each in listed["methods"]] == list(METHODS)
-    assert [each["name"] for each in listed["operators"]] == list(OPERATORS)
-    shown = wasp("methods").stdout
+def test_all_three_are_listed_where_none_is_named() -> None:
+    listed = json.loads(wasp("list", "--json").stdout)
+    names = {kind: [info["name"] for info in rows] for kind, rows in listed.items()}
+    assert names == {"methods": list(METHODS), "operators": list(OPERATORS), "tasks": list(TASKS)}
+    assert json.loads(wasp("list", "operators", "--json").stdout) == listed["operators"]
+    shown = wasp("list").stdout
     assert all(name in shown for name in (*METHODS, *OPERATORS, "no-case2", "delay in seconds"))
     assert all(word in shown for word in ("SafeRL-Res", "residual", "(denoiser)", "docs/extending.md"))
     assert not [word for word in ("Limited skill", "from wasp_cli") if word in shown]

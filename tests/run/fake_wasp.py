@@ -16,14 +16,15 @@ if __name__ == "__main__":
     import wasp_cli.cli.run
     from tests.run import fake_stages
     from wasp_cli.console import out
+    from wasp_cli.run.record import Recorded
 
     fake_stages.install()
 
-    def show_cells(layout: object, spec: object, cells: list[object], *more: object) -> SimpleNamespace:
+    def show_cells(layout: object, recorded: Recorded, *more: object) -> SimpleNamespace:
         gate = json.loads(os.environ.get(fake_stages.OPTIONS, "{}")).get("report")
         while gate is not None and not Path(gate).exists():  # until someone lets it be written
             time.sleep(0.02)
-        out().print(f"{len(cells)} cells")
+        out().print(f"{len(recorded.cells)} cells")
         return SimpleNamespace(missing=())
 
     wasp_cli.cli.run.show_report = show_cells  # type: ignore[assignment]

@@ -48,18 +48,18 @@ def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes: Fakes, sma
     fakes.set(seconds=0.3)
     with going(small_spec, results) as process:
         wait_until(lambda: len(finished(results)) >= 2)
-        assert "small: paused; running nodes finish" in wasp("pause", results).stdout
+        assert "small: paused; running nodes finish" in wasp("control", "pause", "--results", results).stdout
         wait_until(lambda: "paused" in events(results) and not list(results.glob("runs/*/running/*.json")))
         begun = len(fakes.executions())
         assert begun == len(finished(results)) < NODES
         assert ", paused" in wasp("status", results).stdout
         assert len(fakes.executions()) == begun
-        assert "small: goes on" in wasp("resume", results).stdout
+        assert "small: goes on" in wasp("control", "resume", "--results", results).stdout
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors
     assert "nothing new begins" in errors
     assert len(finished(results)) == NODES
-    refused = wasp("pause", results)
+    refused = wasp("control", "pause", "--results", results)
     assert (refused.returncode, "no run goes on" in refused.stderr) == (2, True)
 
 
@@ -71,7 +71,7 @@ def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(
     fakes.set(behave={"goal1 s0 world_model": behaviour})
     with going(small_spec, results) as process:
         wait_until(lambda: any("s0 world_model" in line for line in fakes.executions()))
-        told = wasp("cancel", "goal1 s0 world_model", "--results", results)
+        told = wasp("control", "cancel", "goal1 s0 world_model", "--results", results)
         assert "goal1 s0 world_model is taken back, and " in told.stdout
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 1
@@ -92,7 +92,9 @@ def test_a_waiting_node_that_is_taken_back_never_begins(fakes: Fakes, small_spec
     cell = next(node for node in plan.to_run() if node.label == "goal1 s0 wasp noisy=0.2")
     with going(small_spec, results) as process:
         wait_until(lambda: len(finished(results)) >= 1)
-        assert wasp("cancel", cell.key[:10], "--results", results).stdout.startswith("goal1 s0 wasp noisy=0.2 is taken back (run ")
+        assert wasp("control", "cancel", cell.key[:10], "--results", results).stdout.startswith(
+            "goal1 s0 wasp noisy=0.2 is taken back (run "
+        )
         _, errors = process.communicate(timeout=60)
     assert "1 cancelled:\n  goal1 s0 wasp noisy=0.2" in errors
     assert len(finished(results)) == NODES - 1
@@ -110,8 +112,18 @@ def test_what_cannot_be_taken_back_is_told(text: str, message: str, fakes: Fakes
     expert = next(node.key for node in plan.to_run() if node.label == "goal1 s0 expert")
     with going(small_spec, results):
         wait_until(lambda: expert in finished(results) and "done" in events(results))
-        refused = wasp("cancel", text, "--results", results)
+        refused = wasp("control", "cancel", text, "--results", results)
     assert refused.returncode == 2
+    assert message in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"), [(["cancel"], "cancel which node?"), (["pause", "results/"], "'results/' is too much: pause is for whole runs")]
+)
+def test_a_node_is_named_where_one_is_cancelled_and_only_there(asked: list[str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    refused = wasp("control", *asked, "--results", tmp_path)
+    assert (refused.returncode, refused.stdout) == (2, "")
     assert message in refused.stderr
 
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from wasp_cli.errors import WaspError
+from wasp_cli.spec.shipped import shipped_names
+
 SPECS = "specs/"
 
 
 def specs(incomplete: str) -> list[str]:
     """List the YAML files of the typed folder, and without one also those of `specs/` and the names that come with the package."""
-    from wasp_cli.spec.shipped import shipped_names
-
     typed = incomplete[: incomplete.rfind("/") + 1]
     folders = [typed] if typed else ["", SPECS]
     files = [f"{folder}{name}" for folder in folders for name in _yaml_files(Path(folder))]
@@ -59,7 +60,6 @@ def presets() -> list[str]:
 
 def settings() -> list[str]:
     """List the keys of `--set` and `--vary`, each with its `=`."""
-    from wasp_cli.errors import WaspError
     from wasp_cli.spec.hints import settings
 
     try:
@@ -70,8 +70,6 @@ def settings() -> list[str]:
 
 def _names(registry: Iterable[str]) -> list[str]:
     """List the names in a registry; none where a plugin does not load."""
-    from wasp_cli.errors import WaspError
-
     try:
         return list(registry)
     except WaspError:

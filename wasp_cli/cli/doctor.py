@@ -11,27 +11,26 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-import typer
-
-from wasp_cli.cli.options import ResultsOption, expected_errors
+from wasp_cli.cli.command import command
+from wasp_cli.cli.options import RESULTS, ResultsOption
 from wasp_cli.console import out
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.registry import Registry, load_target
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import installed, memory_gb, processor
 
-doctor_app = typer.Typer()
-
-NEEDED = ("mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
+NEEDED = ("torch", "mujoco", "gymnasium", "numpy", "stable-baselines3", "joblib", "pyarrow", "safetensors")
 SMALL_MEMORY_GB = 4.0
 ON_DEVICE = ("world_model", "latents", "evaluate")
 """The stages that compute on a GPU where there is one; a test holds this against their code."""
 
 
-@doctor_app.command(rich_help_panel="Maintenance")
-@expected_errors
-def doctor(results: ResultsOption = Path("results")) -> None:
-    """Check this machine: Python, libraries, cores, memory, GPU, and whether the results folder can be written."""
+@command("wasp doctor", codes="0 all is there, 1 something is missing or broken, 2 usage")
+def doctor(results: ResultsOption = RESULTS) -> None:
+    """Check this machine: libraries, cores, memory, GPU.
+
+    And whether the results folder can be written.
+    """
     findings = examine(results)
     show(findings)
     require(findings)
@@ -55,17 +54,13 @@ def examine(results: Path) -> list[Finding]:
 def _software() -> Iterator[Finding]:
     fits = sys.version_info >= (3, 11)
     yield Finding("Python", "ok" if fits else "missing", platform.python_version(), "" if fits else "wasp needs 3.11 or newer")
-    yield _imported("torch", "torch")
     for name in NEEDED:
-        yield _imported(name, name.replace("-", "_"))
-
-
-def _imported(distribution: str, module: str) -> Finding:
-    try:
-        import_module(module)
-    except (ImportError, OSError) as error:  # OSError: a library that the module loads is not there
-        return Finding(distribution, "missing", str(error).partition("\n")[0], f"required: pip install {distribution}")
-    return Finding(distribution, "ok", installed(distribution) or "found")
+        try:
+            import_module(name.replace("-", "_"))
+        except (ImportError, OSError) as error:  # OSError: a library that the module loads is not there
+            yield Finding(name, "missing", str(error).partition("\n")[0], f"required: pip install {name}")
+        else:
+            yield Finding(name, "ok", installed(name) or "found")
 
 
 def registries() -> tuple[Registry[Any], ...]:

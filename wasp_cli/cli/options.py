@@ -1,31 +1,25 @@
-"""What the commands share: arguments and options, how expected errors end a command, and JSON."""
+"""Arguments and options that commands share: single ones, and groups of them, which a command takes as one parameter."""
 
 from __future__ import annotations
 
 import functools
-import inspect
-import os
 import re
-import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.early import INTERRUPTED, end_in_order
+from wasp_cli.errors import UnknownName, UsageError
 
-P = ParamSpec("P")
-R = TypeVar("R")
+if TYPE_CHECKING:
+    from wasp_cli.run.session import RunOptions, Selection
+    from wasp_cli.spec.load import Loaded
 
-PIPE_CLOSED = 141
-
-option = functools.partial(typer.Option, show_default=False)
-argument = functools.partial(typer.Argument, show_default=False)
-"""Those whose default is None, or is explained in the help."""
-flag = functools.partial(typer.Option, metavar="")
-"""A switch, which takes no value: the help names no type."""
+RESULTS = Path("results")
+Completion = Callable[..., list[str]] | None
 
 
 def parse_folder(value: str | Path) -> Path:
@@ -44,134 +38,163 @@ def parse_duration(text: str | float) -> float:
     return seconds
 
 
-SpecArgument = Annotated[
-    Path,
-    argument(metavar="SPEC", help="A YAML file, or a name such as quickstart.", autocompletion=complete.specs),
-]
-ResultsOption = Annotated[Path, typer.Option("--results", metavar="DIR", parser=parse_folder, help="The results folder.")]
-ResultsArgument = Annotated[
-    Path | None, argument(metavar="[DIR]", parser=parse_folder, help="The results folder. (default: what --results says)")
-]
-NodeArgument = Annotated[str, argument(metavar="NODE", help="A label ('goal1 s1 world_model'), or the beginning of a key.")]
+def option(metavar: str, text: str, *names: str, among: Completion = None, **more: Any) -> Any:
+    """Declare an option that takes a value. Without names it has that of its parameter; a default that the text explains is not shown."""
+    return typer.Option(*names, metavar=metavar, help=text, show_default="(default: " not in text, autocompletion=among, **more)
+
+
+def argument(metavar: str, text: str, among: Completion = None, **more: Any) -> Any:
+    """Declare an argument."""
+    return typer.Argument(metavar=metavar, help=text, show_default="(default: " not in text, autocompletion=among, **more)
+
+
+def flag(name: str, text: str, *names: str, **more: Any) -> Any:
+    """Declare a switch, which takes no value."""
+    return typer.Option(name, *names, help=text, **more)
+
+
+directory = functools.partial(option, "DIR", parser=parse_folder)
+"""An option that names a folder."""
+
+ResultsOption = Annotated[Path, directory("The results folder.", "--results")]
+ResultsArgument = Annotated[Path | None, argument("[DIR]", "The results folder. (default: what --results says)", parser=parse_folder)]
+NodeArgument = Annotated[str, argument("NODE", "A label ('goal1 s1 world_model'), or the beginning of a key.")]
 StoredCellArgument = Annotated[
-    str, argument(metavar="CELL", help="A label ('goal1 s1 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
+    str, argument("CELL", "A label ('goal1 s1 wasp laggy=0.7'), the beginning of a key, or an episodes.parquet.")
 ]
-EpisodeOption = Annotated[int, option("--episode", "-e", metavar="E", help="The episode, counted from 0.")]
-TaskOption = Annotated[
-    list[str] | None,
-    option("--task", "-t", metavar="TASK", help="Only this task of the spec (repeatable).", autocompletion=complete.tasks),
-]
+EpisodeOption = Annotated[int, option("E", "The episode, counted from 0.", "--episode", "-e")]
 MethodOption = Annotated[
-    list[str] | None,
-    option("--method", "-m", metavar="NAME", help="Only this method of the spec (repeatable).", autocompletion=complete.methods),
+    list[str] | None, option("NAME", "Only this method of the spec (repeatable).", "--method", "-m", among=complete.methods)
 ]
-PresetOption = Annotated[
-    str | None,
-    option("--preset", metavar="NAME", help="Sizes and budgets. (default: what the spec says)", autocompletion=complete.presets),
-]
-RunOption = Annotated[
-    str | None,
-    option("--run", metavar="ID", help="The run: a folder name in runs/, its end, or a spec's name. (default: the newest)"),
-]
+PresetOption = Annotated[str | None, option("NAME", "Sizes and budgets. (default: what the spec says)", "--preset", among=complete.presets)]
+RunOption = Annotated[str | None, option("ID", "A folder name in runs/, its end, or the name of a spec. (default: the newest)", "--run")]
 JobsOption = Annotated[
-    int | None,
-    option("--jobs", "-j", min=0, metavar="N", help="At most N worker processes; 0 computes in this process. (default: all cores)"),
+    int | None, option("N", "At most N workers; 0 computes in this process. (default: all cores)", "--jobs", "-j", min=0)
 ]
-TimeoutOption = Annotated[
-    float | None,
-    option("--timeout", metavar="TIME", parser=parse_duration, help="Time limit of each node: 90, 30m, 2h. (default: no limit)"),
-]
-RetriesOption = Annotated[
-    int, typer.Option("--retries", min=0, max=9, metavar="N", help="Retries of a node that fails for a reason which may pass.")
-]
-BackendOption = Annotated[str, typer.Option("--backend", metavar="NAME", envvar="WASP_BACKEND", help="Workers: loky (local), dask or ray.")]
-SchedulerOption = Annotated[
-    str | None, option("--scheduler", metavar="URL", envvar="WASP_SCHEDULER", help="Address of the dask scheduler or ray cluster.")
-]
-SetOption = Annotated[
-    list[str] | None,
-    option("--set", metavar="KEY=VALUE", help="Override a value of the spec (repeatable).", autocompletion=complete.settings),
-]
-LimitOption = Annotated[
-    int | None,
-    option("--limit", min=1, metavar="N", help="Only the first N episodes of each cell: a look before the whole, which computes the rest."),
-]
+SetOption = Annotated[list[str] | None, option("KEY=VALUE", "Override a value of the spec (repeatable).", "--set", among=complete.settings)]
 SelectOption = Annotated[
-    list[str] | None,
-    option(
-        "--select",
-        metavar="FIELD=VALUE,...",
-        help="Only these cells: 'task=race1,method=wasp|ida'; 'stage=world_model' selects training nodes (repeatable).",
-    ),
+    list[str] | None, option("FIELD=VALUE,...", "Only these: 'task=race1,method=wasp|ida', 'stage=world_model' (repeatable).", "--select")
 ]
 ReuseOption = Annotated[
-    str | None,
-    option(
-        "--reuse",
-        metavar="none|published|DIR",
-        help="Published results to use instead of computing: none, results/published, or a folder. (default: what the spec says)",
-    ),
+    str | None, option("none|published|DIR", "Use results of results/published, or of DIR. (default: what the spec says)", "--reuse")
 ]
-DryRunOption = Annotated[bool, flag("--dry-run", help="Show the plan, as wasp plan does, and run nothing.")]
-FailedOption = Annotated[bool, flag("--failed", help="Only nodes that failed before, and nodes that wait for them.")]
-JsonOption = Annotated[bool, flag("--json", help="Print JSON.")]
+JsonOption = Annotated[bool, flag("--json", "Print JSON.")]
 
 
-def results_folder(argument: Path | None, option: Path) -> Path:
-    """Return the results folder, which a command takes as its argument or as `--results`.
+@dataclass(frozen=True, kw_only=True)
+class Folder:
+    """A results folder, which a command takes as its argument or as `--results`."""
 
-    Raises:
-        UsageError: both name one, and not the same.
-    """
-    from wasp_cli.errors import UsageError
+    folder: ResultsArgument = None
+    results: ResultsOption = RESULTS
 
-    if argument is not None and option not in (argument, Path("results")):
-        raise UsageError(f"two results folders: '{argument}' and --results '{option}'", "name one of them")
-    return option if argument is None else argument
+    @property
+    def path(self) -> Path:
+        """The folder.
 
-
-def expected_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Show an expected error as one message and end with its exit code; everything else is a bug and keeps its traceback.
-
-    Expected are also the refusals of the system: a full disk, a folder without permission, a broken pipe.
-    """
-
-    @functools.wraps(command)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
-        from wasp_cli.errors import WaspError
-
-        try:
-            end_in_order()
-            result = command(*args, **kwargs)
-            sys.stdout.flush()
-            return result
-        except (WaspError, OSError) as error:
-            from wasp_cli.console import report_error, silence
-            from wasp_cli.errors import refusal
-
-            if isinstance(error, OSError):
-                silence(sys.stdout)  # what it still holds would raise again at the end
-            if os.environ.get("WASP_DEBUG"):
-                raise
-            if isinstance(error, BrokenPipeError):
-                raise typer.Exit(PIPE_CLOSED) from None
-            expected = error if isinstance(error, WaspError) else refusal(error)
-            report_error(expected)
-            raise typer.Exit(expected.exit_code) from None
-        except KeyboardInterrupt:
-            if os.environ.get("WASP_DEBUG"):
-                raise
-            print("interrupted", file=sys.stderr)
-            raise typer.Exit(INTERRUPTED) from None
-
-    # Help is the docstring, and its paragraphs are wrapped to the terminal, not to the source.
-    wrapped.__doc__ = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(command.__doc__ or ""))
-    return wrapped
+        Raises:
+            UsageError: both name one, and not the same.
+        """
+        if self.folder is not None and self.results not in (self.folder, RESULTS):
+            raise UsageError(f"two results folders: '{self.folder}' and --results '{self.results}'", "name one of them")
+        return self.results if self.folder is None else self.folder
 
 
-def print_json(value: Any) -> None:
-    """Print a value as JSON."""
-    import json
+@dataclass(frozen=True, kw_only=True)
+class Whereabouts:
+    """Where a node or a cell is looked for."""
 
-    json.dump(value, sys.stdout, indent=1)
-    sys.stdout.write("\n")
+    run: RunOption = None
+    results: ResultsOption = RESULTS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sized:
+    """Which tasks of a spec, how large, and for which results folder."""
+
+    task: Annotated[list[str] | None, option("TASK", "Only this task of the spec (repeatable).", "--task", "-t", among=complete.tasks)] = (
+        None
+    )
+    preset: PresetOption = None
+    set_: SetOption = None
+    results: ResultsOption = RESULTS
+
+    @property
+    def settings(self) -> list[str]:
+        """What `--preset` and `--set` say, as settings.
+
+        Raises:
+            UnknownName: no such preset.
+        """
+        from wasp_cli.spec.derived import sized
+
+        return sized(self.preset, self.set_)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizedSpec(Sized):
+    """A spec, with some of its tasks."""
+
+    spec: Annotated[Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=complete.specs)]
+
+    def load(self) -> Loaded:
+        """Load the spec that is meant.
+
+        Raises:
+            InvalidSpec: it is not valid.
+            UnknownName: no such task or preset.
+        """
+        from wasp_cli.run.session import restricted
+        from wasp_cli.spec.load import load
+
+        return restricted(load(self.spec, self.settings), self.task)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectedSpec(SizedSpec):
+    """A spec, with some of its tasks, methods, cells and episodes."""
+
+    method: MethodOption = None
+    select: SelectOption = None
+    limit: Annotated[int | None, option("N", "Only the first N episodes of each cell: a look before the whole.", min=1)] = None
+    failed: Annotated[bool, flag("--failed", "Only nodes that failed before, and nodes that wait for them.")] = False
+    reuse: ReuseOption = None
+
+    def load(self) -> Loaded:
+        """Load the spec that is meant; `selection` says which of its cells."""
+        from wasp_cli.run.session import limited, restricted
+
+        return limited(restricted(super().load(), None, self.method), self.limit)
+
+    @property
+    def selection(self) -> Selection:
+        """Which of its cells are meant."""
+        from wasp_cli.run.session import Selection
+
+        return Selection(self.select or (), self.failed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """How a run is carried out."""
+
+    dry_run: Annotated[bool, flag("--dry-run", "Show the plan, as wasp plan does, and run nothing.")] = False
+    jobs: JobsOption = None
+    timeout: Annotated[float | None, option("TIME", "Time limit of each node: 90, 30m, 2h. (default: none)", parser=parse_duration)] = None
+    retries: Annotated[int, option("N", "Retries of a node that fails for a reason which may pass.", min=0, max=9)] = 0
+    backend: Annotated[str, option("NAME", "Workers: loky (local), dask or ray.", envvar="WASP_BACKEND")] = "loky"
+    scheduler: Annotated[str | None, option("URL", "Address of the dask scheduler or ray cluster.", envvar="WASP_SCHEDULER")] = None
+
+    def options(self) -> RunOptions:
+        """Return it as a run takes it.
+
+        Raises:
+            UnknownName: no such backend.
+        """
+        from wasp_cli.run.pool import BACKENDS
+        from wasp_cli.run.session import RunOptions, cores
+
+        if self.backend not in BACKENDS:  # also told where nothing is going to run
+            raise UnknownName("backend", self.backend, BACKENDS)
+        jobs = cores() if self.jobs is None else self.jobs
+        return RunOptions(jobs, self.timeout, self.retries, self.backend, self.scheduler, reports=True)

@@ -2,81 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from wasp_cli.cli.options import (
-    JsonOption,
-    ResultsArgument,
-    ResultsOption,
-    argument,
-    expected_errors,
-    flag,
-    option,
-    parse_folder,
-    print_json,
-    results_folder,
-)
-from wasp_cli.errors import WaspError
+from wasp_cli.cli.command import command, print_json
+from wasp_cli.cli.options import Folder, JsonOption, argument, directory, flag, option, parse_folder
+from wasp_cli.console import err, say
+from wasp_cli.console import out as console
+from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, refusal
+from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
     from wasp_cli.compare.runs import Compared
-    from wasp_cli.plan.node import Cell, Part
     from wasp_cli.report.document import Report
     from wasp_cli.report.page.films import Draw
     from wasp_cli.run.record import Recorded
-    from wasp_cli.spec.model import Spec
     from wasp_cli.spec.paper import Paper
-    from wasp_cli.store.layout import Layout
-
-PANEL = "Results"
-
-report_app = typer.Typer()
 
 
 class NotWritten(WaspError):
     """The files of a report cannot be written; what it prints was printed."""
 
 
-@report_app.command(
-    rich_help_panel=PANEL,
-    epilog="[bold]wasp report results/[/]   ·   [bold]wasp report results/ --spec table1 --strict[/]\n\n"
-    "Exit codes: 0 done, 1 part of the results cannot be read (with --strict also: something is missing; with --verify also: a file was "
-    "changed), 2 usage, 3 invalid paper.",
+@command(
+    "wasp report results/",
+    "wasp report results/ --spec table1 --strict",
+    codes="0 done, 1 part of the results cannot be read (with --strict also: something is missing; with --verify also: a file was "
+    "changed), 2 usage, 3 invalid paper",
 )
-@expected_errors
 def report(
-    folder: ResultsArgument = None,
-    results: ResultsOption = Path("results"),
-    spec: Annotated[str | None, option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran)")] = None,
+    results: Folder,
+    spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran)")] = None,
     paper: Annotated[
-        Path | None,
-        option("--paper", metavar="FILE|none", help="File with a paper's numbers and claims. (default: specs/paper.yaml; none: no paper)"),
+        Path | None, option("FILE|none", "File with a paper's numbers and claims. (default: specs/paper.yaml; none: no paper)")
     ] = None,
-    out: Annotated[
-        Path | None,
-        option("--out", metavar="DIR", parser=parse_folder, help="Write to DIR/<spec>. (default: reports/ in the results folder)"),
-    ] = None,
-    strict: Annotated[bool, flag("--strict", help="Exit with 1 if cells or counterfactual branches are missing.")] = False,
-    verify: Annotated[
-        bool, flag("--verify", help="Compare the SHA-256 of every file with its manifest; exit with 1 if one differs.")
-    ] = False,
-    films: Annotated[bool, flag("--films/--no-films", help="Add films: one episode of each task with every method.")] = True,
-    trained: Annotated[bool, flag("--trained/--no-trained", help="Draw each trained part, in the folder trained/.")] = True,
+    out: Annotated[Path | None, directory("Write to DIR/<spec>. (default: reports/ in the results folder)")] = None,
+    strict: Annotated[bool, flag("--strict", "Exit with 1 if cells or counterfactual branches are missing.")] = False,
+    verify: Annotated[bool, flag("--verify", "Compare the SHA-256 of every file with its manifest; exit with 1 if one differs.")] = False,
+    films: Annotated[bool, flag("--films/--no-films", "Add films: one episode of each task with every method.")] = True,
+    trained: Annotated[bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")] = True,
 ) -> None:
-    """Print the tables of a results folder; write tables, figures and an HTML report."""
-    from wasp_cli.errors import ArtifactError, CellsFailed, StoreError, UnknownName
+    """Print tables; write them, figures and an HTML report."""
     from wasp_cli.report.document import missing_words
     from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import read_run, results_of
     from wasp_cli.spec.paper import load_paper
-    from wasp_cli.store.layout import slug
 
     claimed = None if paper == Path("none") else load_paper(paper)
-    layout = results_of(results_folder(folder, results))
+    layout = results_of(results.path)
     runs, damaged = last_runs(layout, aside=spec is not None)
     if not runs and not damaged:
         raise StoreError(f"no results in '{layout.root}': it holds no runs", "wasp run SPEC --results DIR writes there")
@@ -91,19 +64,8 @@ def report(
             try:
                 recorded = read_run(layout, run_id)
                 changed += _changed(layout, recorded) if verify else []
-                shown = show_report(
-                    layout,
-                    recorded.spec,
-                    recorded.cells,
-                    recorded.parts,
-                    recorded.branched,
-                    claimed,
-                    recorded.unknown,
-                    recorded.absent,
-                    films=films,
-                    trained=trained,
-                    to=None if out is None else out / slug(name),
-                )
+                to = None if out is None else out / slug(name)
+                shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
                 damaged += shown.damaged
                 gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
                 missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
@@ -130,7 +92,6 @@ def report(
 
 def _changed(layout: Layout, recorded: Recorded) -> list[str]:
     """Which artifacts of a run have other bytes than their manifests say; the number of those that were read is told."""
-    from wasp_cli.console import say
     from wasp_cli.plan.grid import COUNTERFACTUAL
     from wasp_cli.report.verify import altered
     from wasp_cli.store.find import KIND
@@ -142,30 +103,14 @@ def _changed(layout: Layout, recorded: Recorded) -> list[str]:
 
 
 def show_report(
-    layout: Layout,
-    spec: Spec,
-    cells: list[tuple[Cell, str]],
-    parts: list[tuple[Part, str]],
-    branched: list[tuple[Cell, str]],
-    paper: Paper | None,
-    unknown: Sequence[str] = (),
-    absent: Sequence[str] = (),
-    *,
-    films: bool = False,
-    trained: bool = False,
-    to: Path | None = None,
+    layout: Layout, recorded: Recorded, paper: Paper | None, *, films: bool = False, trained: bool = False, to: Path | None = None
 ) -> Report:
-    """Write the report of one spec, then print it. Where the files cannot be written, what is printed is there all the same.
+    """Write the report of one run, then print it. Where the files cannot be written, what is printed is there all the same.
 
     Args:
         layout: the results folder.
-        spec: what ran.
-        cells: its cells, each with its key.
-        parts: its trained parts, each with its key.
-        branched: the cells whose interventions were tested, each with the key of its branches.
+        recorded: what the run was asked for.
         paper: numbers and claims to compare with; None: with none.
-        unknown: what the record of the run has that this version does not know.
-        absent: whose cells are left out, since it is not installed here, each as a sentence.
         films: whether the HTML report has films of episodes.
         trained: whether each trained part is drawn.
         to: the folder of the files; None: that of the spec in the results folder.
@@ -173,23 +118,24 @@ def show_report(
     Raises:
         NotWritten: the files cannot be written.
     """
-    from wasp_cli.console import err, out, say
-    from wasp_cli.errors import StoreError, refusal
     from wasp_cli.report.summarize import report_run
 
-    report = report_run(layout.root, spec, cells, parts, paper, branched, unknown, absent)
+    spec = recorded.spec
+    report = report_run(layout.root, spec, recorded.cells, recorded.parts, paper, recorded.branched, recorded.unknown, recorded.absent)
     # Written first: a terminal that goes away costs no file.
     try:
         with err().status("report") as status:
-            draw = _film_drawing() if films else None
+            draw: Draw | None = None
+            if films:
+                from wasp_cli.video.film import sprite_of as draw  # needs MuJoCo
             folder = layout.reports(spec.name) if to is None else to
             _, page, *_ = report.write(folder, draw, lambda text: status.update(f"drawing {text}"), evidence=trained)
     except (OSError, StoreError) as error:
-        report.terminal(out())
+        report.terminal(console())
         refused = error if isinstance(error, WaspError) else refusal(error)
         hint = "wasp report DIR --out FOLDER writes it elsewhere"
         raise NotWritten(f"the report of {spec.name} cannot be written: {refused.message}", hint) from error
-    report.terminal(out())
+    report.terminal(console())
     beside = "in the same folder: tables as Markdown, CSV and LaTeX, figures as PNG and SVG"
     left_out = [name for name, there in (("films of episodes", films), ("pictures of the trained parts", trained)) if not there]
     further = f"; wasp report adds {' and '.join(left_out)}" if left_out else ""
@@ -198,56 +144,40 @@ def show_report(
     return report
 
 
-def _film_drawing() -> Draw:
-    from wasp_cli.video.film import sprite_of  # needs MuJoCo
-
-    return sprite_of
-
-
-@report_app.command(
-    rich_help_panel=PANEL,
-    epilog="[bold]wasp compare results/ ../before/results[/]   ·   "
-    "[bold]wasp compare results/ results/ --spec-a table1 --spec-b mine[/]\n\n"
-    "Exit codes: 0 compared, 1 with --strict: they differ, 2 a folder or a spec does not exist.",
+@command(
+    "wasp compare results/ ../before/results",
+    "wasp compare results/ results/ --spec-a table1 --spec-b mine",
+    codes="0 compared, 1 with --strict: they differ, 2 a folder or a spec does not exist",
 )
-@expected_errors
 def compare(
-    first: Annotated[Path, argument(metavar="A", parser=parse_folder, help="A results folder.")],
-    second: Annotated[Path, argument(metavar="B", parser=parse_folder, help="Another results folder.")],
-    spec: Annotated[
-        str | None, option("--spec", metavar="NAME", help="Only the spec of this name. (default: all that ran in both)")
-    ] = None,
-    spec_a: Annotated[str | None, option("--spec-a", metavar="NAME", help="The spec in A; needs --spec-b.")] = None,
-    spec_b: Annotated[str | None, option("--spec-b", metavar="NAME", help="The spec in B; needs --spec-a.")] = None,
-    out: Annotated[
-        Path | None,
-        option("--out", metavar="DIR", parser=parse_folder, help="Also write the comparison there, as Markdown, CSV, LaTeX and HTML."),
-    ] = None,
-    strict: Annotated[bool, flag("--strict", help="Exit with 1 if a cell differs by more than noise, or is missing in A or B.")] = False,
+    first: Annotated[Path, argument("A", "A results folder.", parser=parse_folder)],
+    second: Annotated[Path, argument("B", "Another results folder.", parser=parse_folder)],
+    spec: Annotated[str | None, option("NAME", "Only the spec of this name. (default: all that ran in both)")] = None,
+    spec_a: Annotated[str | None, option("NAME", "The spec in A; needs --spec-b.")] = None,
+    spec_b: Annotated[str | None, option("NAME", "The spec in B; needs --spec-a.")] = None,
+    out: Annotated[Path | None, directory("Also write the comparison there, as Markdown, CSV, LaTeX and HTML.")] = None,
+    strict: Annotated[bool, flag("--strict", "Exit with 1 if a cell differs by more than noise, or is missing in A or B.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Compare two results folders cell by cell: what changed, and is it more than noise?
+    """Compare two results folders, cell by cell.
 
-    The last run of each spec counts. Only stored rows are read; nothing is computed.
+    What changed, and is it more than noise? The last run of each spec counts. Only stored rows are read; nothing is computed.
     """
     from wasp_cli.compare.pairs import pairs
     from wasp_cli.compare.runs import compare as compared_runs
     from wasp_cli.compare.text import as_json, show, write
-    from wasp_cli.console import out as console
-    from wasp_cli.console import say
-    from wasp_cli.errors import NotAccepted, UsageError
 
     if out is not None and out.exists() and not out.is_dir():
         raise UsageError(f"'{out}' is not a folder", "--out names a folder; it is created if it does not exist")
     comparisons: list[Compared] = [compared_runs(*pair) for pair in pairs(first, second, spec, spec_a, spec_b)]
     paths = [] if out is None else write(comparisons, out)
     if json:
-        print_json([as_json(each) for each in comparisons])
+        print_json([as_json(compared) for compared in comparisons])
     else:
-        for each in comparisons:
-            show(each, console())
+        for compared in comparisons:
+            show(compared, console())
         if paths:
             say(f"written: {paths[0]} (its tables are in the same folder)")
-    unlike = [each.first.spec.name for each in comparisons if not each.alike]
+    unlike = [compared.first.spec.name for compared in comparisons if not compared.alike]
     if strict and unlike:
         raise NotAccepted(f"not alike: {', '.join(unlike)}", "the comparison names the cells that are missing or differ by more than noise")

@@ -1,43 +1,41 @@
-"""`wasp check`, `init`, `schema`, `methods`, `tasks` and `tasks show`."""
+"""`wasp check`, `init`, `schema`, `list` and `draw`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from wasp_cli.cli import completion as complete
-from wasp_cli.cli.options import JsonOption, SetOption, argument, expected_errors, flag, option, parse_folder, print_json
+from wasp_cli.cli.command import command, print_json
+from wasp_cli.cli.options import JsonOption, SetOption, argument, flag, option, parse_folder
+from wasp_cli.console import out, say
+from wasp_cli.errors import SpecError
 from wasp_cli.registry import module_of
+from wasp_cli.spec.shipped import copy_specs, spec_path
 
 if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
     from wasp_cli.spec.places import Problem
-    from wasp_cli.tasks.describe import Description
-
-PANEL = "Specs and tasks"
-
-spec_app = typer.Typer()
 
 
-@spec_app.command(
-    rich_help_panel=PANEL,
-    epilog="[bold]wasp check specs/*.yaml[/]   ·   [bold]wasp check specs/table1.yaml --json | jq '.[].problems'[/]\n\n"
-    "Exit codes: 0 all are valid, 2 usage, 3 at least one is invalid.",
+@command(
+    "wasp check specs/*.yaml",
+    "wasp check specs/table1.yaml --json | jq '.[].problems'",
+    codes="0 all are valid, 2 usage, 3 at least one is invalid",
 )
-@expected_errors
 def check(
-    specs: Annotated[list[Path], argument(metavar="SPEC...", help="YAML files.", autocompletion=complete.specs)],
-    set_: SetOption = None,
-    json: JsonOption = False,
+    specs: Annotated[list[Path], argument("SPEC...", "YAML files.", among=complete.specs)], set_: SetOption = None, json: JsonOption = False
 ) -> None:
-    """Validate specs and paper files: every mistake at once, with file, line and column."""
-    from wasp_cli.console import say
-    from wasp_cli.errors import SpecError
+    """Name every mistake in specs and paper files.
+
+    All at once, with file, line and column.
+    """
     from wasp_cli.spec.places import InvalidSpec
 
     results: list[dict[str, Any]] = []
@@ -67,7 +65,6 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     from wasp_cli.spec.load import load
     from wasp_cli.spec.paper import is_paper, paper_of
     from wasp_cli.spec.read import read
-    from wasp_cli.spec.shipped import spec_path
 
     path = spec_path(path)
     source = read(path)
@@ -80,76 +77,58 @@ def _what_it_has(path: Path, settings: Sequence[str]) -> tuple[int | None, str]:
     return cells, f"{cells} cell{'s' if cells != 1 else ''}" if spec.methods else "training only"
 
 
-@spec_app.command(rich_help_panel=PANEL, epilog="[bold]wasp init[/]   ·   [bold]wasp init experiments/specs[/]")
-@expected_errors
-def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", parser=parse_folder, help="Where to.")] = Path("specs"),
-) -> None:
-    """Copy the specs that come with wasp to a folder, to edit them. Files that are there stay as they are."""
-    from wasp_cli.console import say
-    from wasp_cli.spec.shipped import copy_specs
+@command("wasp init", "wasp init experiments/specs")
+def init(folder: Annotated[Path, argument("DIR", "Where to.", parser=parse_folder)] = Path("specs")) -> None:
+    """Copy the specs that come with wasp, to edit them.
 
+    Files that are there stay as they are.
+    """
     written, kept = copy_specs(folder)
     say(*(f"{path}: written" for path in written), *(f"{path}: is there, not changed" for path in kept))
 
 
-@spec_app.command(
-    rich_help_panel=PANEL, epilog="[bold]wasp schema > specs/wasp.schema.json[/]   ·   [bold]wasp schema --plugins > mine.schema.json[/]"
-)
-@expected_errors
-def schema(
-    plugins: Annotated[bool, flag("--plugins", help="Include the names of installed plugins.")] = False,
-) -> None:
-    """Print the JSON Schema of specs, for completion and checks in an editor.
+@command("wasp schema > specs/wasp.schema.json", "wasp schema --plugins > mine.schema.json")
+def schema(plugins: Annotated[bool, flag("--plugins", "Include the names of installed plugins.")] = False) -> None:
+    """Print the JSON Schema of specs, for editors.
 
-    The first line of a spec names it: `# yaml-language-server: $schema=wasp.schema.json`.
+    It is for completion and checks. The first line of a spec names it: `# yaml-language-server: $schema=wasp.schema.json`.
     """
     from wasp_cli.spec.schema import spec_schema
 
     print_json(spec_schema(plugins=plugins))
 
 
-tasks_app = typer.Typer(
-    invoke_without_command=True,
-    help="List the tasks, or show one.",
-    epilog="[bold]wasp tasks[/]   ·   [bold]wasp tasks show goal1 --seed 3[/]   ·   [bold]wasp tasks --json | jq '.[].gym_id'[/]",
-)
+@command("wasp list", "wasp list methods", "wasp list tasks --json | jq '.[].gym_id'", name="list")
+def list_names(
+    what: Annotated[
+        Literal["methods", "operators", "tasks"] | None, argument("methods|operators|tasks", "Which. (default: all three)")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """List assistants, operators and tasks.
 
-
-@tasks_app.callback()
-@expected_errors
-def tasks(context: typer.Context, json: JsonOption = False) -> None:
-    """List the tasks with their spaces, cost sources and limits, or show one (wasp tasks show)."""
-    if context.invoked_subcommand is not None:
-        if json:
-            from wasp_cli.errors import UsageError
-
-            raise UsageError("--json is for the list of tasks; a task is shown as a picture", "wasp tasks --json")
-        return
-    from dataclasses import asdict
-
-    from wasp_cli.console import out, say
-    from wasp_cli.tasks.describe import describe
-
-    descriptions = describe()
+    What a spec can name, with what plugins bring: how an assistant decides and what it needs trained, what an operator's severity means,
+    and a task's spaces, cost sources and limits.
+    """
+    listed = {name: rows() for name, (rows, _, _) in LISTS.items() if what in (None, name)}
     if json:
-        print_json([asdict(task) for task in descriptions])
+        print_json(listed if what is None else listed[what])
         return
-    out().print(task_table(descriptions))
-    say("Any gymnasium id is a task too: docs/own_task.md")
+    for name, rows in listed.items():
+        _, table, further = LISTS[name]
+        out().print(table(rows))
+        say(further)
 
 
-@spec_app.command(
-    rich_help_panel="Specs and tasks", epilog="[bold]wasp methods[/]   ·   [bold]wasp methods --json | jq '.operators[].name'[/]"
-)
-@expected_errors
-def methods(json: JsonOption = False) -> None:
-    """List the assistants and the simulated operators that a spec can name, with those of plugins."""
-    from wasp_cli.console import out, say
+Rows = Sequence[Mapping[str, Any]]
+"""What is listed, each as `--json` prints it."""
+
+
+def methods() -> Rows:
+    """Return the assistants."""
     from wasp_cli.methods.registry import METHODS
-    from wasp_cli.operators.registry import OPERATORS
 
-    assistants = [
+    return [
         {
             "name": info.name, "title": info.title, "rule": info.rule, "variants": list(info.variants),
             "needs": list(info.needs), "needs_with": list(dict.fromkeys(kind for *_, kind in info.needs_with)),
@@ -157,43 +136,71 @@ def methods(json: JsonOption = False) -> None:
         }
         for info in METHODS.values()
     ]  # fmt: skip
-    operators = [
+
+
+def operators() -> Rows:
+    """Return the simulated operators."""
+    from wasp_cli.operators.registry import OPERATORS
+
+    return [
         {
-            "name": info.name,
-            "title": info.title,
-            "severity": info.unit,
-            "low": info.low,
-            "high": info.high,
+            "name": info.name, "title": info.title, "severity": info.unit, "low": info.low, "high": info.high,
             "module": module_of(info.target),
         }
         for info in OPERATORS.values()
     ]  # fmt: skip
-    if json:
-        print_json({"methods": assistants, "operators": operators})
-        return
-    out().print(method_table(assistants))
-    say("Stages are trained besides the world model and the policies; those in brackets under some settings only.")
-    out().print(operator_table(operators))
-    say("Your own assistant or operator: docs/extending.md")
 
 
-def method_table(methods: Sequence[Mapping[str, Any]]) -> Table:
+def tasks() -> Rows:
+    """Return the tasks. Imports MuJoCo."""
+    from wasp_cli.tasks.describe import describe
+
+    return [asdict(task) for task in describe()]
+
+
+def method_table(methods: Rows) -> Table:
     """Make a row per assistant: its name, how it decides, the stages that it needs of its own, and its variants."""
     table = listing("Method", "How it decides", "Stages", "Variants")
     for info in methods:
-        shown = [each for each in info["variants"] if each != "full"]
         stages = [*info["needs"], *(f"({kind})" for kind in info["needs_with"])]
-        table.add_row(named(info), info["rule"] or "see its documentation", "\n".join(stages), "\n".join(shown))
+        variants = [variant for variant in info["variants"] if variant != "full"]
+        table.add_row(named(info), info["rule"] or "see its documentation", "\n".join(stages), "\n".join(variants))
         table.add_section()
     return table
 
 
-def operator_table(operators: Sequence[Mapping[str, Any]]) -> Table:
+def operator_table(operators: Rows) -> Table:
     """Make a row per operator variant: its name, what its severity means, and from where to where."""
     table = listing("Operator", "Severity", "Range")
     for info in operators:
         table.add_row(named(info), info["severity"], f"{info['low']:g} to {info['high']:g}")
     return table
+
+
+def task_table(tasks: Rows) -> Table:
+    """Make a row per task: its names, its spaces, what costs, and when an episode ends."""
+    from rich.text import Text
+
+    table = listing("Task", "Spaces", "Costs", "Limit")
+    for task in tasks:
+        pixels = "x".join(map(str, task["pixels_shape"]))
+        sides = zip(task["action_low"], task["action_high"], strict=True)
+        bounds = dict.fromkeys(f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in sides)
+        action = f"action {len(task['action_low'])} in {', '.join(bounds)}"
+        spaces = f"state {task['state_size']}\npixels {pixels}\nprivileged {task['privileged_size']}\n{action}"
+        goals = f"{task['success_goals']} goal{'s' if task['success_goals'] > 1 else ''}"
+        limit = f"{task['env_steps']} steps\n{task['seconds']:g} s\n{goals}"
+        name = Text(task["name"], style="bold").append(f"\n{task['gym_id']}", style="dim")
+        table.add_row(name, *map(Text, (spaces, "\n".join(task["cost_sources"]) or "none", limit)))
+        table.add_section()
+    return table
+
+
+LISTS = {
+    "methods": (methods, method_table, "Stages are trained besides world model and policies; in brackets: under some settings only."),
+    "operators": (operators, operator_table, "Your own assistant or operator: docs/extending.md"),
+    "tasks": (tasks, task_table, "Any gymnasium id is a task too: docs/own_task.md"),
+}
 
 
 def named(info: Mapping[str, Any]) -> Text:
@@ -208,7 +215,7 @@ def named(info: Mapping[str, Any]) -> Text:
 
 
 def listing(*headings: str) -> Table:
-    """Make an empty table; only its first column keeps its words together."""
+    """Make an empty table; only its second column may break a line between words."""
     from rich import box
     from rich.table import Table
 
@@ -218,59 +225,18 @@ def listing(*headings: str) -> Table:
     return table
 
 
-def task_table(tasks: Sequence[Description]) -> Table:
-    """Make a row per task."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for heading in ("Task", "Spaces", "Costs", "Limit"):
-        table.add_column(heading, no_wrap=True)
-    for task in tasks:
-        cells = [Text(cell) for cell in (_spaces(task), _costs(task), _limit(task))]
-        table.add_row(Text(task.name, style="bold").append(f"\n{task.gym_id}", style="dim"), *cells)
-        table.add_section()
-    return table
-
-
-def _spaces(task: Description) -> str:
-    shape = "x".join(map(str, task.pixels_shape))
-    return f"state {task.state_size}\npixels {shape}\nprivileged {task.privileged_size}\n{_actions(task)}"
-
-
-def _actions(task: Description) -> str:
-    pairs = zip(task.action_low, task.action_high, strict=True)
-    bounds = dict.fromkeys(f"±{high:g}" if low == -high else f"[{low:g}, {high:g}]" for low, high in pairs)
-    return f"action {len(task.action_low)} in " + ", ".join(bounds)
-
-
-def _costs(task: Description) -> str:
-    return "\n".join(task.cost_sources) or "none"
-
-
-def _limit(task: Description) -> str:
-    goals = f"{task.success_goals} goal{'s' if task.success_goals > 1 else ''}"
-    return f"{task.env_steps} steps\n{task.seconds:g} s\n{goals}"
-
-
-@tasks_app.command(
-    "show",
-    epilog="[bold]wasp tasks show goal1 --seed 3 --out map.png[/]   ·   [bold]wasp tasks show my_pkg:MyEnv-v0[/]\n\n"
-    "Exit codes: 0 done, 1 the environment fails or the file cannot be written, 2 usage.",
+@command(
+    "wasp draw goal1 --seed 3 --out map.png",
+    "wasp draw my_pkg:MyEnv-v0",
+    codes="0 done, 1 the environment fails or the file cannot be written, 2 usage",
 )
-@expected_errors
-def show_task(
-    task: Annotated[str, argument(metavar="ID", help="A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", autocompletion=complete.tasks)],
-    seed: Annotated[int, typer.Option("--seed", min=0, max=2**32 - 1, metavar="N", help="Seed of the layout.")] = 0,
-    out: Annotated[Path | None, option("--out", metavar="PNG", help="File of the picture. (default: <task>_seed<N>.png)")] = None,
-    steps: Annotated[
-        int, typer.Option("--steps", min=0, metavar="N", help="Also show the first N decision steps, up to the end of the episode.")
-    ] = 0,
+def draw(
+    task: Annotated[str, argument("TASK", "A task (goal1) or a gymnasium id (my_pkg:MyEnv-v0).", among=complete.tasks)],
+    seed: Annotated[int, option("N", "Seed of the layout.", min=0, max=2**32 - 1)] = 0,
+    out: Annotated[Path | None, option("PNG", "File of the picture. (default: <task>_seed<N>.png)")] = None,
+    steps: Annotated[int, option("N", "Also show the first N decision steps, up to the end of the episode.", min=0)] = 0,
 ) -> None:
-    """Draw a layout: the map from above and both camera images."""
-    from wasp_cli.console import say
+    """Draw a layout of a task: its map and camera images."""
     from wasp_cli.tasks.sheet import draw_sheet
 
-    path = draw_sheet(task, seed, steps, out)
-    say(str(path))
+    say(str(draw_sheet(task, seed, steps, out)))

@@ -7,12 +7,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.plan.recorded import PlannedNode, PlannedRun, named_run
+from wasp_cli.plan.recorded import PlannedNode, PlannedRun, named_run, planned_runs
 from wasp_cli.run.watch import ENDS, events_of, state_of
 from wasp_cli.store.find import begins, same_label
 from wasp_cli.store.layout import Layout
+
+
+def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: str | None, name: str | None) -> list[str]:
+    """Ask the runs that go on, or the one that is named, for something; return what each does now, in words.
+
+    Args:
+        layout: the results folder.
+        action: what is asked for.
+        node: what is cancelled: a label, or the beginning of a key.
+        name: of a run; None: all that go on.
+
+    Raises:
+        UsageError: no run goes on, there is a node too many or none to cancel, or the node cannot be taken back.
+        UnknownName: there is no such run or node.
+    """
+    if node is None and action == "cancel":
+        raise UsageError("cancel which node?", "wasp control cancel NODE; wasp status shows what runs")
+    if node is not None and action != "cancel":
+        raise UsageError(f"'{node}' is too much: {action} is for whole runs", "--run ID names a run, --results DIR a results folder")
+    runs = live_runs(layout, planned_runs(layout), name)
+    if node is not None:
+        return [_told(taken) for taken in cancel(layout, runs, node)]
+    if action == "resume":
+        return [f"{run.spec}: {'goes on' if resume(layout, run) else 'was not paused'} (run {run.run_id})" for run in runs]
+    for run in runs:
+        pause(layout, run)
+    return [f"{run.spec}: paused; running nodes finish (run {run.run_id})" for run in runs]
 
 
 def live_runs(layout: Layout, runs: Sequence[PlannedRun], name: str | None) -> list[PlannedRun]:
@@ -22,12 +50,12 @@ def live_runs(layout: Layout, runs: Sequence[PlannedRun], name: str | None) -> l
         UsageError: none goes on, or the named one does not.
         UnknownName: there is no run of this name.
     """
-    asked = list(runs) if name is None else [named_run(runs, name)]
-    found = [run for run in asked if state_of(layout, run).state == "running"]
-    if not found:
-        what = "no run goes on" if name is None else f"the run '{asked[0].run_id}' is over"
+    meant = list(runs) if name is None else [named_run(runs, name)]
+    live = [run for run in meant if state_of(layout, run).state == "running"]
+    if not live:
+        what = "no run goes on" if name is None else f"the run '{meant[0].run_id}' is over"
         raise UsageError(f"{what} in '{layout.root}'", "wasp status shows the runs")
-    return found
+    return live
 
 
 def pause(layout: Layout, run: PlannedRun) -> None:
@@ -63,16 +91,16 @@ def cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[TakenB
         UsageError: the text names several nodes, or one that has ended.
         UnknownName: it names none.
     """
-    wanted = " ".join(text.split())
+    text = " ".join(text.split())
     planned = [(run, node) for run in runs for node in run.nodes.values() if node.runs]
-    named = [(run, node) for run, node in planned if begins(node.key, wanted)]
-    named = named or [(run, node) for run, node in planned if same_label(node.label, wanted)]
+    named = [(run, node) for run, node in planned if begins(node.key, text)]
+    named = named or [(run, node) for run, node in planned if same_label(node.label, text)]
     if not named:
         labels = {node.label for _, node in planned}
-        raise UnknownName("node", wanted, labels, f"no run that goes on computes '{wanted}'", otherwise="wasp status names the nodes")
+        raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
     if len({node.key for _, node in named}) > 1:
         lines = "\n".join(f"  {node.key}  {node.label}" for _, node in named[:10])
-        raise UsageError(f"'{wanted}' names several nodes:\n{lines}", "give the first characters of one of these keys")
+        raise UsageError(f"'{text}' names several nodes:\n{lines}", "give the first characters of one of these keys")
     open_ = [(run, node) for run, node in named if node.key not in _ended(layout, run)]
     if not open_:
         raise UsageError(f"'{named[0][1].label}' has ended", "wasp status shows what runs")
@@ -88,7 +116,15 @@ def _ended(layout: Layout, run: PlannedRun) -> set[str]:
 
 def _dependents(run: PlannedRun, node: PlannedNode, ended: set[str]) -> tuple[PlannedNode, ...]:
     """What needs a node, through others too."""
-    found = {node.key: node}
-    while more := [each for each in run.nodes.values() if each.runs and each.key not in found and not found.keys().isdisjoint(each.needs)]:
-        found |= {each.key: each for each in more}
-    return tuple(each for key, each in found.items() if key != node.key and key not in ended)
+    lost = {node.key: node}
+    while more := {
+        key: other for key, other in run.nodes.items() if other.runs and key not in lost and not lost.keys().isdisjoint(other.needs)
+    }:
+        lost |= more
+    return tuple(other for key, other in lost.items() if key != node.key and key not in ended)
+
+
+def _told(taken: TakenBack) -> str:
+    count = len(taken.dependents)
+    also = f", and {count} that {'need' if count > 1 else 'needs'} it" if count else ""
+    return f"{taken.node.label} is taken back{also} (run {taken.run.run_id})"

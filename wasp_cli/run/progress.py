@@ -71,7 +71,7 @@ class Lines:
             self._shown.add(key)
             plain(f"{self._counter()} cancelled {name}")
         elif kind in ("paused", "resumed"):
-            self._note("paused: running nodes finish, nothing new begins; wasp resume goes on" if kind == "paused" else "resumed")
+            self._note("paused: running nodes finish, nothing new begins; wasp control resume goes on" if kind == "paused" else "resumed")
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "worker killed":

@@ -29,6 +29,7 @@ from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, failures_text
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
+from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import exists, invalidate, read_manifest, sweep
 from wasp_cli.store.layout import Layout
@@ -153,6 +154,23 @@ def run_spec(
         run_id = new_run(layout, loaded, plan, reports=options.reports, aside=aside)
     announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options)
+
+
+def planned(spec: Spec, results: Path, selection: Selection = WHOLE, reuse: str | None = None) -> Plan:
+    """Return the plan of a spec.
+
+    Args:
+        spec: what to run.
+        results: the results folder; it need not be there.
+        selection: which part of the spec is meant.
+        reuse: what of published results may be used, instead of what the spec says.
+
+    Raises:
+        UsageError: the selection means nothing, or there are no published results.
+    """
+    layout = Layout(results.absolute())
+    grid = lay_out_over(spec, layout, reuse)
+    return plan_against(grid, layout, wanted=select(grid, selection.select), failed_only=selection.failed)
 
 
 def _without_slim_inputs(plan: Plan, layout: Layout) -> bool:

@@ -105,7 +105,7 @@ def _task(plugins: bool) -> Schema:
     """A registered task, or any gymnasium id."""
     known = {"enum": _names(TASKS, plugins)}
     foreign = {"type": "string", "pattern": FOREIGN, "examples": ["my_pkg:MyEnv-v0"]}
-    return {"description": "a task (`wasp tasks`), or a gymnasium id", "anyOf": [known, foreign]}
+    return {"description": "a task (`wasp list tasks`), or a gymnasium id", "anyOf": [known, foreign]}
 
 
 def _names(registry: Registry[Any], plugins: bool) -> list[str]:

@@ -1,4 +1,4 @@
-"""The rule of `wasp operators`, against numbers worked out by hand."""
+"""The rule of `wasp severities`, against numbers worked out by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table and the record of `wasp operators`, from cells on disk."""
+"""The table and the record of `wasp severities`, from cells on disk."""
 
 from __future__ import annotations
 

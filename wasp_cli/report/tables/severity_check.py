@@ -1,4 +1,4 @@
-"""What `wasp operators` measured: a table for people, and every number for machines."""
+"""What `wasp severities` measured: a table for people, and every number for machines."""
 
 from __future__ import annotations
 

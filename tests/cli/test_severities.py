@@ -1,4 +1,4 @@
-"""`wasp operators` over invented cells: what it prints, what it computes, and how it ends."""
+"""`wasp severities` over invented cells: what it prints, what it computes, and how it ends."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ LINES = [
 
 
 def invoke(*arguments: str | Path) -> Result:
-    done = run_here("operators", *arguments, columns=160)
+    done = run_here("severities", *arguments, columns=160)
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exc_info
     assert "Traceback" not in done.output
     return done
@@ -62,7 +62,7 @@ def spec(tmp_path: Path) -> Path:
 
 
 def store(spec: Path, results: Path, returns: Returns, without: str = "nothing") -> Path:
-    """A results folder with all that `wasp operators SPEC` would compute, but for the nodes whose label holds `without`."""
+    """A results folder with all that `wasp severities SPEC` would compute, but for the nodes whose label holds `without`."""
     layout, grid = Layout(results), lay_out(operators_alone(spec).spec)
     cells = {node.key: cell for cell, node in grid.cells}
     for node in grid.nodes:
@@ -119,6 +119,15 @@ def test_json_is_json_alone_also_when_it_ends_with_1(spec: Path, tmp_path: Path)
     outcomes = [(found["operator"], found["outcome"]) for task in record["tasks"] for found in task["operators"]]
     assert outcomes == [("laggy", "not accepted"), ("noisy", "accepted")] * 2
     assert [found["return"] for found in record["tasks"][0]["operators"][0]["severities"]] == [8.0, 9.0]
+
+
+def test_a_dry_run_shows_the_plan_and_computes_nothing(spec: Path, tmp_path: Path) -> None:
+    done = invoke(spec, "--results", tmp_path / "results", "--dry-run", "--json")
+    assert done.exit_code == 0, done.output
+    record = json.loads(done.stdout)
+    assert record["spec"] == "operators-little"
+    assert {node["state"] for node in record["nodes"]} == {"missing"}
+    assert not (tmp_path / "results").exists()
 
 
 def test_a_failed_cell_leaves_its_operator_incomplete_and_ends_with_1(fakes: Fakes, spec: Path, tmp_path: Path) -> None:
