@@ -92,7 +92,7 @@ def test_a_name_of_any_length_costs_nothing(command: list[str], results: Path, m
     monkeypatch.setattr(errors, "difflib", SimpleNamespace(SequenceMatcher=compared))
     if command == ["view"]:
         with pytest.raises(WaspError, match="unknown cell") as caught:
-            site_of(results, None).one(name)
+            site_of(results).one(name)
         assert "this one has 62999" in str(caught.value.hint)
         return
     done = run_here(*command, name, *(["text"] if command == ["note"] else []), "--results", results, columns=100)
@@ -109,7 +109,7 @@ def test_a_bomb_costs_a_report_no_memory(results: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; import wasp_cli\n"
         "from wasp_cli.view.command import site_of\n"
-        "shown = site_of(Path(sys.argv[1]), None).cells.wait()\n"
+        "shown = site_of(Path(sys.argv[1])).cells.wait()\n"
         "print(sorted((each.reason, each.episodes) for each in shown.values()))\n"
         "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"  # ru_maxrss begins with the parent's
         "print(int(peak.split()[1]) // 1024)\n"

@@ -15,9 +15,9 @@ PUBLISHED = Path(__file__).parents[2] / "results" / "published"
 
 
 @contextmanager
-def viewed(folder: Path, other: Path | None = None) -> Iterator[ViewServer]:
+def viewed(folder: Path) -> Iterator[ViewServer]:
     """The server of a results folder."""
-    server = ViewServer(site_of(folder, other))
+    server = ViewServer(site_of(folder))
     server.start()
     try:
         yield server

@@ -38,9 +38,6 @@ def view(
     ] = "/",
     port: Annotated[int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port on 127.0.0.1; 0: any free one.")] = 0,
     browser: Annotated[bool, flag("--no-browser", help="Only print the address.")] = False,
-    other: Annotated[
-        Path | None, option("--with", metavar="DIR", parser=parse_folder, help="A second results folder: where do the two differ?")
-    ] = None,
     bundle: Annotated[
         Path | None,
         option(
@@ -76,7 +73,7 @@ def view(
         return
     if cell or episodes:
         raise UsageError("--cell and --episodes go with --bundle", "wasp view results/ --bundle DIR --cell LABEL --episodes 0,3")
-    served(site_of(results_folder(folder, results), other), port, place, open_browser=not browser)
+    served(site_of(results_folder(folder, results)), port, place, open_browser=not browser)
 
 
 @view_app.command(

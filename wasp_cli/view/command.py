@@ -1,4 +1,4 @@
-"""What `wasp view` does with its options: the folder, the second one, the server until Ctrl-C, the browser."""
+"""What `wasp view` does with its options: the folder, the server until Ctrl-C, the browser."""
 
 from __future__ import annotations
 
@@ -18,24 +18,17 @@ from wasp_cli.view.server import ViewServer
 from wasp_cli.view.site import Site
 
 
-def site_of(folder: Path, other: Path | None = None, *, films: bool = True) -> Site:
-    """Return a results folder as pages, with a second one to compare with.
+def site_of(folder: Path, *, films: bool = True) -> Site:
+    """Return a results folder as pages.
 
     Raises:
-        StoreError: a folder has no results, or links in it.
+        StoreError: the folder has no results, or links in it.
     """
-    layout = _layout(folder)
-    second = None if other is None else _layout(other)
-    beside = None if second is None else Site(second, Cells(second), Links("/with"), Films(second))
-    return Site(layout, Cells(layout), Links(), Films(layout) if films else None, beside)
-
-
-def _layout(folder: Path) -> Layout:
     layout = Layout(folder)
     layout.require_own_folders()
     if not layout.store.is_dir() and not layout.runs.is_dir():
         raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
-    return layout
+    return Site(layout, Cells(layout), Links(), Films(layout) if films else None)
 
 
 def write_bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> None:

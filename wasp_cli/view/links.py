@@ -15,10 +15,6 @@ class Links:
 
     live = True
 
-    def __init__(self, prefix: str = "") -> None:
-        """`prefix` stands before the places of a second results folder."""
-        self.prefix = prefix
-
     def static(self, name: str) -> str:
         """Return a file of the page."""
         return f"/static/{name}"
@@ -29,7 +25,7 @@ class Links:
 
     def cells(self) -> str:
         """Return the table of cells."""
-        return f"{self.prefix}/cells"
+        return "/cells"
 
     def report(self, file: str) -> str:
         """Return a page of a report; nothing here: it may come from elsewhere, and is not served."""
@@ -41,11 +37,11 @@ class Links:
 
     def cell(self, ref: str) -> str:
         """Return a cell: by its label where that is its alone, else by its key."""
-        return self.prefix + cell_address(ref).replace(" ", "%20")
+        return cell_address(ref).replace(" ", "%20")
 
     def episode(self, ref: str, number: int, step: int | None = None) -> str:
         """Return an episode, or a decision of it."""
-        return self.prefix + cell_address(ref, number, step).replace(" ", "%20")
+        return cell_address(ref, number, step).replace(" ", "%20")
 
     def step(self, ref: str, number: int) -> str:
         """Return where the explanation of a decision is asked for."""
@@ -53,7 +49,7 @@ class Links:
 
     def film(self, key: str, number: int, kind: str) -> str:
         """Return where a film is asked for; its frames stand below."""
-        return f"{self.prefix}/film/{key}/{number}/{kind}"
+        return f"/film/{key}/{number}/{kind}"
 
     def beside(self, a: str, b: str, **more: object) -> str:
         """Return two cells beside each other."""
@@ -67,7 +63,6 @@ class BundleLinks(Links):
 
     def __init__(self, cells: dict[str, ListedCell], episodes: dict[str, set[int]], reports: Mapping[str, str]) -> None:
         """Take what the bundle has: cells by key, of each the episodes, and where the pages of reports are."""
-        super().__init__()
         self._cells, self._episodes, self._reports = cells, episodes, reports
 
     def static(self, name: str) -> str:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
+from wasp_cli.errors import ArtifactError, StoreError, WaspError
 from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.report.address import cell_address, open_command
 from wasp_cli.report.explain.stored import Episode
@@ -284,28 +284,3 @@ def _flat(value: Mapping[str, Any], before: str = "") -> list[tuple[str, str]]:
 def _notes(site: Site, key: str, episode: int | None = None) -> list[Note]:
     """Those of a cell, or of one of its episodes."""
     return [note for note in site.notes() if note.key == key and (episode is None or note.episode in (None, episode))]
-
-
-def require_episode(found: FoundCell, number: int) -> None:
-    """Check that a cell has an episode.
-
-    Raises:
-        UsageError: it has not.
-        StoreError: its rows do not read.
-    """
-    with odd_tables_refused(found.path):
-        if number not in read_episodes([found.path])["episode"].to_pylist():
-            raise UsageError(f"there is no episode {number}", "the page of the cell lists them")
-
-
-def require_step(text: str | None) -> int | None:
-    """Return the number of a decision as an address has it.
-
-    Raises:
-        UsageError: it is no number.
-    """
-    if text is None or text == "":
-        return None
-    if not (text.isascii() and text.isdigit() and len(text) < 20):
-        raise UsageError(f"'{text}' is no decision", "decisions are numbered from 0")
-    return int(text)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import secrets
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -34,10 +33,6 @@ class Site:
     links: Links
     films: Films | None = None
     """None in a bundle, whose films are files."""
-    other: Site | None = None
-    """A second folder to compare with."""
-    form: str = field(default_factory=lambda: secrets.token_urlsafe(16))
-    """Stands in every form: what is sent without it is refused."""
 
     @property
     def name(self) -> str:

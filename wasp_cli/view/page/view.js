@@ -288,7 +288,7 @@
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const place = event.target;
-    if (place instanceof HTMLElement && place.matches("input:not([type=range]), textarea, select") && event.key !== "Escape") return;
+    if (place instanceof HTMLElement && place.matches("input:not([type=range]), select") && event.key !== "Escape") return;
     const act = keys[event.key];
     if (act) { event.preventDefault(); act(); }
   });
