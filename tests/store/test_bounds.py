@@ -27,7 +27,7 @@ from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
-from wasp_cli.view.command import site_of
+from wasp_cli.view.site import site_of
 
 CELL = "goal1 s1 human noisy=0.45"
 
@@ -108,7 +108,7 @@ def test_a_bomb_costs_a_report_no_memory(results: Path, tmp_path: Path) -> None:
     shutil.copytree(other / "store", results / "store", dirs_exist_ok=True)
     code = (
         "import sys; from pathlib import Path; import wasp_cli\n"
-        "from wasp_cli.view.command import site_of\n"
+        "from wasp_cli.view.site import site_of\n"
         "shown = site_of(Path(sys.argv[1])).cells.wait()\n"
         "print(sorted((each.reason, each.episodes) for each in shown.values()))\n"
         "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"  # ru_maxrss begins with the parent's

@@ -16,7 +16,7 @@ from tests.view.test_walk import HUMAN, WASP
 from wasp_cli.report.explain.stored import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
-from wasp_cli.view.episode import first_difference
+from wasp_cli.view.pages import first_difference
 
 
 @pytest.fixture(scope="module")

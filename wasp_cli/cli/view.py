@@ -65,15 +65,16 @@ def view(
         import uvicorn  # noqa: F401
     except ImportError as error:
         raise UsageError(f"viewing needs packages that are not here: {error}", "pip install 'wasp-cli[web]'") from error
-    from wasp_cli.view.command import site_of, write_bundle
-    from wasp_cli.view.command import view as served
+    from wasp_cli.view.bundle import bundle as write_bundle
+    from wasp_cli.view.server import serve
+    from wasp_cli.view.site import site_of
 
     if bundle is not None:
         write_bundle(site_of(results_folder(folder, results), films=False), bundle, cell or [], episodes or "0")
         return
     if cell or episodes:
         raise UsageError("--cell and --episodes go with --bundle", "wasp view results/ --bundle DIR --cell LABEL --episodes 0,3")
-    served(site_of(results_folder(folder, results)), port, place, open_browser=not browser)
+    serve(site_of(results_folder(folder, results)), port, place, open_browser=not browser)
 
 
 @view_app.command(

@@ -54,7 +54,7 @@ def home_page(site: Site) -> str:
     return site.render(
         "home.html", "Results", states=[(state, life(state, datetime.now(UTC))) for state in states], more=max(len(runs) - LISTED, 0),
         kinds=kinds, published=published, notes=notes[-50:][::-1], left_out=len(invalid(notes)), problems=problems,
-        cells=len(site.cells.listed()), refs={cell.key: site.ref(cell) for cell in site.cells.listed()},
+        listed={cell.key: cell for cell in site.cells.listed()},
     )  # fmt: skip
 
 

@@ -7,8 +7,11 @@ changes no result, is a POST from one of our own pages.
 from __future__ import annotations
 
 import sys
+import time
 import traceback
+import webbrowser
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 from urllib.parse import quote
@@ -18,10 +21,10 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from wasp_cli.console import plain, say
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.view import pages, runs
-from wasp_cli.view.comparisons import beside_page
-from wasp_cli.view.episode import load
+from wasp_cli.view.episode import episode_page, load, step_part
 from wasp_cli.view.films import KINDS, Films
 from wasp_cli.view.site import Site
 from wasp_cli.web.server import LocalServer, local, own_origin, page
@@ -59,7 +62,7 @@ class ViewServer(LocalServer):
             "/cells": lambda _: pages.cells_page(site),
             "/cells/numbers": lambda request: _json(pages.numbers(site, _number(request, "after") or 0)),
             "/cell/{cell:path}/episode/{number:int}/explain": self._explain,
-            "/cell/{cell:path}/episode/{number:int}": lambda request: pages.episode_page(
+            "/cell/{cell:path}/episode/{number:int}": lambda request: episode_page(
                 site, request.path_params["cell"], request.path_params["number"], _number(request, "step")
             ),
             "/cell/{cell:path}": lambda request: pages.cell_page(site, request.path_params["cell"]),
@@ -144,11 +147,11 @@ class ViewServer(LocalServer):
     def _explain(self, request: Request) -> str:
         cell, found = self.site.one(request.path_params["cell"])
         stored = load(found, request.path_params["number"])
-        return str(pages.step_part(self.site, cell, stored, _number(request, "step") or 0, _number(request, "width")))
+        return str(step_part(self.site, cell, stored, _number(request, "step") or 0, _number(request, "width")))
 
     def _beside(self, request: Request) -> str:
         a, b = (request.query_params.get(name, "") for name in ("a", "b"))
-        return beside_page(self.site, a, b, _number(request, "world"), _number(request, "step"))
+        return pages.beside_page(self.site, a, b, _number(request, "world"), _number(request, "step"))
 
     def _films(self, request: Request) -> Films:
         """The films, where a listed cell is asked for and such a film can be.
@@ -166,6 +169,40 @@ class ViewServer(LocalServer):
         key, number, kind, step = _film(request)
         frame = self._films(request).frame(key, number, kind, request.path_params["frame"], step)
         return PlainTextResponse("not found", 404) if frame is None else page(*frame, POLICY)
+
+
+def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
+    """Serve pages until Ctrl-C.
+
+    Args:
+        site: what is shown.
+        port: 0 for any free one.
+        place: which page the browser opens, such as `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`.
+        open_browser: otherwise the address is only printed.
+
+    Raises:
+        UsageError: the port is taken, or the place is none.
+    """
+    if not place.startswith("/"):
+        raise UsageError(f"'{place}' is no place", "places begin with a slash: /cells, /cell/LABEL/episode/3?step=100")
+    server = ViewServer(site, port)
+    server.start()
+    site.cells.numbers()  # read while the browser starts
+    address = server.opening(place)
+    say(f"view here: {address}")
+    plain(
+        f"from another machine: ssh -L {server.port}:127.0.0.1:{server.port} THIS-MACHINE, then open the same address there; Ctrl-C ends it"
+    )
+    if open_browser:
+        with suppress(webbrowser.Error):
+            webbrowser.open(address)
+    try:
+        while True:
+            time.sleep(0.5)
+    except KeyboardInterrupt:
+        pass  # how it ends
+    finally:
+        server.stop()
 
 
 def _film(request: Request) -> tuple[str, int, str, int]:
