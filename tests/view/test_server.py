@@ -35,7 +35,9 @@ def ask(
     return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read().decode("utf-8", "replace")
 
 
-PLACES = ("/", "/cells", "/cells/numbers", CELL, f"{CELL}/episode/0", f"{CELL}/episode/0/explain?step=3", "/static/view.js")
+PLACES = (
+    "/", "/cells", "/cells/numbers", CELL, f"{CELL}/episode/0", f"{CELL}/episode/0/explain?step=3", "/static/view.js", "/static/sort.js",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("place", PLACES)

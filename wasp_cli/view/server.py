@@ -36,6 +36,7 @@ POLICY = (
 """What a page may load: nothing but from this server. It has no form to send."""
 FILES = {
     "view.js": ("wasp_cli.view", "page/view.js", "text/javascript"),
+    "sort.js": ("wasp_cli.report.page", "sort.js", "text/javascript"),
     "view.css": ("wasp_cli.view", "page/view.css", "text/css"),
     "style.css": ("wasp_cli.report.page", "style.css", "text/css"),
 }

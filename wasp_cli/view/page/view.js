@@ -1,35 +1,10 @@
 "use strict";
-// The table of cells, the scrubber of an episode, and what follows a live run. Without it pages still show what they say.
+// The table of cells, the scrubber of an episode, and what follows a live run. Without it pages still show what they say. Tables: sort.js.
 (function () {
   const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
   const one = (selector, within) => (within || document).querySelector(selector);
 
   // -- tables ---------------------------------------------------------------------------------------------------------------------
-
-  function sortable(table) {
-    const headings = Array.from(table.tHead.rows[0].cells);
-    headings.forEach((heading, column) => {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.append(...heading.childNodes);
-      heading.append(button);
-      button.addEventListener("click", () => {
-        const rising = heading.getAttribute("aria-sort") !== "ascending";
-        for (const other of headings) other.removeAttribute("aria-sort");
-        heading.setAttribute("aria-sort", rising ? "ascending" : "descending");
-        const body = table.tBodies[0];
-        const rows = Array.from(body.rows).map((row, place) => ({ row, place, text: row.cells[column].textContent.trim() }));
-        rows.sort((a, b) => {
-          if (a.text === "" || b.text === "") return (a.text === "") - (b.text === "") || a.place - b.place;
-          const [x, y] = [parseFloat(a.text), parseFloat(b.text)];
-          const difference = Number.isNaN(x) || Number.isNaN(y) ? a.text.localeCompare(b.text) : x - y;
-          return (rising ? difference : -difference) || a.place - b.place;
-        });
-        body.append(...rows.map((entry) => entry.row));
-        table.dispatchEvent(new Event("sorted"));
-      });
-    });
-  }
 
   // Of thousands of rows only the first are laid out; more come as one scrolls to the end of them.
   function filtered(table, form) {
