@@ -59,6 +59,9 @@ def test_a_live_run_is_followed(browser: Browser, layout: Layout) -> None:
         assert "step 5" in tab.value(said)
         assert tab.value("document.querySelectorAll('[data-follow] form, [data-follow] button').length") == 0, "nothing can be asked of it"
 
+        tab.size(500, 900)
+        assert tab.value("document.documentElement.scrollWidth") <= 500, "it fits a narrow window"
+
         # Another node ends: the page says so by itself.
         with layout.journal(RUN).open("a", encoding="utf-8") as journal:
             journal.write(json.dumps({"at": at(120.0), "event": "done", "key": key(2), "label": "goal1 s2 expert", "seconds": 9.0}) + "\n")

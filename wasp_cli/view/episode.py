@@ -77,9 +77,9 @@ def episode_page(site: Site, text: str, number: int, step: int | None = None, fi
     Raises:
         WaspError: there is no such cell or episode.
     """
-    cell, found = site.one(text)
-    stored = load(found, number)
-    whole = not without_steps(found.manifest)
+    cell, artifact = site.one(text)
+    stored = load(artifact, number)
+    whole = not without_steps(artifact.manifest)
     return site.render(
         "episode.html", f"{cell.label}, episode {number}", view=episode_view(site, cell, stored, step, film), cell=cell, number=number,
         summary=as_html(episode_lines(summarize(stored), WIDTH, f"wasp explain {cell.key[:8]}")),

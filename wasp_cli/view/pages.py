@@ -20,7 +20,7 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.view import episode
-from wasp_cli.view.cells import COLUMNS, problem_of, words
+from wasp_cli.view.cells import COLUMNS, Shown, problem_of, words
 from wasp_cli.view.site import Site
 
 FIRST = 400
@@ -63,8 +63,7 @@ def cells_page(site: Site) -> str:
     for cell in site.cells.listed():
         row = Row(cell.key, site.links.cell(cell), tuple(words(cell)))
         if (shown := known.get(cell.key)) is not None:
-            state = "damaged" if shown.damaged else shown.reason or ("has invalid episodes" if cell.key in marked else "")
-            row = row._replace(episodes=str(shown.episodes or ""), texts=shown.texts, state=state)
+            row = row._replace(episodes=str(shown.episodes or ""), texts=shown.texts, state=_oddity(shown, cell.key in marked))
         rows.append(row)
     choices = {name: sorted({row.words[place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
     return site.render(
@@ -83,11 +82,16 @@ def cells_page(site: Site) -> str:
 def numbers(site: Site, after: int = 0) -> dict[str, Any]:
     """Return the numbers of cells that are read by now, but for the first so many; how many are known, and how many are not."""
     known, left = site.cells.numbers()
+    marked = {key for key, _ in invalid(site.notes())}
     texts = {
-        key: [str(shown.episodes or ""), *(shown.texts or [""] * len(COLUMNS)), "damaged" if shown.damaged else shown.reason]
+        key: [str(shown.episodes or ""), *(shown.texts or [""] * len(COLUMNS)), _oddity(shown, key in marked)]
         for key, shown in islice(known.items(), after, None)
     }
     return {"left": left, "known": len(known), "numbers": texts}
+
+
+def _oddity(shown: Shown, marked: bool) -> str:
+    return "damaged" if shown.damaged else shown.reason or ("has invalid episodes" if marked else "")
 
 
 def cell_page(site: Site, text: str) -> str:
@@ -99,35 +103,35 @@ def cell_page(site: Site, text: str) -> str:
     listed, _ = site.cells.find(text)
     if len(listed) > 1:
         return site.render("several.html", text, text=text, cells=listed)
-    cell, found = site.one(text)
-    if not found.path.is_file():
+    cell, artifact = site.one(text)
+    if not artifact.path.is_file():
         raise StoreError(f"{cell.label} has no rows", "it is not computed yet, failed, or was removed; the page of its run says which")
     shown = site.cells.one(cell)
     problem, rows = shown.reason, []
     try:
-        rows = _episode_rows(site, cell, found)
+        rows = _episode_rows(site, cell, artifact)
     except WaspError as error:
         problem = problem_of(error)
     settings = (cell.task, cell.operator, cell.value, cell.seed)
-    git = found.setting("provenance", "git", "sha")
+    git = artifact.setting("provenance", "git", "sha")
     return site.render(
-        "cell.html", cell.label, cell=cell, rows=rows, problem=problem, columns=episode.COLUMNS, session=list(_session(site, found)),
-        numbers=[(column.heading, text) for column, text in zip(COLUMNS, shown.texts, strict=False)], slim=without_steps(found.manifest),
+        "cell.html", cell.label, cell=cell, rows=rows, problem=problem, columns=episode.COLUMNS, session=list(_session(site, artifact)),
+        numbers=[(column.heading, text) for column, text in zip(COLUMNS, shown.texts, strict=False)], slim=without_steps(artifact.manifest),
         same=[
             other for other in site.cells.listed()
             if other.key != cell.key and (other.task, other.operator, other.value, other.seed) == settings
         ],
         notes=[note for note in site.notes() if note.key == cell.key], command=open_command(site.name, cell_address(site.cells.ref(cell))),
         facts=[
-            ("key", cell.key), ("computed", found.date), ("commit", str(git)[:12] if isinstance(git, str) else ""), ("spec", cell.spec),
+            ("key", cell.key), ("computed", artifact.date), ("commit", str(git)[:12] if isinstance(git, str) else ""), ("spec", cell.spec),
         ],
     )  # fmt: skip
 
 
-def _episode_rows(site: Site, cell: ListedCell, found: FoundCell) -> list[dict[str, Any]]:
-    with odd_tables_refused(found.path):
-        table = read_episodes([found.path]).to_pylist()
-        with_steps = set(read_steps(found.path)["episode"].unique().to_pylist()) if without_steps(found.manifest) else None
+def _episode_rows(site: Site, cell: ListedCell, artifact: FoundCell) -> list[dict[str, Any]]:
+    with odd_tables_refused(artifact.path):
+        table = read_episodes([artifact.path]).to_pylist()
+        with_steps = set(read_steps(artifact.path)["episode"].unique().to_pylist()) if without_steps(artifact.manifest) else None
     notes = site.notes()
     marked = {number for key, number in invalid(notes) if key == cell.key}
     noted = {note.episode for note in notes if note.key == cell.key}
@@ -149,12 +153,12 @@ def _numeric(text: str) -> tuple[float, str]:
         return math.inf, text
 
 
-def _session(site: Site, found: FoundCell) -> Iterator[tuple[str, str]]:
+def _session(site: Site, artifact: FoundCell) -> Iterator[tuple[str, str]]:
     """Who drove when and how well in time, of a cell that a person drove; names and values, one a line."""
-    if found.key is None:
+    if artifact.key is None:
         return
     try:
-        record = read_record(site.layout.within(found.path.with_name(SESSION_FILE)))
+        record = read_record(site.layout.within(artifact.path.with_name(SESSION_FILE)))
     except (ArtifactError, StoreError) as error:
         yield "session", error.message
     else:
@@ -210,9 +214,9 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
 
 def _worlds(pair: Pair) -> list[World]:
     tables = []
-    for _, found in pair:
-        with odd_tables_refused(found.path):
-            tables.append({row["episode_seed"]: row for row in read_episodes([found.path]).to_pylist()})
+    for _, artifact in pair:
+        with odd_tables_refused(artifact.path):
+            tables.append({row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()})
     rows = [(row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]]
     return [World(a["episode_seed"], (a["episode"], b["episode"]), ((a["return"], a["cost"]), (b["return"], b["cost"]))) for a, b in rows]
 
@@ -225,9 +229,9 @@ def _loaded(pair: Pair, worlds: list[World], seed: int | None) -> tuple[list[Epi
     if world is None:
         raise UsageError(f"not both cells met the world {seed}")
     episodes, problems = [], []
-    for (_, found), number in zip(pair, world.episodes, strict=True):
+    for (_, artifact), number in zip(pair, world.episodes, strict=True):
         try:
-            episodes.append(episode.load(found, number))
+            episodes.append(episode.load(artifact, number))
         except WaspError as error:
             problems.append(problem_of(error))
     return ([] if problems else episodes), problems

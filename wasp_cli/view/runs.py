@@ -62,17 +62,17 @@ def reports(site: Site) -> Iterator[Path]:
     """List the folders of the reports that the results folder holds."""
     for folder in (site.layout.root / "reports", site.layout.published / "reports"):
         with suppress(OSError, StoreError):
-            yield from (each for each in sorted(site.layout.within(folder).iterdir()) if each.is_dir() and not each.is_symlink())
+            yield from (report for report in sorted(site.layout.within(folder).iterdir()) if report.is_dir() and not report.is_symlink())
 
 
 def _published(site: Site) -> list[tuple[str, list[tuple[str, str]]]]:
     """The reports, and their pages by name, with addresses where there are any."""
-    found = []
-    for each in reports(site):
-        pages = sorted(path for path in each.iterdir() if path.suffix in (".html", ".md") and path.stem == "report")
-        name = str(each if site.links.live else each.relative_to(site.layout.root))
-        found.append((name, [(path.name, site.links.report(str(path))) for path in pages]))
-    return found
+    published = []
+    for report in reports(site):
+        pages = sorted(path for path in report.iterdir() if path.suffix in (".html", ".md") and path.stem == "report")
+        name = str(report if site.links.live else report.relative_to(site.layout.root))
+        published.append((name, [(path.name, site.links.report(str(path))) for path in pages]))
+    return published
 
 
 def run_page(site: Site, run_id: str) -> str:
@@ -97,12 +97,13 @@ def run_now(site: Site, run_id: str) -> Any:
         width = BAR * min(count / max(state.total, 1), 1.0)
         bar.append((name, round(x, 1), round(width, 1)))
         x += width
-    moment = datetime.now(UTC)
+    moment, stages = datetime.now(UTC), stages_of(site, run, state)
     running = [(node, duration((moment - node.started).total_seconds()) if node.started else "") for node in state.active if not node.gone]
     return Markup(
         site.render(
             "now.html", "", run=run, state=state, life=life(state, moment), pace=pace(state), bar=bar,
-            stages=stages_of(site, run, state), running=running if state.state == "running" else [], states=STATES,
+            stages=stages, states=[name for name in STATES if any(counts[name] for counts in stages.values())],
+            running=running if state.state == "running" else [],
         )
     )  # fmt: skip
 

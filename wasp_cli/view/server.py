@@ -141,13 +141,13 @@ class ViewServer(LocalServer):
         # By name among FILES: what was asked for never becomes a path.
         known = FILES.get(request.path_params["name"])
         if known is None:
-            return PlainTextResponse("not found", 404)
+            return PlainTextResponse("not artifact", 404)
         package, name, kind = known
         return page((files(package) / name).read_bytes(), kind, POLICY, referrer=REFERRER)
 
     def _explain(self, request: Request) -> str:
-        cell, found = self.site.one(request.path_params["cell"])
-        stored = load(found, request.path_params["number"])
+        cell, artifact = self.site.one(request.path_params["cell"])
+        stored = load(artifact, request.path_params["number"])
         return str(step_part(self.site, cell, stored, _number(request, "step") or 0, _number(request, "width")))
 
     def _beside(self, request: Request) -> str:
@@ -169,7 +169,7 @@ class ViewServer(LocalServer):
     def _frame(self, request: Request) -> Response:
         key, number, kind, step = _film(request)
         frame = self._films(request).frame(key, number, kind, request.path_params["frame"], step)
-        return PlainTextResponse("not found", 404) if frame is None else page(*frame, POLICY)
+        return PlainTextResponse("not artifact", 404) if frame is None else page(*frame, POLICY)
 
 
 def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:

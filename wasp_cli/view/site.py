@@ -136,13 +136,13 @@ class Site:
             UsageError: it names several.
             WaspError: it names none, or what it names is damaged.
         """
-        listed, found = self.cells.find(text)
-        if found is None:
+        listed, artifact = self.cells.find(text)
+        if artifact is None:
             keys = ", ".join(cell.key for cell in listed[:12])
             raise UsageError(f"'{text}' names {len(listed)} cells", f"name one by its key: {keys}")
         if not listed:
             raise UsageError(f"'{text}' is in no plan, and its manifest says of no cell")
-        return listed[0], found
+        return listed[0], artifact
 
     def notes(self) -> list[Note]:
         """Return all notes; none where they do not read, which the first page says."""
