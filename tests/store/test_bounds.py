@@ -27,7 +27,7 @@ from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE
-from wasp_cli.view.command import site_of
+from wasp_cli.view.site import site_of
 
 CELL = "goal1 s1 human noisy=0.45"
 
@@ -92,7 +92,7 @@ def test_a_name_of_any_length_costs_nothing(command: list[str], results: Path, m
     monkeypatch.setattr(errors, "difflib", SimpleNamespace(SequenceMatcher=compared))
     if command == ["view"]:
         with pytest.raises(WaspError, match="unknown cell") as caught:
-            site_of(results, None).one(name)
+            site_of(results).one(name)
         assert "this one has 62999" in str(caught.value.hint)
         return
     done = run_here(*command, name, *(["text"] if command == ["note"] else []), "--results", results, columns=100)
@@ -108,8 +108,8 @@ def test_a_bomb_costs_a_report_no_memory(results: Path, tmp_path: Path) -> None:
     shutil.copytree(other / "store", results / "store", dirs_exist_ok=True)
     code = (
         "import sys; from pathlib import Path; import wasp_cli\n"
-        "from wasp_cli.view.command import site_of\n"
-        "shown = site_of(Path(sys.argv[1]), None).cells.wait()\n"
+        "from wasp_cli.view.site import site_of\n"
+        "shown = site_of(Path(sys.argv[1])).cells.wait()\n"
         "print(sorted((each.reason, each.episodes) for each in shown.values()))\n"
         "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"  # ru_maxrss begins with the parent's
         "print(int(peak.split()[1]) // 1024)\n"

@@ -8,16 +8,16 @@ from pathlib import Path
 import pytest
 
 from tests.drive.browser import CHROMIUM, Browser, chromium
-from wasp_cli.view.command import site_of
 from wasp_cli.view.server import ViewServer
+from wasp_cli.view.site import site_of
 
 PUBLISHED = Path(__file__).parents[2] / "results" / "published"
 
 
 @contextmanager
-def viewed(folder: Path, other: Path | None = None) -> Iterator[ViewServer]:
+def viewed(folder: Path) -> Iterator[ViewServer]:
     """The server of a results folder."""
-    server = ViewServer(site_of(folder, other))
+    server = ViewServer(site_of(folder))
     server.start()
     try:
         yield server

@@ -53,6 +53,7 @@ def test_what_is_noted_with_the_command_changes_the_numbers_of_the_page(tmp_path
         after = numbers(server)
         assert (before[key][0], after[key][0]) == ("30", "29")
         assert before[key] != after[key]
+        assert (before[key][-1], after[key][-1]) == ("", "has invalid episodes")
         assert {other: texts for other, texts in before.items() if other != key} == {o: texts for o, texts in after.items() if o != key}
         assert 'class="invalid"' in ask(server, f"/cell/{key}")[2]
         assert run_here("note", HUMAN, "all", "--invalid", "--results", results, columns=200).exit_code == 0

@@ -45,7 +45,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
     ("arguments", "code", "expected"),
     [
         (("RESULTS", "--open", "cells"), 2, "places begin with a slash"), (("/nowhere",), 1, "neither runs nor a store"),
-        (("RESULTS", "--with", "/nowhere"), 1, "neither runs nor a store"), (("RESULTS", "--episodes", "1"), 2, "go with --bundle"),
+        (("RESULTS", "--episodes", "1"), 2, "go with --bundle"),
         (("RESULTS", "--bundle", "OUT", "--cell", "zzz"), 2, "zzz"),
     ],
 )  # fmt: skip

@@ -1,9 +1,10 @@
-"""A live run's page follows it in a real Chromium, and what is asked there reaches the run as the commands' requests do."""
+"""A live run's page follows it in a real Chromium; its nodes are counted by stage, and a log is text."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -56,7 +57,10 @@ def test_a_live_run_is_followed(browser: Browser, layout: Layout) -> None:
         assert tab.value("document.querySelector('#done').textContent") == "1"
         assert "loss is <b>not</b> finite" in tab.value(said), "a message is text, whatever it says"
         assert "step 5" in tab.value(said)
-        assert tab.value("document.querySelectorAll('svg.graph .box').length") == 1
+        assert tab.value("document.querySelectorAll('[data-follow] form, [data-follow] button').length") == 0, "nothing can be asked of it"
+
+        tab.size(500, 900)
+        assert tab.value("document.documentElement.scrollWidth") <= 500, "it fits a narrow window"
 
         # Another node ends: the page says so by itself.
         with layout.journal(RUN).open("a", encoding="utf-8") as journal:
@@ -64,53 +68,27 @@ def test_a_live_run_is_followed(browser: Browser, layout: Layout) -> None:
         tab.until("document.querySelector('#done').textContent === '2'", 5)
         assert "step 5" not in tab.value(said)
 
-        # Pause, behind a confirmation.
-        tab.value("[...document.querySelectorAll('.asks a')].find(a => a.textContent.startsWith('pause')).click()")
-        tab.until("location.pathname.endsWith('/ask') && document.readyState === 'complete'")
-        assert not layout.pause(RUN).exists(), "a question changes nothing"
-        tab.click("pause")
-        tab.until("!location.pathname.endsWith('/ask') && !!document.querySelector('#state')")
-        assert layout.pause(RUN).exists()
-        assert "paused" in tab.value(said)
-        tab.value("[...document.querySelectorAll('.asks a')].find(a => a.textContent.startsWith('resume')).click()")
-        tab.until("location.pathname.endsWith('/ask') && document.readyState === 'complete'")
-        tab.click("resume")
-        tab.until("!location.pathname.endsWith('/ask') && !!document.querySelector('#state')")
-        assert not layout.pause(RUN).exists()
-
-        # The end: nothing is asked any more.
+        # The end: it is not followed any more.
         with layout.journal(RUN).open("a", encoding="utf-8") as journal:
             journal.write(json.dumps({"at": at(130.0), "event": "run ended"}) + "\n")
         tab.until("document.querySelector('#state').textContent === 'ended'", 5)
         tab.close()
 
 
-def test_a_node_is_taken_back_behind_a_confirmation(layout: Layout) -> None:
-    with viewed(layout.root) as server:
-        here = f"http://127.0.0.1:{server.port}"
-        place = f"/run/{RUN}/ask"
-        status, _, body = ask(server, f"{place}?what=cancel&node={key(2)}")
-        assert status == 200
-        assert "goal1 s2 expert" in body
-        assert not layout.cancelled(RUN).exists()
-        form = f"form={server.site.form}&what=cancel&node={key(2)}"
-        assert ask(server, place, "POST", form)[0] == 403
-        assert ask(server, place, "POST", f"form=guess&what=cancel&node={key(2)}", Origin=here)[0] == 404
-        assert ask(server, place, "POST", form.replace("cancel", "remove"), Origin=here)[0] == 404
-        assert not layout.cancelled(RUN).exists()
-        assert ask(server, place, "POST", form, Origin=here)[0] == 303
-        assert layout.cancel(RUN, key(2)).exists()
-
-
-def test_what_was_not_needed_is_not_said_to_be_there(tmp_path: Path) -> None:
+def test_nodes_are_counted_by_stage_and_what_was_not_needed_is_not_said_to_be_there(tmp_path: Path) -> None:
     layout = Layout(tmp_path / "results")
     layout.prepare()
-    states = ("unneeded", "cached", "missing")
-    write_run(layout, RUN, [planned(number, f"goal1 s{number} expert", state) for number, state in enumerate(states)], [], {})
+    states = ("unneeded", "cached", "missing", "missing")
+    nodes = [planned(number, f"goal1 s{number} expert", state) for number, state in enumerate(states)]
+    nodes.insert(0, {**planned(4, "goal1 s3 cell", needs=[3]), "kind": "a-cell"})
+    write_run(layout, RUN, nodes, [], {})
     with viewed(layout.root) as server:
         page = ask(server, f"/run/{RUN}")[2]
-        assert "<title>expert: 1 waiting, 1 cached, 1 not needed</title>" in page
-        assert 'class="not needed"' not in page
+        heading, *rows = re.findall(r"<tr>.*?</tr>", page.partition("Nodes by stage")[2])
+        names = re.findall(r"<th[^>]*>([^<]*)", heading)
+        counts = [dict(zip(names, re.findall(r"<td[^>]*>([^<]*)", row), strict=True)) for row in rows]
+        said = [{name: text for name, text in row.items() if text} for row in counts]
+        assert said == [{"Stage": "expert", "waiting": "2", "cached": "1", "not needed": "1"}, {"Stage": "a-cell", "waiting": "1"}]
 
 
 def test_a_log_is_text(layout: Layout) -> None:
@@ -122,4 +100,3 @@ def test_a_log_is_text(layout: Layout) -> None:
         assert "\x1b" not in body
         assert ask(server, f"/run/{RUN}/log/{key(3)}")[0] == 404
         assert ask(server, "/run/..%2f..%2fetc/log/x")[0] == 404
-        assert json.loads(ask(server, f"/run/{RUN}/state")[2])["done"] == 1

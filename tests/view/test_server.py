@@ -7,12 +7,12 @@ import time
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
-from urllib.parse import quote, urlencode
+from urllib.parse import quote
 
 import pytest
 
 from tests.view.conftest import brought, viewed
-from wasp_cli.view.server import LONGEST, ViewServer
+from wasp_cli.view.server import ViewServer
 
 LABEL = "goal1 s1 human noisy=0.45"
 CELL = "/cell/" + quote(LABEL)
@@ -35,7 +35,9 @@ def ask(
     return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read().decode("utf-8", "replace")
 
 
-PLACES = ("/", "/cells", "/cells/numbers", CELL, f"{CELL}/episode/0", f"{CELL}/episode/0/explain?step=3", "/static/view.js")
+PLACES = (
+    "/", "/cells", "/cells/numbers", CELL, f"{CELL}/episode/0", f"{CELL}/episode/0/explain?step=3", "/static/view.js", "/static/sort.js",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -81,34 +83,29 @@ def test_nothing_that_is_asked_for_becomes_a_path(server: ViewServer, path: str)
     assert "root:" not in body
 
 
-def test_a_change_needs_origin_and_form(server: ViewServer) -> None:
-    here = f"http://127.0.0.1:{server.port}"
-    key = server.site.cells.listed()[0].key
-    good = {"form": server.site.form, "key": key, "text": "from a form", "mark": "", "author": "ada"}
-    notes = server.site.layout.root / "notes.jsonl"
-
-    def send(fields: dict[str, str], **headers: str) -> int:
-        return ask(server, "/note", "POST", urlencode(fields), **headers)[0]
-
-    assert send(good) == 403, "no page of ours sends a form without its origin"
-    assert send(good, Origin="http://evil.example") == 403
-    assert send(good, Origin="null") == 403
-    assert send({**good, "form": "guess"}, Origin=here) == 404
-    assert send({**good, "mark": "root"}, Origin=here) == 404
-    assert send({**good, "key": "../../etc"}, Origin=here) == 404
-    assert send({**good, "text": "x" * LONGEST}, Origin=here) == 404
-    assert ask(server, "/note", "POST", urlencode(good), known=False, Origin=here)[0] == 403
-    assert ask(server, "/note")[0] == 405
-    assert not notes.exists()
-    assert send(good, Origin=here) == 303
-    assert "from a form" in notes.read_text(encoding="utf-8")
-
-
 def test_a_film_is_only_begun_by_a_page_of_ours(server: ViewServer) -> None:
-    key = server.site.cells.listed()[0].key
-    assert ask(server, f"/film/{key}/0/film", "POST")[0] == 403
-    assert '"absent"' in ask(server, f"/film/{key}/0/film")[2].replace(" ", "").replace('"state":', "")
-    assert ask(server, f"/film/{key}/0/film/frame/0")[0] == 404
+    here = f"http://127.0.0.1:{server.port}"
+    film = f"/film/{server.site.cells.listed()[0].key}/0/film"
+    assert ask(server, film, "POST")[0] == 403, "no page of ours asks without its origin"
+    for origin in ("http://evil.example", "null", here + ".evil.example", "http://127.0.0.1:1"):
+        assert ask(server, film, "POST", Origin=origin)[0] == 403
+    assert ask(server, film, "POST", known=False, Origin=here)[0] == 403
+    assert ask(server, film, "POST", Host="evil.example", Origin="http://evil.example")[0] == 403
+    assert ask(server, "/film/../../etc/0/film", "POST", Origin=here)[0] == 404
+    assert ask(server, film.replace("/film/", "/film/0123456789/"), "POST", Origin=here)[0] == 404
+    assert json.loads(ask(server, film)[2])["state"] == "absent"
+    assert ask(server, f"{film}/frame/0")[0] == 404
+    assert json.loads(ask(server, film, "POST", Origin=here)[2])["state"] == "drawing"
+
+
+def test_nothing_else_can_be_sent(server: ViewServer) -> None:
+    here = f"http://127.0.0.1:{server.port}"
+    for place in PLACES:
+        assert ask(server, place, "POST", "text=x", Origin=here)[0] == 405
+        assert "<form method" not in ask(server, place)[2]
+    for place in ("/note", "/run/x/ask"):
+        assert ask(server, place, "POST", "text=x", Origin=here)[0] == 404
+    assert not (server.site.layout.root / "notes.jsonl").exists()
 
 
 def test_the_pages_change_nothing(server: ViewServer) -> None:

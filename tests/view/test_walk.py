@@ -33,6 +33,16 @@ def test_from_the_table_to_a_step_and_back(browser: Browser, results: Path) -> N
         assert tab.value(f"{shown}.length") == 3
         tab.until("[...document.querySelectorAll('#cells tbody tr')].every(row => row.cells[6].textContent)")
 
+        # The first press on a heading sorts numbers down and texts up, as in reports.
+        column = "[...document.querySelectorAll('#cells tbody tr')].map(row => row.cells[{}].textContent)"
+        for place, down in ((6, True), (0, False), (3, True)):
+            tab.value(f"document.querySelectorAll('#cells thead button')[{place}].click()")
+            texts = tab.value(column.format(place))
+            assert texts == sorted(texts, key=float if down else None, reverse=down)
+            tab.value(f"document.querySelectorAll('#cells thead button')[{place}].click()")
+            assert sorted(tab.value(column.format(place))) == sorted(texts)
+            assert tab.value(column.format(place))[0] == texts[-1], "the second press turns it"
+
         # A filter stands in the address, and another tab that opens it has it too.
         tab.value(
             "document.querySelector('[name=method]').value = 'WASP'; document.querySelector('#filters').dispatchEvent(new Event('input'))"

@@ -25,7 +25,6 @@ def view(
     place: Annotated[str, option("PLACE", "The page that opens: an address as pages and commands print it.", "--open")] = "/",
     port: Annotated[int, option("N", "Port on 127.0.0.1; 0: any free one.", min=0, max=65535)] = 0,
     browser: Annotated[bool, flag("--no-browser", "Only print the address.")] = False,
-    other: Annotated[Path | None, directory("A second results folder: where do the two differ?", "--with")] = None,
     bundle: Annotated[Path | None, directory("Write the pages to a folder that works from any host, and serve nothing.")] = None,
     cell: Annotated[
         list[str] | None, option("CELL", "With --bundle: a cell whose episodes have pages (repeatable). (default: all cells)")
@@ -42,15 +41,16 @@ def view(
         import uvicorn  # noqa: F401
     except ImportError as error:
         raise UsageError(f"viewing needs packages that are not here: {error}", "pip install 'wasp-cli[web]'") from error
-    from wasp_cli.view.command import site_of, write_bundle
-    from wasp_cli.view.command import view as served
+    from wasp_cli.view.bundle import bundle as write_bundle
+    from wasp_cli.view.server import serve
+    from wasp_cli.view.site import site_of
 
     if bundle is not None:
         write_bundle(site_of(results.path, films=False), bundle, cell or [], episodes or "0")
         return
     if cell or episodes:
         raise UsageError("--cell and --episodes go with --bundle", "wasp view results/ --bundle DIR --cell LABEL --episodes 0,3")
-    served(site_of(results.path, other), port, place, open_browser=not browser)
+    serve(site_of(results.path), port, place, open_browser=not browser)
 
 
 @command(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -54,6 +55,7 @@ class Cells:
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self._listed: list[ListedCell] = []
+        self._labels: Counter[str] = Counter()
         self._problems: list[str] = []
         self._at = -FRESH
         self._numbers: dict[str, Shown] = {}
@@ -66,9 +68,15 @@ class Cells:
         """Return every cell: those of the last run of each spec, then what else is in the store; each key once."""
         with self._lock:
             if time.monotonic() - self._at > FRESH:
-                found, self._problems = _listed(self.layout, {cell.key: cell for cell in self._listed})
-                self._listed, self._at = found, time.monotonic()
+                self._listed, self._problems = _listed(self.layout, {cell.key: cell for cell in self._listed})
+                self._labels = Counter(cell.label for cell in self._listed)
+                self._at = time.monotonic()
             return self._listed
+
+    def ref(self, cell: ListedCell) -> str:
+        """Return how a cell is named in addresses: by its label where that is its alone, else by its key."""
+        self.listed()
+        return cell.label if self._labels[cell.label] == 1 else cell.key
 
     @property
     def problems(self) -> list[str]:

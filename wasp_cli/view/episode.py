@@ -1,27 +1,35 @@
-"""An episode for its page: the gate timeline, the decisions worth a stop, and of each decision its explanation and both branches."""
+"""An episode for its page: film, gate timeline, the decisions worth a stop, and of each decision its explanation and both branches."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from rich.text import Text
 
-from wasp_cli.errors import StoreError, WaspError
+from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.notebook.cells import ListedCell
+from wasp_cli.report.address import cell_address, open_command
 from wasp_cli.report.explain.collect import decision_facts, summarize
 from wasp_cli.report.explain.decision_text import decision_lines
 from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.page.films import Lane, timeline
+from wasp_cli.report.page.films import timeline
 from wasp_cli.report.stats.frame import odd_tables_refused
+from wasp_cli.report.tables.table import Column
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay_step import Criterion, judge
-from wasp_cli.view.words import as_html
+from wasp_cli.view.films import BRANCHES, FILM, REPLAY
+from wasp_cli.view.site import Site
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -31,6 +39,13 @@ WIDTH = 92
 NARROWEST, WIDEST = 40, 140
 KEPT = 8
 """Episodes that are kept in memory: the next decision is mostly of the same one."""
+COLUMNS = (
+    Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
+    Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
+)  # fmt: skip
+"""What is shown of an episode in numbers."""
+CLASSES = {"bold": "b", "dim": "dim", "yellow": "safety", "cyan": "task", "magenta": "method", "red": "bad", "green": "good"}
+"""Of HTML, for what a terminal shows bold, dim or in the colours of gates."""
 
 
 class Branch(NamedTuple):
@@ -39,16 +54,82 @@ class Branch(NamedTuple):
     name: str
     cost: list[bool]
     """[W]"""
-    costly: int
     reward: float
 
 
-@dataclass(frozen=True)
-class BranchedDecision:
+class Branched(NamedTuple):
     """Both branches of a decision, and what the intervention was worth."""
 
-    branches: tuple[Branch, Branch]
+    branches: list[Branch]
     lines: list[str]
+
+
+def episode_page(site: Site, text: str, number: int, step: int | None = None, film: Mapping[str, Any] | None = None) -> str:
+    """Return an episode; in a bundle with the explanation of every decision.
+
+    Args:
+        site: the folder.
+        text: a cell, as an address names it.
+        number: of the episode.
+        step: the decision that is shown first.
+        film: what is known of its film, where that is files already.
+
+    Raises:
+        WaspError: there is no such cell or episode.
+    """
+    cell, artifact = site.one(text)
+    stored = load(artifact, number)
+    whole = not without_steps(artifact.manifest)
+    return site.render(
+        "episode.html", f"{cell.label}, episode {number}", view=episode_view(site, cell, stored, step, film), cell=cell, number=number,
+        summary=as_html(episode_lines(summarize(stored), WIDTH, f"wasp explain {cell.key[:8]}")),
+        notes=[note for note in site.notes() if note.key == cell.key and note.episode in (None, number)],
+        command=open_command(site.name, cell_address(site.cells.ref(cell), number)),
+        before=site.links.episode(cell, number - 1) if whole and number > 0 else "",
+        after=site.links.episode(cell, number + 1) if whole and number + 1 < stored.episodes else "",
+    )  # fmt: skip
+
+
+def episode_view(
+    site: Site, cell: ListedCell, stored: Episode, step: int | None = None, film: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Gather what the part of a page about one episode shows (`templates/player.html`)."""
+    from wasp_cli.video.map import SEEN
+
+    number, branches, problem, live, film = int(stored.row["episode"]), None, "", site.links.live, film or {}
+    try:
+        branches = branches_of(site.layout, cell)
+    except StoreError as error:
+        problem = error.message
+    first = 0 if step is None else min(max(step, 0), stored.decisions - 1)
+    return {
+        "label": cell.label, "number": number, "decisions": stored.decisions, "step": first, "lanes": timeline(stored),
+        "stops": stops(stored), "branched": [] if branches is None else branches.t[branches.episode == number].tolist(),
+        "seconds": stored.constants.decision_seconds or 0, "problem": problem, "seen": SEEN, "part": step_part(site, cell, stored, first),
+        "explain": f"{site.links.episode(cell, number)}/explain" if live else "",
+        "every": [] if live else [step_part(site, cell, stored, t) for t in range(stored.decisions)],
+        "numbers": [(column.heading, column.number(stored.row[column.key])) for column in COLUMNS],
+        "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)}, "legend": film.get("legend", []),
+        "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "ending")},
+    }  # fmt: skip
+
+
+def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: int | None = None) -> Markup:
+    """Return the explanation of a decision, with both branches where they were computed.
+
+    Raises:
+        UsageError: there is no such decision.
+    """
+    from markupsafe import Markup
+
+    stored.require(step)
+    pair = None
+    with suppress(StoreError):  # the page has said it
+        pair = both_branches(stored, branches_of(site.layout, cell), step)
+    drawn = pair is not None and site.links.live and not without_steps(stored.cell.manifest)
+    film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
+    words = as_html(decision_lines(decision_facts(stored, step), min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
+    return Markup(site.render("step.html", "", words=words, pair=pair, film=film))
 
 
 def load(cell: FoundCell, number: int) -> Episode:
@@ -82,27 +163,10 @@ def _load(place: _Place, number: int, stamp: tuple[int, int]) -> Episode:
     return read_episode(place.cell, number)
 
 
-def lanes(stored: Episode) -> list[Lane]:
-    """Return the rows of the timeline, as reports draw it."""
-    return timeline(stored)
-
-
 def stops(stored: Episode) -> list[int]:
     """Return the decisions at which an intervention or a cost begins."""
-    found: set[int] = set()
-    for here in (stored.intervened, stored.costly):
-        found |= {int(t) for t in np.flatnonzero(here & ~np.concatenate([[False], here[:-1]]))}
-    return sorted(found)
-
-
-def explained(stored: Episode, step: int, width: int = WIDTH) -> Markup:
-    """Return the words of `wasp explain` for a decision."""
-    return as_html(decision_lines(decision_facts(stored, step), min(max(width, NARROWEST), WIDEST)))
-
-
-def summary(stored: Episode, command: str, width: int = WIDTH) -> Markup:
-    """Return the words of `wasp explain` for the episode."""
-    return as_html(episode_lines(summarize(stored), width, command))
+    interventions, costs = (marks & ~np.concatenate([[False], marks[:-1]]) for marks in (stored.intervened, stored.costly))
+    return [int(t) for t in np.flatnonzero(interventions | costs)]
 
 
 def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
@@ -117,57 +181,55 @@ def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
     if not path.is_file():
         return None
     state = path.stat()
-    return _branches(str(path), (state.st_mtime_ns, state.st_size))
+    return _branches(path, (state.st_mtime_ns, state.st_size))
 
 
 @lru_cache(KEPT)
-def _branches(path: str, stamp: tuple[int, int]) -> Branches:
-    from pathlib import Path
-
-    with odd_tables_refused(Path(path)):
-        return read_branches(Path(path))
+def _branches(path: Path, stamp: tuple[int, int]) -> Branches:
+    with odd_tables_refused(path):
+        return read_branches(path)
 
 
-def branched(stored: Episode, found: Branches | None) -> list[int]:
-    """Return the decisions of an episode that were branched."""
-    return [] if found is None else found.t[found.episode == int(stored.row["episode"])].tolist()
-
-
-def both(stored: Episode, found: Branches | None, step: int) -> BranchedDecision | None:
+def both_branches(stored: Episode, branches: Branches | None, step: int) -> Branched | None:
     """Return both branches of a decision; None where it was not branched."""
-    if found is None:
+    if branches is None:
         return None
-    (rows,) = np.nonzero((found.episode == int(stored.row["episode"])) & (found.t == step))
+    (rows,) = np.nonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step))
     if not len(rows):
         return None
     row, names = int(rows[0]), {ASSISTED: "as executed", ALONE: "command alone"}
     traces: dict[str, dict[str, list[Any]]] = {
-        name: {"cost": (found.cost[name][row] > 0).tolist(), "cost_env": [], "reward": found.reward[name][row].tolist()} for name in names
+        name: {"cost": (branches.cost[name][row] > 0).tolist(), "cost_env": [], "reward": branches.reward[name][row].tolist()}
+        for name in names
     }
-    criterion = Criterion(found.cell.window, found.cell.tau_R, "the counterfactual branches of the cell")
-    verdict = judge(stored, step, criterion, traces)
-    first, second = (
-        Branch(words, traces[name]["cost"], sum(traces[name]["cost"]), sum(traces[name]["reward"])) for name, words in names.items()
-    )
-    return BranchedDecision((first, second), verdict.lines())
+    criterion = Criterion(branches.cell.window, branches.cell.tau_R, "the counterfactual branches of the cell")
+    lines = judge(stored, step, criterion, traces).lines()
+    return Branched([Branch(words, traces[name]["cost"], sum(traces[name]["reward"])) for name, words in names.items()], lines)
 
 
-def first_difference(a: Episode, b: Episode) -> int | None:
-    """Return the first decision at which two episodes were driven differently, or were rewarded so; None where there is none."""
-    shared = min(a.decisions, b.decisions)
-    apart = np.zeros(shared, bool)
-    if a.a.shape[1:] == b.a.shape[1:]:
-        apart |= (a.a[:shared] != b.a[:shared]).any(1) | (a.a_h[:shared] != b.a_h[:shared]).any(1)
-    apart |= a.numbers["reward"][:shared] != b.numbers["reward"][:shared]
-    apart |= a.costly[:shared] != b.costly[:shared]
-    if apart.any():
-        return int(np.flatnonzero(apart)[0])
-    return None if a.decisions == b.decisions else shared - 1
+def as_html(lines: Iterable[Text]) -> Markup:
+    """Return lines that were written for a terminal as the content of a `<pre>`, everything escaped."""
+    from markupsafe import Markup
+
+    span = Markup('<span class="{}">{}</span>')
+    marked = (Markup("").join(span.format(style, text) if style else text for text, style in _pieces(line)) for line in lines)
+    return Markup("\n").join(marked)
 
 
-def readable(cell: FoundCell, number: int) -> tuple[Episode | None, str]:
-    """Return an episode, or why it does not read."""
-    try:
-        return load(cell, number), ""
-    except WaspError as error:
-        return None, error.message + (f" ({error.hint})" if error.hint else "")
+def _pieces(line: Text) -> Iterable[tuple[str, str]]:
+    """Split a line where its style changes: texts, each with its classes."""
+    edges = sorted({0, len(line.plain), *(edge for span in line.spans for edge in (span.start, span.end) if 0 <= edge <= len(line.plain))})
+    for first, last in pairwise(edges):
+        words = str(line.style).split()
+        for span in line.spans:
+            if span.start <= first and last <= span.end:
+                words += str(span.style).split()
+        classes: list[str] = []
+        for place, word in enumerate(words):
+            name = CLASSES.get(word)
+            if name is None:
+                continue
+            classes = [kept for kept in classes if kept != name]
+            if place == 0 or words[place - 1] != "not":
+                classes.append(name)
+        yield line.plain[first:last], " ".join(classes)

@@ -79,18 +79,7 @@ class Films:
             folder = self.folder / name
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
-            command = [
-                sys.executable,
-                "-P",  # the working directory may be the results themselves: their modules are not ours
-                "-m",
-                "wasp_cli.view.draw",
-                str(self._layout.root.absolute()),
-                key,
-                str(episode),
-                kind,
-                str(step),
-                str(folder),
-            ]
+            command = drawing(self._layout, key, episode, kind, step, folder)
             with (folder / "log").open("wb") as log:
                 environment = {**os.environ, "OMP_NUM_THREADS": "1"}
                 process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
@@ -160,6 +149,24 @@ class Films:
                 break
             shutil.rmtree(folder, ignore_errors=True)
             total -= size
+
+
+def drawing(layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int | None = None) -> list[str]:
+    """Return the command that draws a film into a folder (`view.draw`)."""
+    # -P: the working directory may be the results themselves: their modules are not ours.
+    begins = [
+        sys.executable,
+        "-P",
+        "-m",
+        "wasp_cli.view.draw",
+        str(layout.root.absolute()),
+        key,
+        str(episode),
+        kind,
+        str(step),
+        str(folder),
+    ]
+    return begins if every is None else [*begins, str(every)]
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:

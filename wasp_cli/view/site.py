@@ -1,28 +1,113 @@
-"""What every page has: the folder, its cells and films, where links go, and the templates, which escape all text."""
+"""A results folder as pages: its cells and films, where links lead (to the server, or files of a bundle), and templates, which escape."""
 
 from __future__ import annotations
 
-import secrets
-from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, urlencode
 
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.notebook.cells import ListedCell
+from wasp_cli.report.address import cell_address
 from wasp_cli.report.notes import Note, notes_of
-from wasp_cli.report.render.files import data_uri
-from wasp_cli.report.render.text import plain
-from wasp_cli.report.tables.titles import who_title
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.layout import Layout, slug
 from wasp_cli.view.cells import Cells
-from wasp_cli.view.links import Links
+from wasp_cli.view.films import Films
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-    from wasp_cli.view.films import Films
+
+class Links:
+    """Addresses of the server."""
+
+    live = True
+
+    def __init__(self, cells: Cells) -> None:
+        """Name cells as `cells` does."""
+        self._known = cells
+
+    def static(self, name: str) -> str:
+        """Return a file of the page."""
+        return f"/static/{name}"
+
+    def home(self) -> str:
+        """Return the first page."""
+        return "/"
+
+    def cells(self) -> str:
+        """Return the table of cells."""
+        return "/cells"
+
+    def report(self, file: str) -> str:
+        """Return a page of a report; nothing here: it may come from elsewhere, and is not served."""
+        return ""
+
+    def run(self, run_id: str, more: str = "") -> str:
+        """Return a run, or something of it."""
+        return f"/run/{quote(run_id, '')}{more}"
+
+    def cell(self, cell: ListedCell) -> str:
+        """Return a cell."""
+        return cell_address(self._known.ref(cell)).replace(" ", "%20")
+
+    def episode(self, cell: ListedCell, number: int) -> str:
+        """Return an episode; nothing where it has no page."""
+        return cell_address(self._known.ref(cell), number).replace(" ", "%20")
+
+    def film(self, cell: ListedCell, number: int, kind: str) -> str:
+        """Return where a film is asked for; its frames stand below."""
+        return f"/film/{cell.key}/{number}/{kind}"
+
+    def beside(self, a: str, b: str, **more: object) -> str:
+        """Return two cells beside each other, as an address names them."""
+        return f"/compare/cells?{urlencode({'a': a, 'b': b, **more})}"
+
+
+class BundleLinks(Links):
+    """Files of a folder, which work from anywhere; there are none of runs, and none of two cells beside each other."""
+
+    live = False
+
+    def __init__(self, cells: Cells, episodes: Mapping[str, Collection[int]], reports: Mapping[str, str]) -> None:
+        """Take what the bundle has: the episodes of each of its cells by key, and where the pages of reports are."""
+        super().__init__(cells)
+        self._episodes, self._reports = episodes, reports
+
+    def static(self, name: str) -> str:
+        return name
+
+    def home(self) -> str:
+        return "index.html"
+
+    def cells(self) -> str:
+        return "cells.html"
+
+    def report(self, file: str) -> str:
+        return quote(self._reports.get(file, ""))
+
+    def run(self, run_id: str, more: str = "") -> str:
+        return self.home()
+
+    def cell(self, cell: ListedCell) -> str:
+        return f"cell-{_name(cell)}.html" if cell.key in self._episodes else self.cells()
+
+    def episode(self, cell: ListedCell, number: int) -> str:
+        return f"episode-{_name(cell)}-{number}.html" if number in self._episodes.get(cell.key, ()) else ""
+
+    def film(self, cell: ListedCell, number: int, kind: str) -> str:
+        return f"films/{cell.key}-{number}"
+
+    def beside(self, a: str, b: str, **more: object) -> str:
+        return self.cells()
+
+
+def _name(cell: ListedCell) -> str:
+    return slug(f"{cell.label}-{cell.key[:8]}").replace("=", "-").replace("+", "-")
 
 
 @dataclass(eq=False)
@@ -34,10 +119,6 @@ class Site:
     links: Links
     films: Films | None = None
     """None in a bundle, whose films are files."""
-    other: Site | None = None
-    """A second folder to compare with."""
-    form: str = field(default_factory=lambda: secrets.token_urlsafe(16))
-    """Stands in every form: what is sent without it is refused."""
 
     @property
     def name(self) -> str:
@@ -48,20 +129,6 @@ class Site:
         """Fill a template of a whole page, or of a part of one."""
         return _environment().get_template(template).render(site=self, links=self.links, title=title, **values)
 
-    def ref(self, cell: ListedCell) -> str:
-        """Return how a cell is named in addresses: by its label where that is its alone."""
-        if not self.links.live:
-            return cell.key
-        counted = self._labels()
-        return cell.label if counted[cell.label] == 1 else cell.key
-
-    def _labels(self) -> Counter[str]:
-        listed = self.cells.listed()
-        if getattr(self, "_counted_of", None) is not listed:
-            self._counted: Counter[str] = Counter(cell.label for cell in listed)
-            self._counted_of = listed
-        return self._counted
-
     def one(self, text: str) -> tuple[ListedCell, FoundCell]:
         """Return the one cell that an address names.
 
@@ -69,13 +136,13 @@ class Site:
             UsageError: it names several.
             WaspError: it names none, or what it names is damaged.
         """
-        listed, found = self.cells.find(text)
-        if found is None:
+        listed, artifact = self.cells.find(text)
+        if artifact is None:
             keys = ", ".join(cell.key for cell in listed[:12])
             raise UsageError(f"'{text}' names {len(listed)} cells", f"name one by its key: {keys}")
         if not listed:
             raise UsageError(f"'{text}' is in no plan, and its manifest says of no cell")
-        return listed[0], found
+        return listed[0], artifact
 
     def notes(self) -> list[Note]:
         """Return all notes; none where they do not read, which the first page says."""
@@ -85,14 +152,26 @@ class Site:
             return []
 
 
+def site_of(folder: Path, *, films: bool = True) -> Site:
+    """Return a results folder as pages.
+
+    Raises:
+        StoreError: the folder has no results, or links in it.
+    """
+    layout = Layout(folder)
+    layout.require_own_folders()
+    if not layout.store.is_dir() and not layout.runs.is_dir():
+        raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
+    cells = Cells(layout)
+    return Site(layout, cells, Links(cells), Films(layout) if films else None)
+
+
 @cache
 def _environment() -> Environment:
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(
+    return Environment(
         # The timeline is the report's own.
         loader=ChoiceLoader([PackageLoader("wasp_cli.view"), PackageLoader("wasp_cli.report.page")]),
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    environment.globals |= {"plain": plain, "data_uri": data_uri, "who_title": who_title}
-    return environment

@@ -69,8 +69,8 @@ def build_page(
         figures=[figure for figure in shown if figure not in training_figures],
         films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
         training_tables=training_tables, training_figures=training_figures, learned=bool(training_tables or training_figures or trained),
-        notes=notes, assumptions=assumptions, cells=cells, style=_part("style.css"), script=_part("script.js"), task_title=task_title,
-        duration=duration, numbers_text=numbers_text,
+        notes=notes, assumptions=assumptions, cells=cells, style=_part("style.css"), task_title=task_title,
+        script=_part("sort.js") + _part("script.js"), duration=duration, numbers_text=numbers_text,
         as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
     )  # fmt: skip
     return str(page)

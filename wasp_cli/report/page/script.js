@@ -1,5 +1,5 @@
 "use strict";
-// Pages, sortable tables and films. Without scripts everything is shown, one page below the other.
+// Pages, tables (sort.js) and films. Without scripts everything is shown, one page below the other.
 (function () {
   document.documentElement.classList.add("js");
   const pages = Array.from(document.querySelectorAll(".page"));
@@ -17,36 +17,6 @@
     if (target === page || !target) window.scrollTo(0, 0);
     else target.scrollIntoView();
     for (const stop of stops) stop();
-  }
-
-  function sortable(table) {
-    const headings = Array.from(table.tHead.rows[0].cells);
-    headings.forEach((heading, column) => {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.append(...heading.childNodes);
-      heading.append(button);
-      button.addEventListener("click", () => {
-        const rising = heading.getAttribute("aria-sort") === "descending";
-        for (const other of headings) other.removeAttribute("aria-sort");
-        heading.setAttribute("aria-sort", rising ? "ascending" : "descending");
-        table.classList.add("sorted");
-        // A task stays together: rows are compared within it.
-        for (const body of table.tBodies) order(body, column, rising);
-      });
-    });
-  }
-
-  function order(body, column, rising) {
-    const value = (row) => row.cells[column].dataset.value ?? row.cells[column].textContent.trim();
-    const rows = Array.from(body.rows).map((row, place) => ({ row, place, text: value(row) }));
-    rows.sort((a, b) => {
-      if (a.text === "" || b.text === "") return (a.text === "") - (b.text === "") || a.place - b.place;
-      const [x, y] = [Number(a.text), Number(b.text)];
-      const difference = Number.isNaN(x) || Number.isNaN(y) ? a.text.localeCompare(b.text) : x - y;
-      return (rising ? difference : -difference) || a.place - b.place;
-    });
-    body.append(...rows.map((entry) => entry.row));
   }
 
   const stops = [];

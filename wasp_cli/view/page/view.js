@@ -1,63 +1,32 @@
 "use strict";
-// The table of cells, the scrubber of an episode, and what follows a live run. Without it pages still show what they say.
+// The table of cells, the scrubber of an episode, and what follows a live run. Without it pages still show what they say. Tables: sort.js.
 (function () {
   const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
   const one = (selector, within) => (within || document).querySelector(selector);
 
   // -- tables ---------------------------------------------------------------------------------------------------------------------
 
-  function sortable(table) {
-    const headings = Array.from(table.tHead.rows[0].cells);
-    headings.forEach((heading, column) => {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.append(...heading.childNodes);
-      heading.append(button);
-      button.addEventListener("click", () => {
-        const rising = heading.getAttribute("aria-sort") !== "ascending";
-        for (const other of headings) other.removeAttribute("aria-sort");
-        heading.setAttribute("aria-sort", rising ? "ascending" : "descending");
-        const body = table.tBodies[0];
-        const rows = Array.from(body.rows).map((row, place) => ({ row, place, text: row.cells[column].textContent.trim() }));
-        rows.sort((a, b) => {
-          if (a.text === "" || b.text === "") return (a.text === "") - (b.text === "") || a.place - b.place;
-          const [x, y] = [parseFloat(a.text), parseFloat(b.text)];
-          const difference = Number.isNaN(x) || Number.isNaN(y) ? a.text.localeCompare(b.text) : x - y;
-          return (rising ? difference : -difference) || a.place - b.place;
-        });
-        body.append(...rows.map((entry) => entry.row));
-        table.dispatchEvent(new Event("sorted"));
-      });
-    });
-  }
-
   // Of thousands of rows only the first are laid out; more come as one scrolls to the end of them.
   function filtered(table, form) {
     const columns = ["task", "method", "operator", "severity", "seed"];
     const body = table.tBodies[0], first = Number(table.dataset.first), more = one("#more");
-    const said = new WeakMap();
+    const words = new Map(Array.from(body.rows, (row) => {
+      const texts = Array.from(row.cells).slice(0, 5).map((cell) => cell.textContent);
+      return [row, { texts, all: (texts.join(" ") + " " + row.dataset.k).toLowerCase() }];
+    }));
     let limit = first;
-    function words(row) {
-      let found = said.get(row);
-      if (!found) {
-        const texts = Array.from(row.cells).slice(0, 5).map((cell) => cell.textContent);
-        found = { texts, all: (texts.join(" ") + " " + row.dataset.k).toLowerCase() };
-        said.set(row, found);
-      }
-      return found;
-    }
     function apply() {
-      const wanted = columns.map((name) => form.elements[name].value);
-      const asked = form.elements.text.value.toLowerCase().split(/\s+/).filter(Boolean);
+      const choices = columns.map((name) => form.elements[name].value);
+      const typed = form.elements.text.value.toLowerCase().split(/\s+/).filter(Boolean);
       let count = 0;
       for (const row of body.rows) {
-        const { texts, all: text } = words(row);
+        const { texts, all: text } = words.get(row);
         const state = row.lastElementChild.textContent.toLowerCase();
-        const here = wanted.every((value, place) => !value || texts[place] === value)
-          && asked.every((word) => text.includes(word) || state.includes(word));
-        count += here;
-        const shown = here && count <= limit;
-        if (row.hidden === shown) row.hidden = !shown;
+        const matches = choices.every((value, place) => !value || texts[place] === value)
+          && typed.every((word) => text.includes(word) || state.includes(word));
+        count += matches;
+        const hidden = !matches || count > limit;
+        if (row.hidden !== hidden) row.hidden = hidden;
       }
       one("#counted").textContent = count === body.rows.length ? count + " cells" : count + " of " + body.rows.length + " cells";
       more.hidden = count <= limit;
@@ -76,7 +45,7 @@
     form.addEventListener("submit", (event) => event.preventDefault());
     table.addEventListener("sorted", () => { limit = first; apply(); });
     one("button", more).addEventListener("click", further);
-    new IntersectionObserver((seen) => { if (seen.some((each) => each.isIntersecting)) further(); }).observe(more);
+    new IntersectionObserver((seen) => { if (seen.some((entry) => entry.isIntersecting)) further(); }).observe(more);
     if (given.size) apply();
     else more.hidden = body.rows.length <= limit;
   }
@@ -109,20 +78,20 @@
 
   function film(figure) {
     const image = one("img", figure), told = one(".told", figure), legend = one("ul.legend", figure);
-    let base = figure.dataset.film, state = null, wanted = 0, shown = -1, timer = null, still = false;
+    let base = figure.dataset.film, state = null, decision = 0, frame = -1, timer = null, still = false;
 
     function name(index) {
       if (figure.dataset.done) return base + "/" + String(index).padStart(5, "0") + "." + state.ending;
       const [path, query] = base.split("?");
       return path + "/frame/" + index + (query ? "?" + query : "");
     }
-    function show(decision) {
-      wanted = decision;
+    function show(t) {
+      decision = t;
       if (!state || !state.ready) return;
       const place = still ? 0 : Math.min(Math.floor(decision / state.every), state.frames - 1);
       const index = Math.min(place, state.ready - 1);
-      if (index === shown) return;
-      shown = index;
+      if (index === frame) return;
+      frame = index;
       image.src = name(index);
       image.hidden = false;
     }
@@ -147,21 +116,21 @@
       }
     }
     async function follow(method) {
-      const asked = base;
+      const place = base;
       let answer;
-      try { answer = await fetch(asked, { method }); } catch (error) { told.textContent = "the server is gone"; return; }
-      if (asked !== base) return;
+      try { answer = await fetch(place, { method }); } catch (error) { told.textContent = "the server is gone"; return; }
+      if (place !== base) return;
       if (!answer.ok) { told.textContent = "no film: " + (await answer.text()).slice(0, 200); return; }
       state = await answer.json();
       tell();
       explainColours();
-      show(wanted);
+      show(decision);
       // One that waits, or that another server gave up, is asked for again.
       if (["drawing", "waiting", "absent"].includes(state.state)) timer = setTimeout(() => follow(state.state === "drawing" ? "GET" : "POST"), 150);
     }
     function choose(next) {
       clearTimeout(timer);
-      base = next; state = null; shown = -1; still = next.includes("/branches");
+      base = next; state = null; frame = -1; still = next.includes("/branches");
       legend.textContent = "";
       follow("POST");
     }
@@ -184,7 +153,7 @@
     const decisions = Number(section.dataset.decisions);
     const part = one(".step", section), pictures = film(one(".film-of", section));
     const kept = new Map();
-    let asked = null, columns = 92;
+    let current = null, columns = 92;
 
     function measure() {
       const pre = one("pre.explain", part);
@@ -201,7 +170,7 @@
       for (const button of all(".branch-film", part)) button.addEventListener("click", () => pictures.choose(button.dataset.kind));
     }
     async function explain(t) {
-      asked = t;
+      current = t;
       const own = one('template[data-step="' + t + '"]', section);
       if (own) { fill(own.content.cloneNode(true)); part.dataset.shown = t; return; }
       if (!section.dataset.explain) return;
@@ -212,7 +181,7 @@
         if (!answer.ok) return;
         kept.set(t, html);
       }
-      if (asked !== t) return;
+      if (current !== t) return;
       // From our own server, where every text is escaped.
       const holder = document.createElement("template");
       holder.innerHTML = html;
@@ -236,9 +205,9 @@
   function scrubbed(bar) {
     const episodes = all("section.episode").map(episode);
     const slider = one("input", bar), output = one("output", bar), play = one("#play", bar);
-    const last = Math.max(...episodes.map((each) => each.decisions)) - 1;
+    const last = Math.max(...episodes.map((part) => part.decisions)) - 1;
     const seconds = Number(episodes[0].section.dataset.seconds);
-    const stops = Array.from(new Set(episodes.flatMap((each) => each.stops))).sort((a, b) => a - b);
+    const stops = Array.from(new Set(episodes.flatMap((part) => part.stops))).sort((a, b) => a - b);
     const given = new URLSearchParams(location.search);
     let timer = null;
     slider.max = last;
@@ -247,13 +216,13 @@
       const step = Math.max(0, Math.min(last, t));
       slider.value = step;
       output.textContent = "decision " + step + " of 0 to " + last + (seconds ? ", " + (step * seconds).toFixed(1) + " s" : "");
-      for (const each of episodes) each.at(step);
+      for (const { at } of episodes) at(step);
       given.set("step", step);
       address(given.toString());
     }
     const now = () => Number(slider.value);
-    const next = () => { const found = stops.find((stop) => stop > now()); if (found !== undefined) go(found); };
-    const previous = () => { const found = stops.filter((stop) => stop < now()).pop(); if (found !== undefined) go(found); };
+    const next = () => go(stops.find((stop) => stop > now()) ?? now());
+    const previous = () => go(stops.findLast((stop) => stop < now()) ?? now());
     function stop() { if (timer !== null) clearInterval(timer); timer = null; play.textContent = "Play"; }
     function run() {
       if (now() >= last) go(0);
@@ -265,12 +234,12 @@
     for (const [id, act] of [["before", () => go(now() - 1)], ["after", () => go(now() + 1)], ["stop-before", previous], ["stop-after", next]]) {
       one("#" + id, bar).addEventListener("click", () => { stop(); act(); });
     }
-    for (const each of episodes) {
-      for (const lane of all(".lane svg", each.section)) {
+    for (const { section, decisions } of episodes) {
+      for (const lane of all(".lane svg", section)) {
         lane.addEventListener("click", (event) => {
           const box = lane.getBoundingClientRect();
           stop();
-          go(Math.floor(((event.clientX - box.left) / box.width) * each.decisions));
+          go(Math.floor(((event.clientX - box.left) / box.width) * decisions));
         });
       }
     }
@@ -278,8 +247,8 @@
     keys.ArrowRight = () => { stop(); go(now() + 1); };
     keys.n = () => { stop(); next(); };
     keys.p = () => { stop(); previous(); };
-    const asked = given.get("step");
-    go(asked !== null && /^\d+$/.test(asked) ? Number(asked) : episodes[0].first);
+    const step = given.get("step") ?? "";
+    go(/^\d+$/.test(step) ? Number(step) : episodes[0].first);
   }
 
   // -- keys, and a live run -------------------------------------------------------------------------------------------------------
@@ -288,12 +257,13 @@
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const place = event.target;
-    if (place instanceof HTMLElement && place.matches("input:not([type=range]), textarea, select") && event.key !== "Escape") return;
+    if (place instanceof HTMLElement && place.matches("input:not([type=range]), select") && event.key !== "Escape") return;
     const act = keys[event.key];
     if (act) { event.preventDefault(); act(); }
   });
 
   function following(place) {
+    const later = () => { if (!one("[data-over]", place)) setTimeout(again, 1000); };
     async function again() {
       try {
         const answer = await fetch(place.dataset.follow);
@@ -303,9 +273,9 @@
           place.replaceChildren(holder.content);
         }
       } catch (error) { return; }
-      if (!one("[data-over]", place)) setTimeout(again, 1000);
+      later();
     }
-    if (!one("[data-over]", place)) setTimeout(again, 1000);
+    later();
   }
 
   all("table.sortable, #cells").forEach(sortable);
