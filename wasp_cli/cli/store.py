@@ -91,9 +91,7 @@ def publish(
     say(f"published in {target.root}")
 
 
-@command(
-    "wasp verify results/published --cells 30 --seed 7", codes="0 all are the same, 1 some are not, or the folder cannot be read, 2 usage"
-)
+@command("wasp verify results/ --cells 30 --seed 7", codes="0 all are the same, 1 some are not, or the folder cannot be read, 2 usage")
 def verify(
     results: Folder,
     cells: Annotated[int, option("N", "Cells that are drawn.", min=1)] = 30,

@@ -202,9 +202,7 @@ class _Builder:
         needs |= self._cloned_person(cell.task, chain, driver, cell.value)
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
         shared: _Assisted = self.assisted(cell.task, chain, cell.method, cell.assistant)
-        axes = evaluation.axes
-        sort = sort_of(COUNTERFACTUAL, cell.task, self.config(COUNTERFACTUAL, cell.task), axes)
-        made = (joined({**axes, "method_config": shared.text}), self._upstream(needs), sort)
+        axes, made = evaluation.axes, self._of_method(COUNTERFACTUAL, cell.task, evaluation.axes, shared.text, needs)
         # The assistant is not asked again: its code is in the key through the evaluation alone.
         return self._node(COUNTERFACTUAL, cell.task, cell.seed, axes, needs, _roots(_operator_targets([cell.operator])), label, made)
 
@@ -227,10 +225,14 @@ class _Builder:
         axes = {"method": method, "method_config": config} | _plugins({method: info.target})
         needs = self._inputs("calibration", task, seed, _known(info.needs_of(config), f"the method '{method}'"))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
-        text = joined({**axes, "method_config": self.method_identity(method, variant, task)})
-        sort = sort_of("calibration", task, self.config("calibration", task), axes)
-        made = (text, self._upstream(needs), sort)
+        made = self._of_method("calibration", task, axes, self.method_identity(method, variant, task), needs)
         return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), f"calibration {name}", made)
+
+    def _of_method(
+        self, kind: str, task: str, axes: Mapping[str, Any], config: Text, needs: Mapping[str, Node]
+    ) -> tuple[Text, _Upstream, str]:
+        """What `_node` takes as `made`; `config` is what of the method's configuration enters a key, and `axes` has all of it."""
+        return joined({**axes, "method_config": config}), self._upstream(needs), sort_of(kind, task, self.config(kind, task), axes)
 
     def _training(self, kind: str, task: str, seed: int) -> Node:
         operators = self._operators(kind, task)

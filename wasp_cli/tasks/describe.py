@@ -1,4 +1,4 @@
-"""Every registered task in plain values, for `wasp tasks`. What a task does not say in its registry is asked of the task itself."""
+"""Every registered task in plain values, for `wasp list tasks`. What a task does not say in its registry is asked of the task itself."""
 
 from __future__ import annotations
 

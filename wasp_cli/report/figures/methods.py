@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import groupby, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,22 +22,29 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
+    """Return the rows of the tables that have cells, by task."""
+    rows: dict[str, list[Group]] = {}
+    for group in groups(frame):
+        if is_row(group) and group.cells:
+            rows.setdefault(group.task, []).append(group)
+    return rows
+
+
 def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
     """Write `cost_return.png` and `.svg`: large marks are a method's mean, small ones its operator variants.
 
     Returns:
         The written files; none when no cell has been computed.
     """
-    drawable = [group for group in groups(frame) if is_row(group) and group.cells]
-    if not drawable:
+    tasks = rows_by_task(frame)
+    if not tasks:
         return []
-    tasks = list(dict.fromkeys(group.task for group in drawable))
     with drawn((1.6 + 3.4 * len(tasks), 3.6)) as figure:
         panels = figure.subplots(1, len(tasks), squeeze=False)[0]
-        for panel, task in zip(panels, tasks, strict=True):
-            for group in drawable:
-                if group.task == task:
-                    _draw(panel, group)
+        for panel, (task, rows) in zip(panels, tasks.items(), strict=True):
+            for group in rows:
+                _draw(panel, group)
             panel.set_title(task_title(task), loc="left", fontweight="bold")
             panel.set_xlabel("Cost per episode (better: left)")
             ruled(panel)
@@ -52,18 +59,15 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none when no cell has been computed.
     """
-    drawable = [group for group in groups(frame) if is_row(group) and group.cells]
-    tasks = list(dict.fromkeys(group.task for group in drawable))
+    tasks = rows_by_task(frame)
     if not tasks:
         return []
-    most = max(sum(group.task == task for group in drawable) for task in tasks)
-    with drawn((1.4 + 3.0 * len(tasks), 0.9 + 0.32 * most)) as figure:
+    with drawn((1.4 + 3.0 * len(tasks), 0.9 + 0.32 * max(map(len, tasks.values())))) as figure:
         panels = figure.subplots(1, len(tasks), squeeze=False)[0]
-        for panel, task in zip(panels, tasks, strict=True):
-            own = [group for group in drawable if group.task == task]
-            for y, group in enumerate(own):
+        for panel, (task, rows) in zip(panels, tasks.items(), strict=True):
+            for y, group in enumerate(rows):
                 _latency(panel, group, y)
-            panel.set_yticks(range(len(own)), [assistant_title(group) for group in own])
+            panel.set_yticks(range(len(rows)), [assistant_title(group) for group in rows])
             panel.invert_yaxis()
             panel.set_xscale("log")
             panel.set_title(task_title(task), loc="left", fontweight="bold")
@@ -78,19 +82,16 @@ def profile_figure(frame: Frame, folder: Path) -> list[Path]:
     Returns:
         The written files; none when no cell has been computed.
     """
-    drawable = [group for group in groups(frame) if is_row(group) and group.cells]
-    tasks = list(dict.fromkeys(group.task for group in drawable))
+    tasks = rows_by_task(frame)
     if not tasks:
         return []
     with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
         panels = figure.subplots(2, len(tasks), squeeze=False, sharey=True)
-        for column, task in zip(panels.T, tasks, strict=True):
-            for group in drawable:
-                if group.task == task:
-                    for panel, key in zip(column, ("return", "cost"), strict=True):
-                        x, share = profile(group, key, at_least=key == "return")
-                        panel.step(x, share, where="post" if key == "cost" else "pre", color=style_of(group.method)[0],
-                                   linestyle=LINES[place_of_round(group.method)], linewidth=1.3, label=assistant_title(group))  # fmt: skip
+        for column, (task, rows) in zip(panels.T, tasks.items(), strict=True):
+            for group, (panel, key) in product(rows, zip(column, ("return", "cost"), strict=True)):
+                x, share = profile(group, key, at_least=key == "return")
+                look = {"color": style_of(group.method)[0], "linestyle": LINES[place_of_round(group.method)], "linewidth": 1.3}
+                panel.step(x, share, where="post" if key == "cost" else "pre", label=assistant_title(group), **look)
             column[0].set_title(task_title(task), loc="left", fontweight="bold")
             column[0].set_xlabel("return x of an episode (better: up)")
             column[1].set_xlabel("cost x of an episode (better: up)")
