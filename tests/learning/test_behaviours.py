@@ -57,19 +57,6 @@ def test_commands_do_what_their_behaviour_says() -> None:
     assert np.abs(issued).max() <= 1
 
 
-def test_gains_pushes_and_means_of_checkpoints_do_what_they_say() -> None:
-    rows = (
-        Behaviour("plain"), Behaviour("early", skill=0), Behaviour("between", skill=0, other=-1), Behaviour("scaled", gain=0.5),
-        Behaviour("biased", push=0.2),
-    )  # fmt: skip
-    issued = commander(*rows).command(np.random.default_rng(1).normal(size=(1, 5)).repeat(5, 0).astype(np.float32))
-    np.testing.assert_allclose(issued[2], (issued[0] + issued[1]) / 2, atol=1e-6)
-    np.testing.assert_allclose(issued[3], 0.5 * issued[0], atol=1e-6)
-    np.testing.assert_allclose(issued[4], issued[0] + [0.2, 0.0], atol=1e-6)
-    assert np.abs(issued[0] - issued[1]).max() > 0.01
-    assert np.abs(issued).max() < 1, "nothing was clipped"
-
-
 def test_bursts_are_held() -> None:
     driver = commander(Behaviour("bursts", burst=1.0))
     issued = [tuple(driver.command(np.zeros((1, 5), np.float32))[0]) for _ in range(60)]

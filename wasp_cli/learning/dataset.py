@@ -34,16 +34,10 @@ class Behaviour:
     """Probability that a random command begins and is held for 2-11 steps."""
     drift: float = 0.0
     """Constant that is added to the last component: the turning of the point, one wheel of the car."""
-    push: float = 0.0
-    """Constant that is added to the first component."""
     sticky: float = 0.0
     """Standard deviation of noise that persists from step to step."""
     correlation: float = 0.9
     """Correlation of that noise between one decision step and the next."""
-    gain: float = 1.0
-    """Factor of the intended command."""
-    other: int | None = None
-    """Index of a second checkpoint: the intended command is the mean of both."""
 
 
 def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np.random.Generator) -> list[Behaviour]:
@@ -60,11 +54,6 @@ def behaviours(mixture: dict[str, float], episodes: int, skills: int, random: np
         "early": [Behaviour("early", skill=k, gaussian=0.1) for k in range(min(2, skills))],
         "bursts": [Behaviour("bursts", burst=0.08)],
         "careless": [Behaviour("careless", repeat=p) for p in (0.9, 0.95)],
-        "wandering": [Behaviour("wandering", sticky=s, correlation=c) for s, c in ((0.7, 0.8), (0.6, 0.95), (1.3, 0.85), (0.9, 0.97))],
-        "biased": [Behaviour("biased", drift=d) for d in (0.3, -0.3, 0.8, -0.8)] + [Behaviour("biased", push=p) for p in (0.4, -0.4)],
-        "tardy": [Behaviour("tardy", delay=d, gaussian=g) for d, g in ((2, 0.5), (3, 0.4), (5, 0.15), (6, 0.5))],
-        "scaled": [Behaviour("scaled", gain=g, gaussian=0.15) for g in (0.5, 2.0)],
-        "between": [Behaviour("between", skill=k, other=-1, gaussian=0.1) for k in range(min(2, skills))],
         "random": [Behaviour("random", replace=1.0)],
     }
     # Largest remainders: the counts follow the shares as closely as whole episodes can.
@@ -99,9 +88,7 @@ class Commander:
         with torch.inference_mode():
             seen = torch.from_numpy(privileged)
             intended = np.stack([skill(seen).numpy() for skill in self._skills])  # [K, B, A]
-        own, others = ([b.skill for b in rows], [b.skill if b.other is None else b.other for b in rows])
-        mean = 0.5 * (intended[own, np.arange(len(rows))] + intended[others, np.arange(len(rows))])
-        self._seen.append(mean * np.array([b.gain for b in rows], np.float32)[:, None])
+        self._seen.append(intended[[b.skill for b in rows], np.arange(len(rows))])
         now = len(self._seen) - 1
         neutral = np.zeros_like(self._last[0])
         action = np.stack([self._seen[now - b.delay][i] if now >= b.delay else neutral for i, b in enumerate(rows)])
@@ -111,7 +98,6 @@ class Commander:
         kept = np.array([b.correlation for b in rows], np.float32)[:, None]
         self._noise = fresh if now == 0 else kept * self._noise + (1 - kept**2) ** 0.5 * fresh
         action = action + np.array([b.sticky for b in rows], np.float32)[:, None] * self._noise
-        action[:, 0] += [b.push for b in rows]
         action[:, -1] += [b.drift for b in rows]
         uniform = random.uniform(-1, 1, action.shape).astype(np.float32)
         replaced = random.random(len(rows)) < [b.replace for b in rows]
