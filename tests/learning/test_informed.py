@@ -60,7 +60,7 @@ def source_of(cell: Evaluated, expert: Path | None) -> Source:
 def again(cell: Evaluated, expert: Path | None) -> Rerun:
     source = source_of(cell, expert)
     world = source.world()
-    return Rerun(world, load_world_model(source.world_model), source.operator(world), source.recorded)
+    return Rerun(world, load_world_model(source.world_model), source.operator_in(world), source.recorded)
 
 
 def test_a_cell_comes_back_with_operators_who_know_and_with_no_others(cell: Evaluated) -> None:
