@@ -1,4 +1,4 @@
-"""docs/assistants.md says what is published: the comparison on fresh seeds, and the curves of every assistant's knob."""
+"""docs/assistants.md and docs/learning.md say what is published: the field on fresh seeds, operators that no choice has seen, every trained part."""
 
 from __future__ import annotations
 
@@ -10,19 +10,31 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import trained
 
-PAGE = (Path(__file__).parents[1] / "docs" / "assistants.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "assistants.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("group", assistants.GROUPS)
-def test_the_tables_of_results_are_the_published_rows(group: str) -> None:
-    rows = pq.read_table(assistants.published("assistants"))
+@pytest.mark.parametrize(
+    ("spec", "group"), [("field", "Operators on which choices were made"), ("assistants", "Operators that no choice has seen")]
+)
+def test_the_tables_of_results_are_the_published_rows(spec: str, group: str) -> None:
+    rows = pq.read_table(assistants.published(spec))
     assert assistants.table(rows, group) in PAGE
-    assert assistants.differences(rows, group) in PAGE or group == "The unimpaired expert"
+    assert assistants.differences(rows, group) in PAGE
 
 
-def test_the_operating_points_are_those_of_the_published_curves() -> None:
-    assert curves.shown(pq.read_table(curves.published("assistants"))) in PAGE
+def test_the_table_of_trained_parts_is_the_published_one() -> None:
+    tasks = trained.trained()
+    assert list(tasks) == list(trained.TASKS)
+    assert trained.table(tasks) in (DOCS / "learning.md").read_text(encoding="utf-8")
+
+
+def test_the_rule_chooses_the_least_intervention_that_keeps_the_return() -> None:
+    rows = curves.shown(pq.read_table(curves.published("assistants"))).splitlines()
+    chosen = {tuple(part.strip() for part in row.split("|")[2:4]) for row in rows if "by the rule" in row}
+    assert {("IDA", "tau_Q, times 0"), ("Diffusion", "ratio 0.6"), ("WASP", "tau_r, times 1")} <= chosen
 
 
 def test_numbers_of_a_table_are_means_over_operators_of_what_is_pooled_over_worlds() -> None:
