@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.plan.keys import canonical
+from wasp_cli.plan.keys import digest
 
 
 @dataclass(frozen=True, order=True, slots=True)
@@ -109,8 +108,7 @@ def with_upstream(nodes: Iterable[Node]) -> list[Node]:
 
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
     """Return what `Node.sort` is; a manifest tells the same four things of a node that was computed."""
-    text = canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return digest([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")], 16)
 
 
 def levels(nodes: Iterable[Node]) -> list[list[Node]]:

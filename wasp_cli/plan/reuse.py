@@ -58,14 +58,13 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
     return found
 
 
-def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipes: bool = False) -> Grid:
+def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
     """Return the grid of a spec with published results in the place of nodes.
 
     Args:
         spec: what is asked for.
         layout: the results folder; it need not be there.
         reuse: what may be reused, instead of what the spec says.
-        recipes: whether the grid has the recipes of its nodes also where nothing can be reused.
 
     Raises:
         UsageError: `reuse` is a folder without published results.
@@ -73,9 +72,9 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
     """
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
+    own = lay_out(spec)
     if not offered:
-        return replace(lay_out(spec, {} if recipes else None), notes=tuple(damaged))
-    own = lay_out(spec, {})
+        return replace(own, notes=tuple(damaged))
     first, uncut = _first_episodes(spec, own, offered)
     usable, notes = _usable(own, [*offered, *first], layout)
     chosen = choose(own, usable)
@@ -127,7 +126,7 @@ def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer]) -> tuple[li
             published.setdefault(offer.recipe, []).append(offer)
     longer_ones: list[tuple[Node, Node, Offer]] = []
     for length in sorted({_episodes(offer) for same in published.values() for offer in same}):
-        whole = lay_out(with_episodes(spec, length), {})
+        whole = lay_out(with_episodes(spec, length))
         for (cell, node), (_, longer) in zip(own.cells, whole.cells, strict=True):
             if cell.operator != PERSON:
                 longer_ones += [(node, longer, offer) for offer in published.get(whole.recipes[longer.key], ())]

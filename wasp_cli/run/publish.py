@@ -93,7 +93,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         UsageError: the selection means nothing.
         ArtifactError: something is not computed, or damaged, or names this machine.
     """
-    grid = lay_out_over(spec, layout, reuse, recipes=True)
+    grid = lay_out_over(spec, layout, reuse)
     selected = select(grid, selectors)
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.store.artifact import discard, left_behind, read_manifest, stored_kinds
+from wasp_cli.store.artifact import artifact_keys, discard, left_behind, read_manifest, stored_kinds
 from wasp_cli.store.layout import SESSION_FILE, Layout, is_key
 from wasp_cli.store.lock import held_if_free, is_held, remove_lock
 
@@ -37,7 +37,7 @@ def stored(layout: Layout) -> dict[str, list[str]]:
     """Return the kinds under which a key has a folder in the store, damaged artifacts too."""
     found: dict[str, list[str]] = {}
     for kind in stored_kinds(layout):
-        for key in _keys(layout.kind(kind), lambda entry: entry.is_dir(follow_symlinks=False)):
+        for key in artifact_keys(layout, kind):
             found.setdefault(key, []).append(kind)
     return found
 
