@@ -21,7 +21,7 @@ from wasp_cli.store.layout import Layout
 if TYPE_CHECKING:
     from wasp_cli.plan.plan import Plan
     from wasp_cli.report.stats.frame import Missing
-    from wasp_cli.run.session import RunOptions, Selection
+    from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
 
 
@@ -44,11 +44,12 @@ def run(
 
     loaded, options = asked.load(), work.options()
     if work.dry_run:
-        print_plan(planned(loaded.spec, asked.results, asked.selection, asked.reuse), loaded.spec.name, options.jobs)
+        plan = planned(loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
+        print_plan(plan, loaded.spec.name, options.jobs)
     elif detach:
         run_detached()
     else:
-        run_and_report(loaded, asked.results, options, asked.selection, asked.reuse)
+        run_and_report(loaded, asked.results, options, asked.select or (), asked.reuse, failed=asked.failed)
 
 
 @command("wasp plan specs/table1.yaml", "wasp plan specs/table1.yaml --json | jq '.nodes[0]'")
@@ -62,7 +63,7 @@ def plan(
     from wasp_cli.run.session import cores, planned
 
     spec = asked.load().spec
-    laid_out = planned(spec, asked.results, asked.selection, asked.reuse)
+    laid_out = planned(spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
     print_plan(laid_out, spec.name, cores() if jobs is None else jobs, every=every, json=json)
 
 
@@ -110,28 +111,28 @@ def sweep(
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.record import reported
-    from wasp_cli.run.session import on_tasks, planned_sweep, run_sweep
+    from wasp_cli.run.session import planned_sweep, run_sweep
     from wasp_cli.spec.derived import read_sweep
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
-    varied = on_tasks(read_sweep(asked.spec, vary[0], method or (), asked.settings), asked.task)
+    varied = read_sweep(asked.spec, vary[0], method or (), asked.settings, asked.task)
     options = work.options()
     if work.dry_run:
         print_plan(planned_sweep(varied, Layout(asked.results.absolute()), reuse), varied.name, options.jobs, json=json)
         return
-    done = run_sweep(varied, asked.results, options, reuse)
-    layout = done.session.layout
+    session, grids = run_sweep(varied, asked.results, options, reuse)
+    layout = session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
-    report = report_sweep(layout.root, varied, [cells_with_keys(grid) for grid in done.grids])
+    report = report_sweep(layout.root, varied, [cells_with_keys(grid) for grid in grids])
     page, *_ = report.write(layout.reports(varied.name))
-    reported(layout, done.session.run_id)
+    reported(layout, session.run_id)
     if json:
         print_json({**report.as_json(), "report": str(page)})
     else:
         report.terminal(out())
         say(f"report: {page} (tables as text and LaTeX, and curves, are in the same folder)")
-    done.session.require_complete()
+    session.require_complete()
     require_cells(report.missing, layout)
 
 
@@ -153,8 +154,8 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
     from wasp_cli.report.summarize import wanted_cells
     from wasp_cli.report.tables.severity_check import as_json, check_table, judged
     from wasp_cli.run.record import reported
-    from wasp_cli.run.session import planned, restricted, run_spec
-    from wasp_cli.spec.derived import operators_alone
+    from wasp_cli.run.session import planned, run_spec
+    from wasp_cli.spec.derived import operators_alone, restricted
 
     loaded, options = restricted(operators_alone(asked.spec, asked.settings), asked.task), work.options()
     if work.dry_run:
@@ -201,7 +202,7 @@ def run_detached() -> None:
 
 
 def run_and_report(
-    loaded: Loaded, results: Path, options: RunOptions, selection: Selection | None = None, reuse: str | None = None
+    loaded: Loaded, results: Path, options: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> None:
     """Run a spec, then write and print its report.
 
@@ -210,11 +211,11 @@ def run_and_report(
     """
     from wasp_cli.plan.plan import branched_with_keys, cells_with_keys, parts_with_keys
     from wasp_cli.run.record import Recorded, reported
-    from wasp_cli.run.session import WHOLE, run_spec
+    from wasp_cli.run.session import run_spec
     from wasp_cli.spec.paper import load_paper
 
     paper = load_paper()  # a mistake in it is told before anything runs
-    session = run_spec(loaded, results, options, selection or WHOLE, reuse)
+    session = run_spec(loaded, results, options, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
     ran = Recorded(session.run_id, loaded.spec, cells_with_keys(grid), parts_with_keys(grid), branched_with_keys(grid))

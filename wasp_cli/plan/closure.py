@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from wasp_cli.errors import WaspError
+from wasp_cli.store.reached import reached
 
 PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset(
@@ -106,15 +107,8 @@ def _digest(module: str, tree: ast.Module) -> str:
 
 
 @cache
-def _reach(root: str) -> frozenset[str]:
-    found: set[str] = set()
-    pending = [root]
-    while pending:
-        module = pending.pop()
-        if module not in found:
-            found.add(module)
-            pending.extend(_imports(module))
-    return frozenset(found)
+def _reach(root: str) -> set[str]:
+    return reached([root], _imports)
 
 
 @cache

@@ -13,6 +13,7 @@ from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
 from wasp_cli.run.watch import ENDS, events_of, state_of
 from wasp_cli.store.find import matching
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.reached import reached
 
 
 def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: str | None, name: str | None) -> list[str]:
@@ -93,7 +94,4 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
 
 def _dependents(run: PlannedRun, key: str) -> set[str]:
     """The keys of what needs a node, through others too."""
-    lost = {key}
-    while more := {other.key for other in run.nodes.values() if other.runs and other.key not in lost and not lost.isdisjoint(other.needs)}:
-        lost |= more
-    return lost - {key}
+    return reached([key], lambda needed: [other.key for other in run.nodes.values() if other.runs and needed in other.needs]) - {key}
