@@ -108,7 +108,7 @@ def sweep(
     What does not depend on the setting is computed once. Results that are in the results folder already are used. Without --method,
     Human-only and the method of the setting run, or all methods where it is no method's.
     """
-    from wasp_cli.plan.plan import cells_with_keys
+    from wasp_cli.plan.plan import with_keys
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.record import reported
     from wasp_cli.run.session import planned_sweep, run_sweep
@@ -124,7 +124,7 @@ def sweep(
     session, grids = run_sweep(varied, asked.results, options, reuse)
     layout = session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
-    report = report_sweep(layout.root, varied, [cells_with_keys(grid) for grid in grids])
+    report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
     page, *_ = report.write(layout.reports(varied.name))
     reported(layout, session.run_id)
     if json:
@@ -147,7 +147,7 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
     Operators are measured without assistance. One is accepted if its return falls with every severity, and its moderate severity loses
     at least a quarter of the expert's return. Missing cells are computed; `wasp run` with the same spec uses them.
     """
-    from wasp_cli.plan.plan import cells_with_keys
+    from wasp_cli.plan.plan import with_keys
     from wasp_cli.report.render.files import make_own, write_pages
     from wasp_cli.report.render.text import terminal
     from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
@@ -163,7 +163,7 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
         return
     session = run_spec(loaded, asked.results, options, reuse=reuse, aside=True)
     # Also after failures: what is there is worth seeing.
-    cells, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
+    cells, _ = wanted_cells(session.layout, loaded.spec, with_keys(session.plan.grid.cells))
     checks, frame = read_checks(loaded.spec, cells)
     table = check_table(checks, frame)
     folder = session.layout.reports(loaded.spec.name)
@@ -192,7 +192,7 @@ def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: b
 
 def run_detached() -> None:
     """Start this command again without a terminal, and print where its run is."""
-    from wasp_cli.run.detach import detached
+    from wasp_cli.run.control import detached
 
     said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
     if said is None:
@@ -209,7 +209,7 @@ def run_and_report(
     Raises:
         CellsFailed: a selected cell failed, or has no readable rows.
     """
-    from wasp_cli.plan.plan import branched_with_keys, cells_with_keys, parts_with_keys
+    from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded, reported
     from wasp_cli.run.session import run_spec
     from wasp_cli.spec.paper import load_paper
@@ -218,7 +218,7 @@ def run_and_report(
     session = run_spec(loaded, results, options, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
-    ran = Recorded(session.run_id, loaded.spec, cells_with_keys(grid), parts_with_keys(grid), branched_with_keys(grid))
+    ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
     report = show_report(session.layout, ran, paper)
     reported(session.layout, session.run_id)
     session.require_complete()

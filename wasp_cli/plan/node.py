@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from wasp_cli.operators.registry import UNIMPAIRED
@@ -31,14 +31,6 @@ class Cell:
         operator = "unimpaired" if self.operator == UNIMPAIRED else f"{self.operator}={self.value:g}"
         return f"{self.task} {self.method}{assistant} {operator} seed {self.seed}"
 
-    def as_json(self) -> dict[str, Any]:
-        """Return this as plain values, for the plan of a run."""
-        # dataclasses.asdict copies every value deeply, which takes seconds over a large grid.
-        return {name: getattr(self, name) for name in _FIELDS}
-
-
-_FIELDS = tuple(field.name for field in fields(Cell))
-
 
 @dataclass(frozen=True, order=True, slots=True)
 class Part:
@@ -51,10 +43,6 @@ class Part:
 
     def __str__(self) -> str:
         return f"{self.task} s{self.seed} {self.kind}"
-
-    def as_json(self) -> dict[str, Any]:
-        """Return this as plain values, for the plan of a run."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

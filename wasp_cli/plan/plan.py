@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
@@ -104,9 +104,9 @@ class Plan:
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
-            "cells": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.cells],
-            "branched": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.branched],
-            "parts": [{**part.as_json(), "key": node.key} for part, node in self.grid.parts],
+            "cells": _entries(self.grid.cells),
+            "branched": _entries(self.grid.branched),
+            "parts": _entries(self.grid.parts),
             "nodes": [self._node_json(step) for step in self.steps],
             "notes": list(self.grid.notes),
             "counts": dict(Counter(step.state for step in self.steps)),
@@ -271,16 +271,13 @@ def _cause(path: Path) -> str:
         return "its record is damaged"
 
 
-def cells_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
-    """Return each cell with the key of its artifact, as reports take them."""
-    return [(cell, node.key) for cell, node in grid.cells]
+def _entries(pairs: Iterable[tuple[Cell | Part, Node]]) -> list[dict[str, Any]]:
+    return [{**asdict(thing), "key": node.key} for thing, node in pairs]
 
 
-def branched_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
-    """Return each cell that is branched with the key of its branches, as reports take them."""
-    return [(cell, node.key) for cell, node in grid.branched]
+Thing = TypeVar("Thing", Cell, Part)
 
 
-def parts_with_keys(grid: Grid) -> list[tuple[Part, str]]:
-    """Return each trained part with the key of its artifact, as reports take them."""
-    return [(part, node.key) for part, node in grid.parts]
+def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
+    """Return cells or parts of a grid, each with the key of its artifact, as reports take them."""
+    return [(thing, node.key) for thing, node in pairs]

@@ -20,7 +20,7 @@ from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
-from wasp_cli.run.detach import announce
+from wasp_cli.run.control import announce
 from wasp_cli.run.interrupt import SIGNALS, listening
 from wasp_cli.run.job import Pool
 from wasp_cli.run.pool import pool_of, require_backend
