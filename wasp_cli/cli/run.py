@@ -15,7 +15,7 @@ from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import JobsOption, JsonOption, MethodOption, ReuseOption, SelectedSpec, Sized, SizedSpec, Work, flag, option
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import err, out, say
-from wasp_cli.errors import CellsFailed, UsageError
+from wasp_cli.errors import CellsFailed, UsageError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -238,7 +238,6 @@ def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
         for cell in missing:
             if cell.damaged:
                 invalidate(layout, cell.kind, cell.key, cell.reason)
-        named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
-        more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
-        what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"
-        raise CellsFailed(f"{what}:\n{named}{more}", "run again: damaged cells are computed again")
+        what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read:"
+        lines = [what, *first([f"  {cell.label}: {cell.reason}" for cell in missing], 10)]
+        raise CellsFailed("\n".join(lines), "run again: damaged cells are computed again")

@@ -16,10 +16,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import UnknownName, UsageError, first
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
 from wasp_cli.run.watch import ENDS, events_of, state_of
-from wasp_cli.store.find import matching
+from wasp_cli.store.find import SHOWN, matching
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.reached import reached
 
@@ -87,8 +87,8 @@ def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
         labels = {node.label for node in planned}
         raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
     if len(named) > 1:
-        lines = "\n".join(f"  {node.key}  {node.label}" for node in list(named.values())[:10])
-        raise UsageError(f"'{text}' names several nodes:\n{lines}", "give the first characters of one of these keys")
+        lines = [f"'{text}' names several nodes:", *first([f"  {node.key}  {node.label}" for node in named.values()], SHOWN)]
+        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
     ((key, node),) = named.items()
     taken_back = []
     for run in runs:

@@ -17,7 +17,7 @@ from typing import Any
 
 import wasp_cli
 from wasp_cli.console import waiting_aloud
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, first
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Step, plan_against
@@ -119,8 +119,7 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
     reports = [path for path in _reports(spec, layout) if not _same(path, target.reports(spec.name) / path.name)]
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
     if refused:
-        more = [f"  and {len(refused) - NAMED} more"] if len(refused) > NAMED else []
-        lines = [f"{len(refused)} results cannot be published:", *(f"  {text}" for text in refused[:NAMED]), *more]
+        lines = [f"{len(refused)} results cannot be published:", *first([f"  {text}" for text in refused], NAMED)]
         raise ArtifactError("\n".join(lines), "wasp run SPEC --reuse none computes what is missing, with this code")
     absent = tuple(step.node for step in steps if step.state == "unneeded")
     return Publication(tuple(new), tuple(there), tuple(large), absent, tuple(reports))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import secrets
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.recorded import order_of, run_ids
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.run.heartbeat import this_process
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
@@ -105,7 +104,7 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
         last = max((order_of(layout, name) for name in run_ids(layout)), default=0)
         layout.order(folder.name).write_text(f"{last + 1}\n", encoding="utf-8")
         if reports:
-            write_record(layout.reporting(folder.name), {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()})
+            write_record(layout.reporting(folder.name), this_process())
         yield folder
     except OSError as error:
         raise StoreError(f"cannot write to '{folder}': {(error.strerror or str(error)).lower()}") from error

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
-from wasp_cli.errors import CellsFailed, Interrupted, UsageError
+from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
 from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
@@ -241,11 +241,8 @@ def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
         lines += [f"{len(summary.cancelled)} cancelled:", *(f"  {names.get(node.key, node.label)}" for node in summary.cancelled)]
     if summary.blocked:
         lines.append(f"{len(summary.blocked)} blocked by them:")
-        lines += [
-            f"  {names.get(node.key, node.label)} (needs {names.get(cause.key, cause.label)})" for node, cause in summary.blocked[:10]
-        ]
-        if len(summary.blocked) > 10:
-            lines.append(f"  and {len(summary.blocked) - 10} more")
+        named = [f"  {names.get(node.key, node.label)} (needs {names.get(cause.key, cause.label)})" for node, cause in summary.blocked]
+        lines += first(named, 10)
     return "\n".join(lines)
 
 

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.console import count_table, duration, size
-from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError
+from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError, first
 from wasp_cli.plan.recorded import PlannedRun
 from wasp_cli.store.find import SHOWN, find_node, matching, same_label
 from wasp_cli.store.gc import FAILURES, LOCKS, RUNS, TMP, WORK, Rubbish
@@ -237,8 +237,7 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
         matches = [log for log in matches if log.run_id == matches[0].run_id]
     newest = {log.key: log for log in reversed(matches)}
     if len(newest) > 1:
-        lines = [f"'{wanted}' names {len(newest)} nodes:", *(f"  {log.key}  {log.label}" for log in list(newest.values())[:SHOWN])]
-        lines += [f"  and {len(newest) - SHOWN} more"] if len(newest) > SHOWN else []
+        lines = [f"'{wanted}' names {len(newest)} nodes:", *first([f"  {log.key}  {log.label}" for log in newest.values()], SHOWN)]
         raise UsageError("\n".join(lines), "give the first characters of one of these keys")
     if not newest:
         if (without := _without_log(layout, wanted)) is not None:
