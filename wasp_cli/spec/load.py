@@ -172,7 +172,7 @@ def _extended(source: Source) -> Path:
     """The file that a source extends: one beside it, or a spec that comes with the package."""
     value = source.document[EXTENDS]
     if not isinstance(value, str):
-        if source.problems:
+        if value is None and source.problems:  # what stands there is no value at all
             raise InvalidSpec(source.problems)
         shown = "nothing" if value is None else "a number" if isinstance(value, int | float) else kind_of(value)
         raise _refused(source, f"should be the name of one file, not {shown}")
