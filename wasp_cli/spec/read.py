@@ -87,7 +87,7 @@ class Source:
         for index, part in enumerate(loc):
             if _has(node, part):
                 key = str(part) if isinstance(node, dict) else part
-                found, depth, node = (*found, key), index + 1, node[key]  # type: ignore[index]
+                found, depth, node = (*found, key), index + 1, node[key]
             elif not depth or index + 1 >= len(loc) or not _has(node, loc[index + 1]):
                 break
         return found, depth, node
