@@ -21,7 +21,7 @@ An expected error prints as one message and a hint, never as a traceback.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
 
@@ -124,6 +124,11 @@ def refusal(error: OSError) -> WaspError:
     """Turn what the system refused into an expected error."""
     reason = (error.strerror or str(error) or type(error).__name__).lower()
     return WaspError(reason if error.filename is None else f"'{error.filename}': {reason}", "wasp --debug COMMAND shows where")
+
+
+def first(lines: Sequence[str], most: int) -> list[str]:
+    """Return the first of some lines, and how many more there are."""
+    return [*lines[:most], *([f"  and {len(lines) - most} more"] if len(lines) > most else [])]
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) -> str:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+from wasp_cli.plan import times as estimates
 from wasp_cli.plan.recorded import planned_runs
-from wasp_cli.plan.times import figures_of
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.store.artifact import exists, read_manifest
 
@@ -30,6 +31,26 @@ def times(folders: Sequence[Path]) -> Any:
                     if manifest["provenance"].get("run") == run.run_id:
                         found[node.key] = (preset, manifest)
     return figures_of(found.values())
+
+
+def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    """Return the figures of what was computed on this machine.
+
+    Args:
+        manifests: each with the preset of its spec.
+    """
+    times: dict[str, dict[str, list[float]]] = {}
+    for preset, manifest in manifests:
+        kind, axes, provenance = manifest["kind"], manifest["axes"], manifest["provenance"]
+        if "earlier" not in provenance:  # what took rows over says nothing of its like
+            seconds = float(provenance["seconds"]) / estimates.units(kind, manifest["config"])
+            times.setdefault(preset, {}).setdefault(estimates.figure_of(kind, manifest["task"], axes), []).append(seconds)
+    seconds_of = {preset: {name: _short(median(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
+    return {"speed": _short(estimates.speed()), "seconds": seconds_of}
+
+
+def _short(number: float) -> float:
+    return float(f"{number:.3g}")
 
 
 if __name__ == "__main__":

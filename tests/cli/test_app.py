@@ -18,7 +18,7 @@ from tests.commands import run_here
 from tests.run.harness import Fakes, fakes, prepared, small_spec
 from wasp_cli import __version__
 from wasp_cli.errors import CellsFailed
-from wasp_cli.plan.plan import cells_with_keys
+from wasp_cli.plan.plan import with_keys
 from wasp_cli.run.record import Recorded, new_run
 from wasp_cli.spec.load import load
 
@@ -292,7 +292,7 @@ def test_the_report_is_on_disk_before_it_is_printed(small_spec: Path, tmp_path: 
 
     monkeypatch.setattr(Report, "terminal", gone)
     with pytest.raises(BrokenPipeError):
-        show_report(layout, Recorded("run", loaded.spec, cells_with_keys(plan.grid), []), load_paper())
+        show_report(layout, Recorded("run", loaded.spec, with_keys(plan.grid.cells), []), load_paper())
     assert (layout.reports("small") / "report.md").is_file()
 
 

@@ -15,8 +15,7 @@ from tests.commands import run_here
 from tests.compare.two_runs import episodes, write_results
 from wasp_cli.cli.app import app
 from wasp_cli.errors import UnknownName
-from wasp_cli.run.session import restricted
-from wasp_cli.spec.derived import sized
+from wasp_cli.spec.derived import restricted, sized
 from wasp_cli.spec.load import load
 
 SHARED = [

@@ -36,7 +36,7 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
 
 
 def forget() -> None:
-    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._tree, module._file):
+    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._hash, module._tree, module._file):
         cached.cache_clear()
 
 

@@ -61,7 +61,8 @@ def test_a_key_covers_schema_and_libraries_and_a_recipe_the_schema_alone(monkeyp
     identity = {"kind": "expert"}
     key, recipe = key_of(identity), recipe_of(identity)
     with monkeypatch.context() as other:
-        other.setattr(keys, "_libraries_text", lambda: canonical(libraries() | {"torch": "0.1"}))
+        changed = libraries() | {"torch": "0.1"}
+        other.setattr(keys, "libraries", lambda: changed)
         assert key_of(identity) != key
         assert recipe_of(identity) == recipe
     monkeypatch.setattr(keys, "SCHEMA", keys.SCHEMA + 1)

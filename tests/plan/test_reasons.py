@@ -13,15 +13,13 @@ from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.store import index
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
 
 
 @pytest.fixture
-def layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Layout:
-    monkeypatch.setattr(index, "LEAST_GAIN", 1)
+def layout(tmp_path: Path) -> Layout:
     layout = Layout(tmp_path)
     layout.prepare()
     return layout
@@ -123,36 +121,7 @@ def test_a_manifest_of_another_form_gives_no_reason(layout: Layout) -> None:
     assert plan_against(laid_out, layout).count("missing") == len(laid_out.nodes)
 
 
-def test_the_index_answers_what_the_manifests_would(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
-    fill(layout, grid())
-    changed = grid(wasp={"candidates": 9})
-    first = plan_against(changed, layout)
-    assert layout.index.is_file()
-    read: list[str] = []
-    real = reasons.read_manifest
-    monkeypatch.setattr("wasp_cli.store.index.read_manifest", lambda *arguments: pytest.fail("the index knows this artifact"))
-    monkeypatch.setattr(reasons, "read_manifest", lambda layout, kind, key: read.append(key) or real(layout, kind, key))
-    second = plan_against(changed, layout)
-    assert second.as_json() == first.as_json()
-    assert len(read) < second.count("changed")
-
-
-@pytest.mark.parametrize("harm", ["gone", "rubbish", "another version", "folder"])
-def test_a_harmed_index_costs_nothing_but_time(harm: str, layout: Layout) -> None:
-    fill(layout, grid())
-    before = plan_against(grid(), layout)
-    if harm in ("gone", "folder"):
-        layout.index.unlink()
-    if harm == "folder":
-        layout.index.mkdir()
-    if harm == "rubbish":
-        layout.index.write_text('{"version": 1, "kinds": {"expert": [1]}}')
-    if harm == "another version":
-        layout.index.write_text('{"version": -1, "kinds": {}}')
-    assert plan_against(grid(), layout).as_json() == before.as_json()
-
-
-def test_an_artifact_that_changes_after_the_index_was_written_is_seen(layout: Layout) -> None:
+def test_an_artifact_that_changes_after_a_plan_is_seen(layout: Layout) -> None:
     laid_out = grid()
     fill(layout, laid_out)
     plan_against(laid_out, layout)

@@ -23,7 +23,7 @@ NOWHERE = Layout(Path("nowhere"))
 
 def own_grid(**changes: Any) -> Grid:
     """A grid with recipes."""
-    return lay_out(spec(**changes), {})
+    return lay_out(spec(**changes))
 
 
 def recipes(laid_out: Grid) -> dict[str, str]:
@@ -61,7 +61,7 @@ def chosen(own: Grid, offered: list[Offer]) -> dict[str, str]:
 def test_a_recipe_is_the_configuration_without_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
     before, plain = recipes(own_grid()), own_grid()
     monkeypatch.setattr(grid, "closure_hash", lambda roots: "other code")
-    monkeypatch.setattr(keys, "_libraries_text", lambda: keys.Text('"other libraries"'))
+    monkeypatch.setattr(keys, "libraries", lambda: {"torch": "other"})
     after = own_grid()
     assert recipes(after) == before
     assert not {node.key for node in after.nodes} & {node.key for node in plain.nodes}
@@ -89,11 +89,6 @@ def test_what_is_computed_from_a_reused_node_has_another_key() -> None:
 
 def upstream(node: Node) -> list[Node]:
     return [each for needed in node.needs.values() for each in (needed, *upstream(needed))]
-
-
-def test_recipes_are_for_those_who_ask() -> None:
-    assert not lay_out(spec()).recipes
-    assert lay_out(spec()).nodes == own_grid().nodes
 
 
 def test_of_several_todays_code_counts_first_and_then_the_newest() -> None:

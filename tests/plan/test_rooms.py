@@ -27,7 +27,7 @@ ROOMS = sorted(
 
 
 def forget() -> None:
-    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._tree, module._file):
+    for cached in (module.closure_hash, module.source_hash, module._reach, module._imports, module._hash, module._tree, module._file):
         cached.cache_clear()
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.benchmarks.times import figures_of
 from wasp_cli.plan import times
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
@@ -104,7 +105,7 @@ def test_figures_are_medians_by_unit_and_name_assistants_as_labels_do() -> None:
         manifest("evaluate", 50.0, ablated, episodes=10),
         manifest("world_model", 30.0, {}, updates=10),
     ]
-    found = times.figures_of([("cpu", each) for each in cells])
+    found = figures_of([("cpu", each) for each in cells])
     assert found["seconds"] == {"cpu": {"evaluate goal1 wasp": 12.0, "evaluate goal1 wasp/no-case2": 5.0, "world_model goal1": 3.0}}
     assert found["speed"] == times.shipped()["speed"]
 

@@ -15,7 +15,7 @@ from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.run.pool import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
-from wasp_cli.run.session import limited
+from wasp_cli.spec.derived import limited
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.store.layout import Layout
 

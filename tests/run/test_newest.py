@@ -45,16 +45,16 @@ def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes: Fakes, small_spec
     assert artifacts(results) == keys_of(later, results)
 
 
-def test_runs_of_earlier_versions_are_in_the_order_of_their_names_and_older(tmp_path: Path) -> None:
+def test_a_run_without_a_number_is_older(tmp_path: Path) -> None:
     layout = Layout(tmp_path / "results")
     layout.prepare()
-    names = [f"{day}-120000-small-000{n}" for n, day in enumerate(("20260503", "20300101", "20260502", "20260501"))]
+    names = [f"{day}-120000-small-000{n}" for n, day in enumerate(("20260503", "20300101", "20260502"))]
     for name in names:
         write_run(layout, name, [planned(1, "a")])
-    for name, text in ((names[0], "2\n"), (names[2], "1\n"), (names[1], "no number"), (names[3], "9" * 400)):
+    for name, text in ((names[0], "2\n"), (names[2], "1\n"), (names[1], "no number")):
         layout.order(name).write_text(text)
-    assert [order_of(layout, name) for name in names] == [2, 0, 1, 0]
-    assert run_ids(layout) == [names[0], names[2], names[1], names[3]]
+    assert [order_of(layout, name) for name in names] == [2, 0, 1]
+    assert run_ids(layout) == [names[0], names[2], names[1]]
 
 
 def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:

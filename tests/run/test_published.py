@@ -185,11 +185,11 @@ def test_nothing_is_spent_where_nothing_is_reused(fakes: Fakes, small_spec: Path
 def test_a_sweep_follows_its_spec(here: Path, fakes: Fakes, small_spec: Path, moved: Callable[[str], None]) -> None:
     moved(COMMON)
     swept = read_sweep(small_spec, "wasp.tau_c=0.3,1.0", ("human", "wasp"), ("reuse=published",))
-    done = run_sweep(swept, here, RunOptions(jobs=0))
-    assert done.session.summary.complete
+    done, _ = run_sweep(swept, here, RunOptions(jobs=0))
+    assert done.summary.complete
     # Nothing is trained, Human-only is there, and so is WASP under one of the values.
     assert kinds(fakes.executions()) == {"calibration": 2, "evaluate": 2 * 2}
-    assert done.session.plan.count("published", "evaluate") == 2 * 2 * 2
+    assert done.plan.count("published", "evaluate") == 2 * 2 * 2
 
 
 JUDGED = ("stages=[counterfactual]",)

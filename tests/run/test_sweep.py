@@ -14,7 +14,7 @@ from wasp_cli.console import err
 from wasp_cli.errors import CellsFailed, UnknownName, UsageError
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
-from wasp_cli.run.session import RunOptions, SweepSession, on_tasks, run_sweep
+from wasp_cli.run.session import RunOptions, Session, run_sweep
 from wasp_cli.spec.derived import read_sweep
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
@@ -30,15 +30,15 @@ def fresh_console() -> Iterator[None]:
     err.cache_clear()
 
 
-def swept(spec: Path, results: Path, vary: str = VARY, methods: tuple[str, ...] = (), settings: tuple[str, ...] = ()) -> SweepSession:
-    return run_sweep(read_sweep(spec, vary, methods, settings), results, RunOptions(jobs=0))
+def swept(spec: Path, results: Path, vary: str = VARY, methods: tuple[str, ...] = (), settings: tuple[str, ...] = ()) -> Session:
+    return run_sweep(read_sweep(spec, vary, methods, settings), results, RunOptions(jobs=0))[0]
 
 
 def test_what_the_values_share_is_computed_once(fakes: Fakes, small_spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     done = swept(small_spec, tmp_path / "results")
     executions = fakes.executions()
-    assert done.session.summary.complete
-    assert done.session.summary.done == len(executions) == len(set(executions))
+    assert done.summary.complete
+    assert done.summary.done == len(executions) == len(set(executions))
     # Two operators and two seeds, once for Human-only and three times for Diffusion.
     assert sum(" evaluate human " in line for line in executions) == 4
     assert sum(" evaluate diffusion " in line for line in executions) == 12
@@ -50,7 +50,7 @@ def test_what_the_values_share_is_computed_once(fakes: Fakes, small_spec: Path, 
     assert "trained for each" not in told
     assert "done    goal1 s0 diffusion noisy=0.2 [diffusion.ratio=0.4]" in told
     assert "done    goal1 s0 human noisy=0.2  " in told
-    assert swept(small_spec, tmp_path / "results").session.summary.done == 0
+    assert swept(small_spec, tmp_path / "results").summary.done == 0
 
 
 def test_what_must_be_trained_for_each_value_is_told(
@@ -66,18 +66,18 @@ def test_what_must_be_trained_for_each_value_is_told(
 
 def test_a_value_that_fails_leaves_the_others(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     fakes.set(behave={"'ratio': 0.4": "refuse"})
-    done = swept(small_spec, tmp_path / "results")
-    assert {failure.node.axes["method_config"]["ratio"] for failure in done.session.summary.failed} == {0.4}
-    assert len(done.session.summary.failed) == 4
-    layout = done.session.layout
-    stored = [all(layout.artifact("evaluate", node.key).is_dir() for _, node in grid.cells) for grid in done.grids]
+    done, grids = run_sweep(read_sweep(small_spec, VARY), tmp_path / "results", RunOptions(jobs=0))
+    assert {failure.node.axes["method_config"]["ratio"] for failure in done.summary.failed} == {0.4}
+    assert len(done.summary.failed) == 4
+    layout = done.layout
+    stored = [all(layout.artifact("evaluate", node.key).is_dir() for _, node in grid.cells) for grid in grids]
     assert stored == [True, False, True]
     with pytest.raises(CellsFailed) as caught:
-        done.session.require_complete()
+        done.require_complete()
     assert caught.value.message.startswith("4 failed:")
     assert "goal1 s0 diffusion noisy=0.2 [diffusion.ratio=0.4]: the loss is not finite" in caught.value.message
     fakes.set()
-    assert swept(small_spec, tmp_path / "results").session.summary.done == 4
+    assert swept(small_spec, tmp_path / "results").summary.done == 4
 
 
 def test_every_value_is_a_run_that_reports_find(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -120,11 +120,11 @@ def test_a_sweep_without_effect_is_refused_before_anything_is_written(
 
 
 def test_one_task_of_several(fakes: Fakes, small_spec: Path) -> None:
-    sweep = read_sweep(small_spec, VARY, settings=("tasks=[goal1, race1]",))
-    assert on_tasks(sweep, None) == sweep
-    assert {point.loaded.spec.tasks for point in on_tasks(sweep, ["race1"]).points} == {("race1",)}
+    two = ("tasks=[goal1, race1]",)
+    assert {point.loaded.spec.tasks for point in read_sweep(small_spec, VARY, settings=two).points} == {("goal1", "race1")}
+    assert {point.loaded.spec.tasks for point in read_sweep(small_spec, VARY, settings=two, tasks=["race1"]).points} == {("race1",)}
     with pytest.raises(UnknownName, match="unknown task of this spec 'goal2'"):
-        on_tasks(sweep, ["goal2"])
+        read_sweep(small_spec, VARY, settings=two, tasks=["goal2"])
 
 
 def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -144,5 +144,5 @@ def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: P
     kept = len(list(results.glob("store/*/*/_manifest.json")))
     fakes.set()
     done = swept(small_spec, results)
-    assert done.session.summary.complete
-    assert done.session.summary.done == len(done.session.plan.steps) - kept
+    assert done.summary.complete
+    assert done.summary.done == len(done.plan.steps) - kept

@@ -121,12 +121,6 @@ def test_the_death_of_a_run_shows(facts: dict[str, Any], state: str, layout: Lay
     assert (found.left_seconds is None) == (state == "died")
 
 
-def test_a_run_of_an_older_version_dies_of_silence(layout: Layout) -> None:
-    write_run(layout, "20260501-120000-small-0001", NODES, [(0, "run started", {"nodes": 5})])
-    assert only(layout, 3600).state == "running"
-    assert only(layout, 3 * 86400).state == "died"
-
-
 @pytest.mark.parametrize(("event", "state"), [("run ended", "ended"), ("run interrupted", "interrupted")])
 def test_a_run_that_is_over_says_so(event: str, state: str, layout: Layout) -> None:
     write_run(layout, "20260501-120000-small-0001", NODES, [started(pid=dead_pid()), ended("done", 1, 60), (70, event, {"done": 1})])

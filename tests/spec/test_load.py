@@ -223,7 +223,7 @@ def test_what_is_not_a_yaml_mapping_is_refused_with_a_place(text: str, place: tu
         ("{~: b}", "a key should be a plain word, not None"),
         ("{.nan: b}", "a key should be a plain word, not so large a number"),
         ("{? 0x" + "f" * 5000 + " : b}", "a key should be a plain word, not so large a number"),
-        ("{1: a, '1': b}", "duplicate key '1'"),
+        ("{1: a, '1': b}", "found duplicate key '1'"),
         ("0x" + "f" * 5000, "is too large a number"),
         ('"\\ud800"', "holds an unpaired surrogate escape"),
         ('{"\\udfff": a}', "a key should be a plain word, not an unpaired surrogate escape"),

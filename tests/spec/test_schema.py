@@ -14,7 +14,7 @@ from tests.commands import run_here
 from wasp_cli.methods.registry import METHODS, MethodInfo
 from wasp_cli.spec.load import chain_of
 from wasp_cli.spec.model import spec_type
-from wasp_cli.spec.read import parse, plain, read
+from wasp_cli.spec.read import parse, read
 from wasp_cli.spec.schema import FOREIGN, spec_schema
 from wasp_cli.tasks.registry import is_foreign
 
@@ -41,9 +41,9 @@ def validator() -> jsonschema.Draft202012Validator:
 
 
 def document(text: str) -> dict[str, Any]:
-    values, problems = plain(parse(text, "x.yaml"))
-    assert not problems
-    return values
+    source = parse(text, "x.yaml")
+    assert not source.problems
+    return source.document
 
 
 def test_the_committed_file_is_current() -> None:
@@ -54,7 +54,7 @@ def test_the_committed_file_is_current() -> None:
 
 @pytest.mark.parametrize("path", sorted(path for path in SPECS.glob("*.yaml") if path.stem != "paper"), ids=lambda path: path.stem)
 def test_shipped_specs_validate_and_name_the_schema(path: Path, validator: jsonschema.Draft202012Validator) -> None:
-    validator.validate(plain(read(path))[0])
+    validator.validate(read(path).document)
     assert path.read_text(encoding="utf-8").startswith(MODELINE + "\n")
 
 
@@ -153,4 +153,4 @@ def test_a_chain_is_validated_file_by_file(tmp_path: Path, validator: jsonschema
     (tmp_path / "base.yaml").write_text(GOOD, encoding="utf-8")
     (tmp_path / "over.yaml").write_text("extends: base.yaml\nname: over\n", encoding="utf-8")
     sources = chain_of(read(tmp_path / "over.yaml")).sources
-    assert [list(validator.iter_errors(plain(source)[0])) for source in sources] == [[], []]
+    assert [list(validator.iter_errors(source.document)) for source in sources] == [[], []]

@@ -94,7 +94,7 @@ def test_any_text_is_values_or_a_refusal(text: str) -> None:
     ],
 )
 def test_values_end_at_commas_outside_of_quotes_and_brackets(text: str, parts: list[str]) -> None:
-    assert split(text) == parts
+    assert [written for written, _ in split(text)] == parts
 
 
 @pytest.mark.parametrize(
@@ -108,8 +108,8 @@ def test_values_end_at_commas_outside_of_quotes_and_brackets(text: str, parts: l
         ("diffusion.ratio=", "has an empty value"),
         ("diffusion.ratio=0.2,0.4,0.20", "'0.20' is the same value as '0.2'"),
         ("expert.hidden=[64, 64],[64,64]", "'[64,64]' is the same value as '[64, 64]'"),
-        ("expert.hidden=[64, 64],[32", "lacks a closing ]"),
-        ("ida.copilot='expert,diffusion", "lacks a closing '"),
+        ("expert.hidden=[64, 64],[32", "is not YAML"),
+        ("ida.copilot='expert,diffusion", "is not YAML"),
         ("wasp.tau_c=.nan,1", "should be a finite number"),
         ("wasp.tau_c=*a,1", "is not YAML"),
         *((f"{name}=1,2", f"'{name}' decides which cells there are") for name in CELLS),

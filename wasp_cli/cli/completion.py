@@ -6,10 +6,11 @@ not load offers nothing, instead of a traceback.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 from wasp_cli.errors import WaspError
+from wasp_cli.registry import load_target
 from wasp_cli.spec.shipped import shipped_names
 
 SPECS = "specs/"
@@ -30,47 +31,22 @@ def _yaml_files(folder: Path) -> list[str]:
         return []
 
 
-def tasks() -> list[str]:
-    """List the registered tasks."""
-    from wasp_cli.tasks.registry import TASKS
+def _offered(target: str, ending: str = "") -> Callable[[], list[str]]:
+    """What offers the names in something that is imported when it is asked; none where a plugin does not load."""
 
-    return _names(TASKS)
+    def offered() -> list[str]:
+        try:
+            names = load_target(target)
+            return [f"{name}{ending}" for name in (names() if callable(names) else names)]
+        except WaspError:
+            return []
 
-
-def methods() -> list[str]:
-    """List the methods."""
-    from wasp_cli.methods.registry import METHODS
-
-    return _names(METHODS)
-
-
-def variants() -> list[str]:
-    """List the ablations of all methods."""
-    from wasp_cli.methods.registry import METHODS
-
-    return list(dict.fromkeys(variant for name in _names(METHODS) for variant in METHODS[name].variants))
+    return offered
 
 
-def presets() -> list[str]:
-    """List the presets, smallest first."""
-    from wasp_cli.spec.presets import PRESETS
-
-    return list(PRESETS)
-
-
-def settings() -> list[str]:
-    """List the keys of `--set` and `--vary`, each with its `=`."""
-    from wasp_cli.spec.hints import settings
-
-    try:
-        return [f"{name}=" for name in settings()]
-    except WaspError:
-        return []
-
-
-def _names(registry: Iterable[str]) -> list[str]:
-    """List the names in a registry; none where a plugin does not load."""
-    try:
-        return list(registry)
-    except WaspError:
-        return []
+tasks = _offered("wasp_cli.tasks.registry:TASKS")
+methods = _offered("wasp_cli.methods.registry:METHODS")
+variants = _offered("wasp_cli.spec.names:assistant_variants")
+presets = _offered("wasp_cli.spec.presets:PRESETS")
+settings = _offered("wasp_cli.spec.hints:settings", "=")
+"""The keys of `--set` and `--vary`."""

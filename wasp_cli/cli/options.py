@@ -15,7 +15,7 @@ from wasp_cli.cli import completion as complete
 from wasp_cli.errors import UnknownName, UsageError
 
 if TYPE_CHECKING:
-    from wasp_cli.run.session import RunOptions, Selection
+    from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
 
 RESULTS = Path("results")
@@ -144,7 +144,7 @@ class SizedSpec(Sized):
             InvalidSpec: it is not valid.
             UnknownName: no such task or preset.
         """
-        from wasp_cli.run.session import restricted
+        from wasp_cli.spec.derived import restricted
         from wasp_cli.spec.load import load
 
         return restricted(load(self.spec, self.settings), self.task)
@@ -161,17 +161,10 @@ class SelectedSpec(SizedSpec):
     reuse: ReuseOption = None
 
     def load(self) -> Loaded:
-        """Load the spec that is meant; `selection` says which of its cells."""
-        from wasp_cli.run.session import limited, restricted
+        """Load the spec that is meant; `select` and `failed` say which of its cells."""
+        from wasp_cli.spec.derived import limited, restricted
 
         return limited(restricted(super().load(), None, self.method), self.limit)
-
-    @property
-    def selection(self) -> Selection:
-        """Which of its cells are meant."""
-        from wasp_cli.run.session import Selection
-
-        return Selection(self.select or (), self.failed)
 
 
 @dataclass(frozen=True, kw_only=True)

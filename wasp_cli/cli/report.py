@@ -9,7 +9,7 @@ from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import Folder, JsonOption, argument, directory, flag, option, parse_folder
 from wasp_cli.console import err, say
 from wasp_cli.console import out as console
-from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, refusal
+from wasp_cli.errors import ArtifactError, CellsFailed, NotAccepted, StoreError, UnknownName, UsageError, WaspError, first, refusal
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
@@ -86,8 +86,7 @@ def report(
     if unwritten:
         raise NotWritten("\n".join(error.message for error in unwritten), unwritten[0].hint)
     if strict and gaps:
-        more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
-        raise CellsFailed("\n  ".join([f"{'; '.join(gaps)}:", *missing[:10]]) + more, "run the spec again")
+        raise CellsFailed("\n".join([f"{'; '.join(gaps)}:", *first([f"  {cell}" for cell in missing], 10)]), "run the spec again")
 
 
 def _changed(layout: Layout, recorded: Recorded) -> list[str]:

@@ -15,13 +15,13 @@ from wasp_cli.cli.command import command, print_json
 from wasp_cli.cli.options import JobsOption, JsonOption, MethodOption, ReuseOption, SelectedSpec, Sized, SizedSpec, Work, flag, option
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import err, out, say
-from wasp_cli.errors import CellsFailed, UsageError
+from wasp_cli.errors import CellsFailed, UsageError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
     from wasp_cli.plan.plan import Plan
     from wasp_cli.report.stats.frame import Missing
-    from wasp_cli.run.session import RunOptions, Selection
+    from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
 
 
@@ -44,11 +44,12 @@ def run(
 
     loaded, options = asked.load(), work.options()
     if work.dry_run:
-        print_plan(planned(loaded.spec, asked.results, asked.selection, asked.reuse), loaded.spec.name, options.jobs)
+        plan = planned(loaded.spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
+        print_plan(plan, loaded.spec.name, options.jobs)
     elif detach:
         run_detached()
     else:
-        run_and_report(loaded, asked.results, options, asked.selection, asked.reuse)
+        run_and_report(loaded, asked.results, options, asked.select or (), asked.reuse, failed=asked.failed)
 
 
 @command("wasp plan specs/table1.yaml", "wasp plan specs/table1.yaml --json | jq '.nodes[0]'")
@@ -62,7 +63,7 @@ def plan(
     from wasp_cli.run.session import cores, planned
 
     spec = asked.load().spec
-    laid_out = planned(spec, asked.results, asked.selection, asked.reuse)
+    laid_out = planned(spec, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
     print_plan(laid_out, spec.name, cores() if jobs is None else jobs, every=every, json=json)
 
 
@@ -107,31 +108,31 @@ def sweep(
     What does not depend on the setting is computed once. Results that are in the results folder already are used. Without --method,
     Human-only and the method of the setting run, or all methods where it is no method's.
     """
-    from wasp_cli.plan.plan import cells_with_keys
+    from wasp_cli.plan.plan import with_keys
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.record import reported
-    from wasp_cli.run.session import on_tasks, planned_sweep, run_sweep
+    from wasp_cli.run.session import planned_sweep, run_sweep
     from wasp_cli.spec.derived import read_sweep
 
     if len(vary) > 1:
         raise UsageError("--vary is given twice; a sweep varies one setting", "run one sweep for each, or set the other with --set")
-    varied = on_tasks(read_sweep(asked.spec, vary[0], method or (), asked.settings), asked.task)
+    varied = read_sweep(asked.spec, vary[0], method or (), asked.settings, asked.task)
     options = work.options()
     if work.dry_run:
         print_plan(planned_sweep(varied, Layout(asked.results.absolute()), reuse), varied.name, options.jobs, json=json)
         return
-    done = run_sweep(varied, asked.results, options, reuse)
-    layout = done.session.layout
+    session, grids = run_sweep(varied, asked.results, options, reuse)
+    layout = session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not there.
-    report = report_sweep(layout.root, varied, [cells_with_keys(grid) for grid in done.grids])
+    report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
     page, *_ = report.write(layout.reports(varied.name))
-    reported(layout, done.session.run_id)
+    reported(layout, session.run_id)
     if json:
         print_json({**report.as_json(), "report": str(page)})
     else:
         report.terminal(out())
         say(f"report: {page} (tables as text and LaTeX, and curves, are in the same folder)")
-    done.session.require_complete()
+    session.require_complete()
     require_cells(report.missing, layout)
 
 
@@ -146,15 +147,15 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
     Operators are measured without assistance. One is accepted if its return falls with every severity, and its moderate severity loses
     at least a quarter of the expert's return. Missing cells are computed; `wasp run` with the same spec uses them.
     """
-    from wasp_cli.plan.plan import cells_with_keys
+    from wasp_cli.plan.plan import with_keys
     from wasp_cli.report.render.files import make_own, write_pages
     from wasp_cli.report.render.text import terminal
     from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
     from wasp_cli.report.summarize import wanted_cells
     from wasp_cli.report.tables.severity_check import as_json, check_table, judged
     from wasp_cli.run.record import reported
-    from wasp_cli.run.session import planned, restricted, run_spec
-    from wasp_cli.spec.derived import operators_alone
+    from wasp_cli.run.session import planned, run_spec
+    from wasp_cli.spec.derived import operators_alone, restricted
 
     loaded, options = restricted(operators_alone(asked.spec, asked.settings), asked.task), work.options()
     if work.dry_run:
@@ -162,7 +163,7 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
         return
     session = run_spec(loaded, asked.results, options, reuse=reuse, aside=True)
     # Also after failures: what is there is worth seeing.
-    cells, _ = wanted_cells(session.layout, loaded.spec, cells_with_keys(session.plan.grid))
+    cells, _ = wanted_cells(session.layout, loaded.spec, with_keys(session.plan.grid.cells))
     checks, frame = read_checks(loaded.spec, cells)
     table = check_table(checks, frame)
     folder = session.layout.reports(loaded.spec.name)
@@ -191,7 +192,7 @@ def print_plan(plan: Plan, name: str, jobs: int, *, every: bool = False, json: b
 
 def run_detached() -> None:
     """Start this command again without a terminal, and print where its run is."""
-    from wasp_cli.run.detach import detached
+    from wasp_cli.run.control import detached
 
     said, code, printed = detached([argument for argument in sys.argv[1:] if argument != "--detach"])
     if said is None:
@@ -201,23 +202,23 @@ def run_detached() -> None:
 
 
 def run_and_report(
-    loaded: Loaded, results: Path, options: RunOptions, selection: Selection | None = None, reuse: str | None = None
+    loaded: Loaded, results: Path, options: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> None:
     """Run a spec, then write and print its report.
 
     Raises:
         CellsFailed: a selected cell failed, or has no readable rows.
     """
-    from wasp_cli.plan.plan import branched_with_keys, cells_with_keys, parts_with_keys
+    from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded, reported
-    from wasp_cli.run.session import WHOLE, run_spec
+    from wasp_cli.run.session import run_spec
     from wasp_cli.spec.paper import load_paper
 
     paper = load_paper()  # a mistake in it is told before anything runs
-    session = run_spec(loaded, results, options, selection or WHOLE, reuse)
+    session = run_spec(loaded, results, options, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
-    ran = Recorded(session.run_id, loaded.spec, cells_with_keys(grid), parts_with_keys(grid), branched_with_keys(grid))
+    ran = Recorded(session.run_id, loaded.spec, with_keys(grid.cells), with_keys(grid.parts), with_keys(grid.branched))
     report = show_report(session.layout, ran, paper)
     reported(session.layout, session.run_id)
     session.require_complete()
@@ -237,7 +238,6 @@ def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
         for cell in missing:
             if cell.damaged:
                 invalidate(layout, cell.kind, cell.key, cell.reason)
-        named = "\n".join(f"  {cell.label}: {cell.reason}" for cell in missing[:10])
-        more = f"\n  and {len(missing) - 10} more" if len(missing) > 10 else ""
-        what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read"
-        raise CellsFailed(f"{what}:\n{named}{more}", "run again: damaged cells are computed again")
+        what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read:"
+        lines = [what, *first([f"  {cell.label}: {cell.reason}" for cell in missing], 10)]
+        raise CellsFailed("\n".join(lines), "run again: damaged cells are computed again")

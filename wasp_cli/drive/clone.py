@@ -34,7 +34,7 @@ from wasp_cli.plan.grid import CLONE, OPERATOR_CLONE
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.runner import job_of
-from wasp_cli.run.session import RunOptions, Selection, run_spec
+from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.run.worker import manifest_of, require_whole
 from wasp_cli.seeds import derive
 from wasp_cli.spec.load import Loaded
@@ -87,7 +87,7 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     _require_unused(layout, node)
     # It is not asked for by a report: under the name of its spec it would hide what was driven.
     asked = replace(loaded, spec=loaded.spec.model_copy(update={"name": f"{loaded.spec.name}-clone"}))
-    made = run_spec(asked, results, options, Selection(("stage=world_model|policies",)))
+    made = run_spec(asked, results, options, ["stage=world_model|policies"])
     made.require_complete()
     read = [(kind, node.needs[kind].key) for kind in ("world_model", "policies")]
     require_whole(layout, [*read, *(("evaluate", key) for key in sessions.keys)])

@@ -31,8 +31,9 @@ from wasp_cli.plan.node import Cell, Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.record import new_run
-from wasp_cli.run.session import RunOptions, Selection, limited, run_spec
+from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.run.worker import require_whole
+from wasp_cli.spec.derived import limited
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
@@ -257,7 +258,7 @@ def prepared(loaded: Loaded, results: Path, options: RunOptions, participant: in
     read = dict.fromkeys(needed.kind for cell, node in grid.cells for needed in node.needs.values() if cell.operator == PERSON)
     # A check that is killed must not pass for the last run of its spec either.
     asked = loaded if recorded else replace(loaded, spec=spec.model_copy(update={"name": f"{spec.name}-check"}))
-    made = run_spec(asked, results, options, Selection((f"stage={'|'.join(read)}",)))
+    made = run_spec(asked, results, options, [f"stage={'|'.join(read)}"])
     made.require_complete()
     mine = cells_of(grid, participant)
     if not recorded:

@@ -11,11 +11,11 @@ import ast
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 
 from wasp_cli.errors import WaspError
+from wasp_cli.store.reached import reached
 
 PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset(
@@ -70,10 +70,8 @@ def source_hashes(roots: Iterable[str]) -> dict[str, str]:
 
 @cache
 def source_hash(module: str) -> str:
-    """Return the hash of one module's syntax without docstrings."""
-    stamp, tree = _tree(module)
-    _seen[module] = stamp, _digest(module, tree)
-    return _seen[module][1]
+    """Return the hash of one module's syntax without docstrings, as it was when it was first read here."""
+    return _hash(module, _stamp(module))
 
 
 def changed_since(hashes: Mapping[str, str]) -> list[str]:
@@ -81,26 +79,23 @@ def changed_since(hashes: Mapping[str, str]) -> list[str]:
     return [module for module, known in hashes.items() if _fresh_hash(module) != known]
 
 
-_seen: dict[str, tuple[tuple[int, int], str]] = {}
-"""Stamp and hash of each module that was read: what `changed_since` finds unwritten since then is not read again."""
-
-
 def _fresh_hash(module: str) -> str:
     try:
-        stamp = _stamp(module)
-        if _seen.get(module, (None, ""))[0] != stamp:
-            file = _file(module)
-            _seen[module] = stamp, _digest(module, ast.Module([], []) if file is None else ast.parse(file.read_bytes()))
+        return _hash(module, _stamp(module))
     except (OSError, SyntaxError, ValueError):  # removed, or half saved
         return ""
-    return _seen[module][1]
 
 
 def _stamp(module: str) -> tuple[int, int]:
-    """Time of the last write and size of a module's file; zeros where it has none."""
+    """Time of the last write and size of a module's file; zeros where it has none. Taken before a file is read."""
     file = _file(module)
     state = file.stat() if file is not None else None
     return (state.st_mtime_ns, state.st_size) if state is not None else (0, 0)
+
+
+@cache
+def _hash(module: str, stamp: tuple[int, int]) -> str:
+    return _digest(module, _tree(module, stamp))
 
 
 def _digest(module: str, tree: ast.Module) -> str:
@@ -112,15 +107,8 @@ def _digest(module: str, tree: ast.Module) -> str:
 
 
 @cache
-def _reach(root: str) -> frozenset[str]:
-    found: set[str] = set()
-    pending = [root]
-    while pending:
-        module = pending.pop()
-        if module not in found:
-            found.add(module)
-            pending.extend(_imports(module))
-    return frozenset(found)
+def _reach(root: str) -> set[str]:
+    return reached([root], _imports)
 
 
 @cache
@@ -130,7 +118,7 @@ def _imports(module: str) -> frozenset[str]:
     package = module if file is not None and file.name == "__init__.py" else module.rpartition(".")[0]
     own = module.partition(".")[0]
     found: set[str] = set()
-    for node in _running(_tree(module)[1]):
+    for node in _running(_tree(module, _stamp(module))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -231,18 +219,20 @@ def _is_text(item: object) -> bool:
 
 
 @cache
-def _tree(module: str) -> tuple[tuple[int, int], ast.Module]:
-    """Stamp and syntax of a module; the stamp first, so that a write in between is noticed."""
-    stamp, file = _stamp(module), _file(module)
-    # A namespace package has no source of its own.
-    return stamp, ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
+def _tree(module: str, stamp: tuple[int, int]) -> ast.Module:
+    """The syntax of a module; a namespace package has no source of its own."""
+    file = _file(module)
+    return ast.Module([], []) if file is None else ast.parse(file.read_bytes(), filename=str(file))
 
 
 @cache
 def _file(module: str) -> Path | None:
     """The source of a module, found without importing anything; None for a namespace package, or when there is none."""
     top, _, rest = module.partition(".")
-    spec = _top(top)
+    try:
+        spec = find_spec(top)
+    except (ImportError, ValueError):
+        return None
     if spec is None:
         return None
     if not rest:
@@ -253,11 +243,3 @@ def _file(module: str) -> Path | None:
             if candidate.is_file():
                 return candidate
     return None
-
-
-def _top(name: str) -> ModuleSpec | None:
-    """Where a top-level package lies, as every finder knows it: an editable installation brings its own, and a namespace has no origin."""
-    try:
-        return find_spec(name)
-    except (ImportError, ValueError):
-        return None

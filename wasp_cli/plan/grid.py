@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 from wasp_cli.config import Config
 from wasp_cli.errors import UnknownName
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
 from wasp_cli.plan.closure import PACKAGE, closure_hash
-from wasp_cli.plan.keys import Text, canonical, joined, key_of, recipe_of
+from wasp_cli.plan.keys import key_of, recipe_of
 from wasp_cli.plan.node import Cell, Node, Part, sort_of, with_upstream
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
@@ -46,7 +44,7 @@ class Grid:
     points: int
     """Combinations that the spec writes down; the unimpaired reference counts once for every operator there, and once in `cells`."""
     recipes: Mapping[str, str] = field(default_factory=dict)
-    """By key, what a node is without the code that computes it: `keys.recipe_of`. Empty unless it was asked for."""
+    """By key, what a node is without the code that computes it: `keys.recipe_of`."""
     reused: Mapping[str, Reused] = field(default_factory=dict)
     """By key, the published results that stand in the place of nodes."""
     notes: tuple[str, ...] = ()
@@ -75,35 +73,19 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     Args:
         spec: what is asked for.
         reuse: by recipe, the key of a published result that stands in the place of a node. What is computed from it has a key that says
-            so. None spends no time on recipes.
+            so.
     """
-    with uncollected():
-        return _lay_out(spec, _Builder(spec, reuse))
-
-
-def _lay_out(spec: Spec, builder: _Builder) -> Grid:
-    cells = tuple([(cell, builder.evaluation(cell)) for cell in cells_of(spec)])
+    builder = _Builder(spec, reuse or {})
+    cells = [(cell, builder.evaluation(cell)) for cell in cells_of(spec)]
     severities = sum(len(values) for values in spec.operators.values())
     per_seed = sum(len(spec.variants_of(method)) for method in spec.methods) * max(severities, 1)
     trained = [kind for kind in spec.stages if STAGES[kind].unit == "chain"]
-    named = tuple(builder.training(kind, task, seed) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), trained))
+    named = [builder.training(kind, task, seed) for task, seed, kind in product(spec.tasks, spec.chain_seeds(), trained)]
     judged = [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes] if COUNTERFACTUAL in spec.stages else []
-    branched = tuple([(cell, builder.branches(cell, node)) for cell, node in judged])
+    branched = [(cell, builder.branches(cell, node)) for cell, node in judged]
     nodes = with_upstream([*(node for _, node in cells), *named, *(node for _, node in branched)])
     points = len(spec.tasks) * len(spec.seeds) * per_seed
-    return Grid(cells, tuple(nodes), named, points, builder.recipes, branched=branched, preset=spec.preset)
-
-
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Pause the collector: nothing of a grid or a plan is garbage while it grows, and looking for it takes a fifth of the time."""
-    before = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if before:
-            gc.enable()
+    return Grid(tuple(cells), tuple(nodes), tuple(named), points, builder.recipes, branched=tuple(branched), preset=spec.preset)
 
 
 def together(grids: Sequence[Grid]) -> Grid:
@@ -134,41 +116,19 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
             yield Cell(task, method, assistant, operator, severity, value, seed)
 
 
-class _Upstream(NamedTuple):
-    """The texts of what a node reads."""
-
-    keys: Text
-    recipes: Text | None
-    """None where no recipes are asked for."""
-
-
-@dataclass(frozen=True)
-class _Assisted:
-    """What all evaluations of one assistant on one training chain share."""
-
-    needs: Mapping[str, Node]
-    upstream: _Upstream
-    roots: tuple[str, ...]
-    config: Mapping[str, Any]
-    text: Text
-    """of what of `config` enters a key"""
-    sort: str
-    """of the nodes"""
-
-
 class _Builder:
     """Builds nodes of one spec; what cells share is built once."""
 
-    def __init__(self, spec: Spec, reuse: Mapping[str, str] | None = None) -> None:
+    def __init__(self, spec: Spec, reuse: Mapping[str, str]) -> None:
         self.spec = spec
         self.reuse = reuse
         self.recipes: dict[str, str] = {}
         self.config = cache(lambda kind, task: spec.stage(kind, task).model_dump(mode="json"))
-        self.identity = cache(lambda kind, task: canonical(spec.stage(kind, task).identity()))
+        self.identity = cache(lambda kind, task: spec.stage(kind, task).identity())
         self.settings = cache(lambda kind: self._settings(kind, partial(Config.model_dump, mode="json")))
-        self.settings_text = cache(lambda kind: canonical(self._settings(kind, Config.identity)))
+        self.settings_identity = cache(lambda kind: self._settings(kind, Config.identity))
         self.method_config = cache(lambda method, variant, task: spec.method(method, variant, task).model_dump(mode="json"))
-        self.method_identity = cache(lambda method, variant, task: canonical(spec.method(method, variant, task).identity()))
+        self.method_identity = cache(lambda method, variant, task: spec.method(method, variant, task).identity())
         self.training = cache(self._training)
         self.calibration = cache(self._calibration)
         self.clone = cache(self._clone)
@@ -177,47 +137,40 @@ class _Builder:
 
     def evaluation(self, cell: Cell) -> Node:
         """Return the node that computes a cell, from the training chain of its seed."""
-        shared: _Assisted = self.assisted(cell.task, self.spec.chain_seed(cell.seed), cell.method, cell.assistant)
+        chain, info, targets = self.spec.chain_seed(cell.seed), METHODS[cell.method], _operator_targets([cell.operator])
         axes = {
             "method": cell.method,
-            "method_config": shared.config,
+            "method_config": self.method_config(cell.method, cell.assistant, cell.task),
             "operator": cell.operator,
             "value": cell.value,
         }
-        axes |= _plugins({cell.method: METHODS[cell.method].target} | _operator_targets([cell.operator]))
-        text = joined({**axes, "method_config": shared.text})
-        roots = (*shared.roots, *_roots(_operator_targets([cell.operator])))
-        needs, upstream = shared.needs, shared.upstream
+        axes |= _plugins({cell.method: info.target} | targets)
+        needs: Mapping[str, Node] = self.assisted(cell.task, chain, cell.method, cell.assistant)
         if cell.operator == CLONED:
-            needs = {**needs, **self._cloned_person(cell.task, self.spec.chain_seed(cell.seed), cell.operator, cell.value)}
-            upstream = self._upstream(needs)
-        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), (text, upstream, shared.sort))
+            needs = {**needs, OPERATOR_CLONE: self.clone(cell.task, chain, cell.value)}
+        roots = (module_of(info.target), *_roots(targets))
+        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), cell.assistant)
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
         """Return the node that branches the interventions of an evaluated cell."""
         chain = self.spec.chain_seed(cell.seed)
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain) | {evaluation.kind: evaluation}
-        # A person cannot be asked again: in the branches the clone goes on.
-        driver = CLONED if cell.operator == PERSON else cell.operator
-        needs |= self._cloned_person(cell.task, chain, driver, cell.value)
+        if cell.operator in (CLONED, PERSON):  # a person cannot be asked again: in the branches the clone goes on
+            needs[OPERATOR_CLONE] = self.clone(cell.task, chain, cell.value)
         label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
-        shared: _Assisted = self.assisted(cell.task, chain, cell.method, cell.assistant)
-        axes, made = evaluation.axes, self._of_method(COUNTERFACTUAL, cell.task, evaluation.axes, shared.text, needs)
         # The assistant is not asked again: its code is in the key through the evaluation alone.
-        return self._node(COUNTERFACTUAL, cell.task, cell.seed, axes, needs, _roots(_operator_targets([cell.operator])), label, made)
+        roots = _roots(_operator_targets([cell.operator]))
+        return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, roots, label, cell.assistant)
 
-    def _assisted(self, task: str, chain: int, method: str, assistant: str) -> _Assisted:
+    def _assisted(self, task: str, chain: int, method: str, assistant: str) -> Mapping[str, Node]:
+        """What all evaluations of one assistant on one training chain read."""
         info = METHODS[method]
         config = self.method_config(method, assistant, task)
         needs = self._inputs("evaluate", task, chain, _known(info.needs_of(config), f"the method '{method}'"))
         if info.calibrated:
             variant = assistant if assistant in info.own_thresholds else CALIBRATED_VARIANT
             needs["calibration"] = self.calibration(task, chain, method, variant)
-        axes = {"method": method, "method_config": config}
-        sort = sort_of("evaluate", task, self.config("evaluate", task), axes)
-        return _Assisted(
-            needs, self._upstream(needs), (module_of(info.target),), config, self.method_identity(method, assistant, task), sort
-        )
+        return needs
 
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         info = METHODS[method]
@@ -225,40 +178,24 @@ class _Builder:
         axes = {"method": method, "method_config": config} | _plugins({method: info.target})
         needs = self._inputs("calibration", task, seed, _known(info.needs_of(config), f"the method '{method}'"))
         name = method if variant == CALIBRATED_VARIANT else f"{method}/{variant}"
-        made = self._of_method("calibration", task, axes, self.method_identity(method, variant, task), needs)
-        return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), f"calibration {name}", made)
-
-    def _of_method(
-        self, kind: str, task: str, axes: Mapping[str, Any], config: Text, needs: Mapping[str, Node]
-    ) -> tuple[Text, _Upstream, str]:
-        """What `_node` takes as `made`; `config` is what of the method's configuration enters a key, and `axes` has all of it."""
-        return joined({**axes, "method_config": config}), self._upstream(needs), sort_of(kind, task, self.config(kind, task), axes)
+        return self._node("calibration", task, seed, axes, needs, (module_of(info.target),), f"calibration {name}", variant)
 
     def _training(self, kind: str, task: str, seed: int) -> Node:
-        operators = self._operators(kind, task)
+        # A stage that mixes operators finds them by the names in its section.
+        operators = _operator_targets(self.config(kind, task).get("operators", {}))
         axes = _plugins({kind: STAGES[kind].target} | operators)
-        needs = self._inputs(kind, task, seed)
-        return self._node(kind, task, seed, axes, needs, _roots(operators), kind)
+        return self._node(kind, task, seed, axes, self._inputs(kind, task, seed), _roots(operators), kind)
 
     def _clone(self, task: str, seed: int, value: float | None) -> Node:
+        """The clone of a participant; it is made by `wasp clone`, not by a run."""
         axes, roots = {"operator": PERSON, "value": value}, (*_roots(_operator_targets([PERSON])), FITTING)
         return self._node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), roots, f"{CLONE} {_driver(PERSON, value)}")
-
-    def _cloned_person(self, task: str, seed: int, operator: str, value: float | None) -> dict[str, Node]:
-        """The clone of a participant, where it drives; it is made by `wasp clone`, not by a run."""
-        if operator != CLONED:
-            return {}
-        return {OPERATOR_CLONE: self.clone(task, seed, value)}
 
     def _inputs(self, kind: str, task: str, seed: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
         stage = stage_class(kind)
         own = (*stage.needs, *(getattr(stage, "needs_informed", ()) if TASKS[task].informed else ()))
         needed = dict.fromkeys((*_known(own, f"the stage '{kind}'"), *further))
         return {name: self.training(name, task, seed) for name in needed}
-
-    def _operators(self, kind: str, task: str) -> dict[str, str]:
-        """A stage that mixes operators finds them by the names in its section."""
-        return _operator_targets(self.config(kind, task).get("operators", {}))
 
     def _settings(self, kind: str, form: Callable[[Config], dict[str, Any]]) -> dict[str, Any]:
         values = {name: getattr(self.spec, name) for name in stage_class(kind).settings}
@@ -273,37 +210,32 @@ class _Builder:
         needs: Mapping[str, Node],
         roots: tuple[str, ...],
         label: str,
-        made: tuple[Text, _Upstream, str] | None = None,
+        variant: str = "",
     ) -> Node:
-        """A node; `made` are the text of its axes, those of its upstream, and its sort, where many nodes share them."""
+        """A node; `roots` are where its code begins beside its stage and its task, `variant` is that of its method."""
         modules: tuple[str, ...] = self.modules(kind, task, roots)
         config = self.config(kind, task)
-        text, upstream, sort = made or (canonical(axes), self._upstream(needs), sort_of(kind, task, config, axes))
+        named = {**axes, "method_config": self.method_identity(axes["method"], variant, task)} if variant else axes
         identity = {
             "kind": kind,
-            "task": _task_text(task),
+            "task": _task_facts(task),
             "seed": seed,
-            "axes": text,
+            "axes": named,
             "config": self.identity(kind, task),
-            "settings": self.settings_text(kind),
-            "upstream": upstream.keys,
+            "settings": self.settings_identity(kind),
+            "upstream": {name: node.key for name, node in needs.items()},
             "code": closure_hash(modules),
         }
-        key = key_of(identity)
-        if self.reuse is not None:
-            recipe = recipe_of({**identity, "upstream": upstream.recipes})
-            key = self.reuse.get(recipe, key)
-            self.recipes[key] = recipe
+        recipe = recipe_of({**identity, "upstream": {name: self.recipes[node.key] for name, node in needs.items()}})
+        key = self.reuse.get(recipe) or key_of(identity)
+        self.recipes[key] = recipe
+        sort = sort_of(kind, task, config, axes)
         return Node(kind, task, seed, axes, config, self.settings(kind), needs, modules, key, f"{task} s{seed} {label}", sort)
-
-    def _upstream(self, needs: Mapping[str, Node]) -> _Upstream:
-        keys = canonical({name: node.key for name, node in needs.items()})
-        return _Upstream(keys, None if self.reuse is None else canonical({name: self.recipes[node.key] for name, node in needs.items()}))
 
 
 def _modules(kind: str, task: str, roots: tuple[str, ...]) -> tuple[str, ...]:
     """Where the code of a node begins."""
-    return tuple(sorted({module_of(STAGES[kind].target), *_task_modules(task), *roots}))
+    return tuple(sorted({module_of(STAGES[kind].target), *TASKS[task].modules, *roots}))
 
 
 def _operator_targets(names: Iterable[str]) -> dict[str, str]:
@@ -349,10 +281,5 @@ def stage_class(kind: str) -> type[Stage]:
 
 
 @cache
-def _task_modules(task: str) -> tuple[str, ...]:
-    return TASKS[task].modules
-
-
-@cache
-def _task_text(task: str) -> Text:
-    return canonical(TASKS[task].facts())
+def _task_facts(task: str) -> Mapping[str, Any]:
+    return TASKS[task].facts()

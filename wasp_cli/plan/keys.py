@@ -11,7 +11,6 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from math import isfinite
 from typing import Any
 
 SCHEMA = 1
@@ -20,64 +19,39 @@ LIBRARIES = ("mujoco", "numpy", "stable-baselines3", "torch")
 LENGTH = 20
 
 
-class Text(str):
-    """Canonical JSON that was made before: a large grid has many nodes and few configurations."""
-
-    __slots__ = ()
-
-
-_NULL = Text("null")
-_ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
-
-
-@cache
-def _word(text: str) -> Text:
-    """A name or a word: they come again and again."""
-    return Text(_ENCODER.encode(text))
-
-
-def canonical(value: Any) -> Text:
+def canonical(value: Any) -> str:
     """Return JSON with sorted keys, without spaces and without non-numbers: the same text for the same content."""
-    kind = type(value)
-    if kind is Text:
-        return value  # type: ignore[no-any-return]
-    # The encoder takes several times as long to find out that there is nothing to descend into.
-    if kind is str:
-        return _word(value)
-    if kind is int or (kind is float and isfinite(value)):
-        return Text(repr(value))
-    return _NULL if value is None else Text(_ENCODER.encode(value))
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def joined(parts: Mapping[str, Any]) -> Text:
-    """Return the canonical text of a mapping, some of whose values may be canonical texts already."""
-    return Text("{" + ",".join([f"{_word(name)}:{canonical(parts[name])}" for name in sorted(parts)]) + "}")
+def digest(value: Any, length: int = LENGTH) -> str:
+    """Return the first hexadecimal digits of a hash over some content."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()[:length]
 
 
 def key_of(identity: Mapping[str, Any]) -> str:
-    """Return the key of what `identity` describes; values that are `Text` stand for what they are the text of."""
-    return hashlib.sha256(joined({**identity, "schema": Text(SCHEMA), "libraries": _libraries_text()}).encode()).hexdigest()[:LENGTH]
+    """Return the key of what `identity` describes."""
+    return digest({**identity, "schema": SCHEMA, "libraries": libraries()})
 
 
 def recipe_of(identity: Mapping[str, Any]) -> str:
     """Return what `identity` describes, whatever code and libraries compute it; its upstream are the recipes of what it reads."""
-    configuration = {name: value for name, value in identity.items() if name != "code"}
-    return hashlib.sha256(joined({**configuration, "schema": Text(SCHEMA)}).encode()).hexdigest()[:LENGTH]
+    return digest({**{name: value for name, value in identity.items() if name != "code"}, "schema": SCHEMA})
 
 
 @cache
 def libraries() -> dict[str, str]:
     """Return the major and minor version of each library whose numerics enter the results."""
-    return {name: ".".join(_version(name).split(".")[:2]) for name in LIBRARIES}
+    return {name: minor(_installed(name)) for name in LIBRARIES}
 
 
-@cache
-def _libraries_text() -> Text:
-    return canonical(libraries())
-
-
-def _version(name: str) -> str:
+def _installed(name: str) -> str | None:
     try:
         return version(name)
     except PackageNotFoundError:
-        return "absent"
+        return None
+
+
+def minor(version: object) -> str:
+    """Return the major and the minor part of a version; `absent` where there is none."""
+    return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.plan.keys import canonical
+from wasp_cli.plan.keys import digest
 
 
 @dataclass(frozen=True, order=True, slots=True)
@@ -32,14 +31,6 @@ class Cell:
         operator = "unimpaired" if self.operator == UNIMPAIRED else f"{self.operator}={self.value:g}"
         return f"{self.task} {self.method}{assistant} {operator} seed {self.seed}"
 
-    def as_json(self) -> dict[str, Any]:
-        """Return this as plain values, for the plan of a run."""
-        # dataclasses.asdict copies every value deeply, which takes seconds over a large grid.
-        return {name: getattr(self, name) for name in _FIELDS}
-
-
-_FIELDS = tuple(field.name for field in fields(Cell))
-
 
 @dataclass(frozen=True, order=True, slots=True)
 class Part:
@@ -52,10 +43,6 @@ class Part:
 
     def __str__(self) -> str:
         return f"{self.task} s{self.seed} {self.kind}"
-
-    def as_json(self) -> dict[str, Any]:
-        """Return this as plain values, for the plan of a run."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,8 +96,7 @@ def with_upstream(nodes: Iterable[Node]) -> list[Node]:
 
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
     """Return what `Node.sort` is; a manifest tells the same four things of a node that was computed."""
-    text = canonical([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")])
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return digest([kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")], 16)
 
 
 def levels(nodes: Iterable[Node]) -> list[list[Node]]:

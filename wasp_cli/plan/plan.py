@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.grid import Grid, uncollected
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Node, Part, levels
-from wasp_cli.plan.reasons import VERSION, Reasons, facts_of, measured
+from wasp_cli.plan.reasons import Reasons, Stored, look_at, measured
 from wasp_cli.plan.schedule import simulated
 from wasp_cli.plan.times import estimated
 from wasp_cli.store.artifact import read_record
-from wasp_cli.store.index import ArtifactIndex, scan
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import precision_of
 
@@ -105,9 +104,9 @@ class Plan:
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
-            "cells": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.cells],
-            "branched": [{**cell.as_json(), "key": node.key} for cell, node in self.grid.branched],
-            "parts": [{**part.as_json(), "key": node.key} for part, node in self.grid.parts],
+            "cells": _entries(self.grid.cells),
+            "branched": _entries(self.grid.branched),
+            "parts": _entries(self.grid.parts),
             "nodes": [self._node_json(step) for step in self.steps],
             "notes": list(self.grid.notes),
             "counts": dict(Counter(step.state for step in self.steps)),
@@ -208,25 +207,23 @@ def plan_against(
     Raises:
         StoreError: the results folder cannot be read.
     """
-    with uncollected():
-        kinds = list(dict.fromkeys(node.kind for node in grid.nodes))
-        index = scan(layout, kinds, facts_of, VERSION)
-        nodes = {node.key for node in grid.nodes}
-        failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
-        damages = {key: wrong for key, wrong in index.damaged.items() if key in nodes}
-        if failed_only:
-            wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
-        reasons = Reasons(layout, index, kinds)
-        plan = make_plan(grid, index.whole, failures, measured(index), damages, changed=reasons.of, wanted=wanted)
-        begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
-        plan = _with_precision(plan, index)
-        guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset, _timed(plan))
-        return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
+    stored = look_at(layout, dict.fromkeys(node.kind for node in grid.nodes))
+    nodes = {node.key for node in grid.nodes}
+    failures = {path.stem: _cause(path) for path in layout.failures.glob("*.json") if path.stem in nodes}
+    damages = {key: wrong for key, wrong in stored.damaged.items() if key in nodes}
+    if failed_only:
+        wanted = _touched_by(failures, grid, grid.targets if wanted is None else wanted)
+    reasons = Reasons(layout, stored)
+    plan = make_plan(grid, stored.whole, failures, measured(stored), damages, changed=reasons.of, wanted=wanted)
+    begun = {step.node.key: key for step in plan.steps if _may_begin(step) and (key := reasons.beginning(step.node)) is not None}
+    plan = _with_precision(plan, stored)
+    guesses = estimated([node for node in plan.to_run() if node.sort not in plan.seconds], grid.preset, _timed(plan))
+    return replace(plan, seconds={**plan.seconds, **guesses}, begun=begun, guessed=frozenset(guesses))
 
 
-def _with_precision(plan: Plan, index: ArtifactIndex) -> Plan:
+def _with_precision(plan: Plan, stored: Stored) -> Plan:
     """Say what is in half precision, or would be computed from such: keys do not tell it apart."""
-    words = {key: str(entry.facts.get("precision", "")) for entries in index.whole.values() for key, entry in entries.items()}
+    words = {key: facts.precision for artifacts in stored.whole.values() for key, facts in artifacts.items()}
     words |= {key: precision_of(reused.offer.manifest) for key, reused in plan.grid.reused.items() if not words.get(key)}
     steps, halved = [], 0
     for step in plan.steps:  # needed ones first
@@ -274,16 +271,13 @@ def _cause(path: Path) -> str:
         return "its record is damaged"
 
 
-def cells_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
-    """Return each cell with the key of its artifact, as reports take them."""
-    return [(cell, node.key) for cell, node in grid.cells]
+def _entries(pairs: Iterable[tuple[Cell | Part, Node]]) -> list[dict[str, Any]]:
+    return [{**asdict(thing), "key": node.key} for thing, node in pairs]
 
 
-def branched_with_keys(grid: Grid) -> list[tuple[Cell, str]]:
-    """Return each cell that is branched with the key of its branches, as reports take them."""
-    return [(cell, node.key) for cell, node in grid.branched]
+Thing = TypeVar("Thing", Cell, Part)
 
 
-def parts_with_keys(grid: Grid) -> list[tuple[Part, str]]:
-    """Return each trained part with the key of its artifact, as reports take them."""
-    return [(part, node.key) for part, node in grid.parts]
+def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
+    """Return cells or parts of a grid, each with the key of its artifact, as reports take them."""
+    return [(thing, node.key) for thing, node in pairs]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -13,75 +12,95 @@ from pydantic import ValidationError
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.keys import canonical, libraries
+from wasp_cli.plan.keys import canonical, digest, libraries, minor
 from wasp_cli.plan.node import Node, sort_of
-from wasp_cli.store.artifact import read_manifest
-from wasp_cli.store.index import ArtifactIndex, Entry
+from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.published import EARLIER
 from wasp_cli.store.slim import precision_of
 
-VERSION = 3
-"""Raised when `facts_of` changes."""
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a plan wants to know of a stored artifact. Nothing of one whose manifest has another form."""
+
+    who: str = ""
+    """The same for all versions of one node."""
+    sort: str = ""
+    """As `Node.sort`."""
+    signature: str = ""
+    """The same for versions that differ from a node in the same way."""
+    seconds: float | None = None
+    """What it took; None of what took rows over, which says nothing of how long its like takes."""
+    at: str = ""
+    """When it was computed."""
+    precision: str = ""
+    """What of it is not in full precision."""
+    episodes: int = 0
 
 
-def facts_of(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the index of a store keeps of a manifest.
+def facts_of(manifest: Mapping[str, Any]) -> Facts:
+    """Return the facts of a manifest."""
+    try:
+        provenance, axes, config = (manifest[name] for name in ("provenance", "axes", "config"))
+        differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
+        return Facts(
+            who(str(manifest["kind"]), str(manifest["task"]), int(manifest["seed"]), axes),
+            sort_of(manifest["kind"], manifest["task"], config, axes),
+            digest([*differing, axes.get("method_config"), provenance.get("versions")]),
+            None if EARLIER in provenance else float(provenance["seconds"]),
+            str(provenance.get("started_at", "")),
+            precision_of(manifest),
+            int(config.get("episodes", 0)),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        return Facts()
 
-    `who` is the same for all versions of one node; `sort` is `Node.sort`; `signature` is the same for versions which differ from a node in
-    the same way; `seconds` is what it took, `at` when that was; `precision` is what of it is not in full precision.
+
+@dataclass(frozen=True)
+class Stored:
+    """The artifacts of some kinds."""
+
+    whole: Mapping[str, Mapping[str, Facts]]
+    """By kind and key."""
+    damaged: Mapping[str, str]
+    """What is wrong with each other one, by key."""
+
+
+def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
+    """Look at every artifact of some kinds.
+
+    Raises:
+        StoreError: the folder cannot be read.
     """
-    provenance = manifest["provenance"]
-    axes = manifest["axes"]
-    differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
-    return {
-        "who": who(str(manifest["kind"]), str(manifest["task"]), int(manifest["seed"]), axes),
-        "sort": sort_of(manifest["kind"], manifest["task"], manifest["config"], axes),
-        "signature": _digest([*differing, axes.get("method_config"), provenance.get("versions")]),
-        # What took rows over says nothing of how long its like takes.
-        **({} if "earlier" in provenance else {"seconds": float(provenance["seconds"])}),
-        "at": str(provenance.get("started_at", "")),
-        **({"precision": precision} if (precision := precision_of(manifest)) else {}),
-        **({"episodes": int(manifest["config"]["episodes"])} if "episodes" in manifest["config"] else {}),
-    }
+    whole: dict[str, dict[str, Facts]] = {}
+    damaged: dict[str, str] = {}
+    for kind in kinds:
+        whole[kind] = {}
+        for key in artifact_keys(layout, kind):
+            manifest, wrong = read_whole(layout, kind, key)
+            if wrong is None:
+                whole[kind][key] = facts_of(manifest)
+            else:
+                damaged[key] = why_invalid(layout, kind, key) or wrong
+    return Stored(whole, damaged)
 
 
 def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
     """Return the identity of a node without its configuration: who assists whom, where, with which seed."""
     method = axes.get("method_config")
     variant = method.get("variant") if isinstance(method, Mapping) else None
-    # By hand: this is asked of every node of a grid.
     return f"{kind} {task} {seed} {axes.get('method')} {variant} {axes.get('operator')} {axes.get('value')!r}"
 
 
-def who_is(node: Node) -> str:
-    """Return `who` of a node."""
-    return who(node.kind, node.task, node.seed, node.axes)
-
-
-def measured(index: ArtifactIndex) -> dict[str, float]:
+def measured(stored: Stored) -> dict[str, float]:
     """Return the median seconds by sort of node."""
     times: dict[str, list[float]] = {}
-    for entries in index.whole.values():
-        for entry in entries.values():
-            if "seconds" in entry.facts:
-                times.setdefault(str(entry.facts["sort"]), []).append(float(entry.facts["seconds"]))
+    for artifacts in stored.whole.values():
+        for facts in artifacts.values():
+            if facts.seconds is not None:
+                times.setdefault(facts.sort, []).append(facts.seconds)
     return {sort: median(values) for sort, values in times.items()}
-
-
-def versions(index: ArtifactIndex, kinds: Iterable[str]) -> dict[str, list[tuple[str, Entry]]]:
-    """Return, by `who`, the key and the entry of every version in the store, newest first."""
-    found: dict[str, list[tuple[str, Entry]]] = {}
-    for kind in kinds:
-        for key, entry in index.whole.get(kind, {}).items():
-            if "who" in entry.facts:
-                found.setdefault(str(entry.facts["who"]), []).append((key, entry))
-    for entries in found.values():
-        entries.sort(key=lambda item: str(item[1].facts["at"]), reverse=True)
-    return found
-
-
-def _digest(value: Any) -> str:
-    return hashlib.sha256(canonical(value).encode()).hexdigest()[:12]
 
 
 NEWEST = 5
@@ -94,26 +113,29 @@ _ABSENT = object()
 class Reasons:
     """Finds the nearest earlier version of a node, and says what is different now."""
 
-    def __init__(self, layout: Layout, index: ArtifactIndex, kinds: Sequence[str]) -> None:
+    def __init__(self, layout: Layout, stored: Stored) -> None:
         self._layout = layout
-        self._versions = cache(lambda: versions(index, kinds))  # a plan in which nothing is missing never asks
+        self._versions: dict[str, list[tuple[str, Facts]]] = {}
+        """By `who`, the key and the facts of every version in the store, newest first."""
+        for artifacts in stored.whole.values():
+            for key, facts in sorted(artifacts.items(), key=lambda item: item[1].at, reverse=True):
+                self._versions.setdefault(facts.who, []).append((key, facts))
         self._known: dict[tuple[object, ...], tuple[int, str]] = {}
         """By what was compared: nodes that share their configuration differ from versions that share theirs in the same way."""
 
     def of(self, node: Node) -> str | None:
         """Return what changed since the nearest version; None where there is none."""
-        candidates = self._versions().get(who_is(node), [])[:NEWEST]
-        found = [difference for key, entry in candidates if (difference := self._difference(node, key, entry)) is not None]
-        return min(found, key=lambda item: item[0])[1] if found else None
+        compared = [self._difference(node, key, facts) for key, facts in self._versions_of(node)[:NEWEST]]
+        differences = [difference for difference in compared if difference is not None]
+        return min(differences, key=lambda difference: difference[0])[1] if differences else None
 
     def beginning(self, node: Node) -> str | None:
         """Return the key of the stored cell with which this one begins: it has fewer episodes, and nothing else is different."""
-        fewer = [
-            (episodes, key)
-            for key, entry in self._versions().get(who_is(node), [])
-            if 0 < (episodes := entry.facts.get("episodes", 0)) < node.config["episodes"]
-        ]
+        fewer = [(facts.episodes, key) for key, facts in self._versions_of(node) if 0 < facts.episodes < node.config["episodes"]]
         return next((key for _, key in sorted(fewer, reverse=True) if self._begins(node, key)), None)
+
+    def _versions_of(self, node: Node) -> list[tuple[str, Facts]]:
+        return self._versions.get(who(node.kind, node.task, node.seed, node.axes), [])
 
     def _begins(self, node: Node, key: str) -> bool:
         try:
@@ -121,10 +143,10 @@ class Reasons:
         except (ArtifactError, KeyError, TypeError, ValueError, AttributeError):
             return False
 
-    def _difference(self, node: Node, key: str, entry: Entry) -> tuple[int, str] | None:
+    def _difference(self, node: Node, key: str, facts: Facts) -> tuple[int, str] | None:
         method = node.axes.get("method_config")
         # Identity is enough: the grid builds each of these once.
-        pair = (entry.facts["signature"], id(node.config), id(node.settings), id(method), id(node.needs), node.modules)
+        pair = (facts.signature, id(node.config), id(node.settings), id(method), id(node.needs), node.modules)
         if pair not in self._known:
             try:
                 self._known[pair] = _compared(node, read_manifest(self._layout, node.kind, key))
@@ -179,7 +201,7 @@ def library_changes(manifest: Mapping[str, Any]) -> list[str]:
     """Return the libraries that an artifact was computed with in another version."""
     recorded = manifest["provenance"].get("versions")
     installed = recorded if isinstance(recorded, Mapping) else {}
-    return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := _minor(installed.get(name))) != new]
+    return [f"{name} {old} -> {new}" for name, new in libraries().items() if (old := minor(installed.get(name))) != new]
 
 
 def _fields(node: Node, manifest: Mapping[str, Any]) -> Iterator[str]:
@@ -212,10 +234,6 @@ def _differing(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -
 def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
     changed = [name for name in now if before.get(name) != now[name]]
     return changed + [f"{name} (no longer used)" for name in before if name not in now]
-
-
-def _minor(version: object) -> str:
-    return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"
 
 
 def few(items: Sequence[str], most: int = NAMED) -> str:

@@ -17,11 +17,6 @@ from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key, is_name
 from wasp_cli.store.plain import read_plain
 
-SECOND = len("20260501-120000")
-"""Characters of a run's name that say when it began."""
-LONGEST_NUMBER = 16
-"""Digits that are believed of the number of a run are fewer."""
-
 
 @dataclass(frozen=True)
 class PlannedNode:
@@ -61,31 +56,24 @@ class PlannedRun:
 def run_ids(layout: Layout) -> list[str]:
     """Return the runs of a results folder, newest first: by the number that each wrote down, so that no wrong clock counts.
 
-    Those of earlier versions have none and are older: by the second in their names, and within one by when their folders were filled.
-
     Raises:
         StoreError: there is no results folder, or it cannot be read.
     """
     try:
         with os.scandir(layout.within(layout.runs)) as entries:
-            named = [entry for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
-            found = sorted(
-                (order_of(layout, entry.name), entry.name[:SECOND], entry.stat(follow_symlinks=False).st_mtime_ns, entry.name)
-                for entry in named
-            )
+            names = [entry.name for entry in entries if is_name(entry.name) and entry.is_dir(follow_symlinks=False)]
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise StoreError(f"no results in '{layout.root}': {reason}", "wasp run SPEC --results DIR writes there") from error
-    return [name for *_, name in reversed(found)]
+    return sorted(names, key=lambda name: (order_of(layout, name), name), reverse=True)
 
 
 def order_of(layout: Layout, run_id: str) -> int:
     """Return which of all runs one is, from 1 on; 0 where it does not say so."""
     try:
-        text = read_plain(layout.order(run_id)).strip()
+        return int(read_plain(layout.order(run_id)))
     except (OSError, ValueError):
         return 0
-    return int(text) if text.isascii() and text.isdigit() and len(text) < LONGEST_NUMBER else 0
 
 
 def planned_run(layout: Layout, run_id: str) -> PlannedRun | None:

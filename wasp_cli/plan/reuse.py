@@ -26,11 +26,13 @@ from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.keys import LENGTH
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
+from wasp_cli.spec.derived import with_episodes
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER, Offer, Reused, commit_of, not_used, offers, why_unusable
+from wasp_cli.store.reached import reached
 from wasp_cli.store.slim import STEPS_FILE, precision_of, without_steps
 
 NONE, PUBLISHED = "none", "published"
@@ -58,14 +60,13 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
     return found
 
 
-def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipes: bool = False) -> Grid:
+def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
     """Return the grid of a spec with published results in the place of nodes.
 
     Args:
         spec: what is asked for.
         layout: the results folder; it need not be there.
         reuse: what may be reused, instead of what the spec says.
-        recipes: whether the grid has the recipes of its nodes also where nothing can be reused.
 
     Raises:
         UsageError: `reuse` is a folder without published results.
@@ -73,9 +74,9 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
     """
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
     offered, damaged = offers(source) if source is not None else ([], [])
+    own = lay_out(spec)
     if not offered:
-        return replace(lay_out(spec, {} if recipes else None), notes=tuple(damaged))
-    own = lay_out(spec, {})
+        return replace(own, notes=tuple(damaged))
     first, uncut = _first_episodes(spec, own, offered)
     usable, notes = _usable(own, [*offered, *first], layout)
     chosen = choose(own, usable)
@@ -88,12 +89,6 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None, *, recipe
         if (recipe := grid.recipes[node.key]) in chosen
     }
     return replace(grid, reused=reused, notes=(*damaged, *notes, *uncut))
-
-
-def with_episodes(spec: Spec, episodes: int) -> Spec:
-    """Return a spec with so many episodes in each cell."""
-    evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
-    return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
@@ -127,7 +122,7 @@ def _first_episodes(spec: Spec, own: Grid, offered: Sequence[Offer]) -> tuple[li
             published.setdefault(offer.recipe, []).append(offer)
     longer_ones: list[tuple[Node, Node, Offer]] = []
     for length in sorted({_episodes(offer) for same in published.values() for offer in same}):
-        whole = lay_out(with_episodes(spec, length), {})
+        whole = lay_out(with_episodes(spec, length))
         for (cell, node), (_, longer) in zip(own.cells, whole.cells, strict=True):
             if cell.operator != PERSON:
                 longer_ones += [(node, longer, offer) for offer in published.get(whole.recipes[longer.key], ())]
@@ -215,15 +210,14 @@ def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
 
 def _computed(own: Grid, chosen: Mapping[str, Offer]) -> set[str]:
     """The keys of the nodes that have to be computed: what is needed for reused results alone is not."""
-    found: set[str] = set()
     targets = own.targets
-    pending = [node for node in own.nodes if node.key in targets]
-    while pending:
-        node = pending.pop()
-        if node.key not in found and own.recipes[node.key] not in chosen:
-            found.add(node.key)
-            pending += node.needs.values()
-    return found
+    nodes = _looked_at(own, (node for node in own.nodes if node.key in targets), chosen)
+    return {node.key for node in nodes if own.recipes[node.key] not in chosen}
+
+
+def _looked_at(own: Grid, nodes: Iterable[Node], chosen: Mapping[str, Offer]) -> set[Node]:
+    """The nodes, and what is read for them: of a reused result nothing is."""
+    return reached(nodes, lambda node: () if own.recipes[node.key] in chosen else node.needs.values())
 
 
 def _merged(parts: Iterable[Mapping[str, str]]) -> tuple[dict[str, str], set[str]]:
@@ -248,20 +242,7 @@ def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
 
 def _nearest(own: Grid, node: Node, chosen: Mapping[str, Offer]) -> set[str]:
     """The recipes of the reused results that a node reads, directly or through what is computed for it."""
-    found: set[str] = set()
-    seen: set[str] = set()
-    pending = list(node.needs.values())
-    while pending:
-        needed = pending.pop()
-        recipe = own.recipes[needed.key]
-        if recipe in seen:
-            continue
-        seen.add(recipe)
-        if recipe in chosen:
-            found.add(recipe)
-        else:
-            pending += needed.needs.values()
-    return found
+    return {own.recipes[needed.key] for needed in _looked_at(own, node.needs.values(), chosen)} & chosen.keys()
 
 
 def _code_of(node: Node, offer: Offer, *, current: bool) -> tuple[str, str]:

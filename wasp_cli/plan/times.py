@@ -80,11 +80,11 @@ def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, flo
     known: Mapping[str, float] = figures["seconds"].get(preset, {})
     times: dict[str, list[float]] = {}
     for node, seconds in near:
-        times.setdefault(figure_of(node.kind, node.task, node.axes), []).append(seconds / _size(node.kind, node.config))
+        times.setdefault(figure_of(node.kind, node.task, node.axes), []).append(seconds / units(node.kind, node.config))
     elsewhere: dict[str, float] = {}
     found: dict[str, float] = {}
     for node in nodes:
-        size = _size(node.kind, node.config)
+        size = units(node.kind, node.config)
         for name in figures_like(node.kind, node.task, node.axes):
             if name in times:
                 found[node.sort] = median(times[name]) * size
@@ -97,25 +97,6 @@ def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, flo
     return found | {sort: seconds * scale for sort, seconds in elsewhere.items()}
 
 
-def figures_of(manifests: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
-    """Return the figures of what was computed on this machine.
-
-    Args:
-        manifests: each with the preset of its spec.
-    """
-    times: dict[str, dict[str, list[float]]] = {}
-    for preset, manifest in manifests:
-        kind, axes, provenance = manifest["kind"], manifest["axes"], manifest["provenance"]
-        if "earlier" not in provenance:  # what took rows over says nothing of its like
-            seconds = float(provenance["seconds"]) / _size(kind, manifest["config"])
-            times.setdefault(preset, {}).setdefault(figure_of(kind, manifest["task"], axes), []).append(seconds)
-    seconds_of = {preset: {name: _short(median(values)) for name, values in sorted(found.items())} for preset, found in times.items()}
-    return {"speed": _short(speed()), "seconds": seconds_of}
-
-
-def _size(kind: str, config: Mapping[str, Any]) -> int:
+def units(kind: str, config: Mapping[str, Any]) -> int:
+    """Return how many times a figure a node of this size takes."""
     return int(config.get(SIZES.get(kind, ""), 1))
-
-
-def _short(number: float) -> float:
-    return float(f"{number:.3g}")

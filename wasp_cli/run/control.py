@@ -1,19 +1,31 @@
-"""What is asked of a run from another terminal: to pause, to go on, to take nodes back. It is asked through files in the run's folder.
+"""A run from elsewhere: without its terminal, and what is asked of it from another one: to pause, to go on, to take nodes back.
 
-So it reaches runs of any backend, on any machine that sees the folder; a run looks for them twice a second.
+A run without its terminal is a child in a session of its own, which says where it is as soon as its folder is there. What is asked is files
+in the run's folder, so that it reaches runs of any backend, on any machine that sees the folder; a run looks for them twice a second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
 
-from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.plan.recorded import PlannedNode, PlannedRun, named_run, planned_runs
+from wasp_cli.errors import UnknownName, UsageError, first
+from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
 from wasp_cli.run.watch import ENDS, events_of, state_of
-from wasp_cli.store.find import begins, same_label
+from wasp_cli.store.find import SHOWN, matching
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.reached import reached
+
+TOLD = "WASP_DETACHED"
+"""Names, to the child, the file in which it says where it is."""
+POLL_SECONDS = 0.05
 
 
 def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: str | None, name: str | None) -> list[str]:
@@ -35,12 +47,8 @@ def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: 
         raise UsageError(f"'{node}' is too much: {action} is for whole runs", "--run ID names a run, --results DIR a results folder")
     runs = live_runs(layout, planned_runs(layout), name)
     if node is not None:
-        return [_told(taken) for taken in cancel(layout, runs, node)]
-    if action == "resume":
-        return [f"{run.spec}: {'goes on' if resume(layout, run) else 'was not paused'} (run {run.run_id})" for run in runs]
-    for run in runs:
-        pause(layout, run)
-    return [f"{run.spec}: paused; running nodes finish (run {run.run_id})" for run in runs]
+        return _cancel(layout, runs, " ".join(node.split()))
+    return [f"{run.spec}: {_paused(layout, run) if action == 'pause' else _resumed(layout, run)} (run {run.run_id})" for run in runs]
 
 
 def live_runs(layout: Layout, runs: Sequence[PlannedRun], name: str | None) -> list[PlannedRun]:
@@ -58,73 +66,87 @@ def live_runs(layout: Layout, runs: Sequence[PlannedRun], name: str | None) -> l
     return live
 
 
-def pause(layout: Layout, run: PlannedRun) -> None:
-    """Let a run begin nothing new; what runs goes on to its end."""
+def _paused(layout: Layout, run: PlannedRun) -> str:
     layout.pause(run.run_id).touch()
+    return "paused; running nodes finish"
 
 
-def resume(layout: Layout, run: PlannedRun) -> bool:
-    """Let a run go on; return whether it was paused."""
-    paused = layout.pause(run.run_id).exists()
-    layout.pause(run.run_id).unlink(missing_ok=True)
-    return paused
+def _resumed(layout: Layout, run: PlannedRun) -> str:
+    try:
+        layout.pause(run.run_id).unlink()
+    except FileNotFoundError:
+        return "was not paused"
+    return "goes on"
 
 
-@dataclass(frozen=True)
-class TakenBack:
-    """A node that a run will not compute, and what it will not compute either, since it needs it."""
+def _cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[str]:
+    """Take a node back from every run that has it yet to compute, or computes it now."""
+    planned = [node for run in runs for node in run.nodes.values() if node.runs]
+    named = {node.key: node for node in matching(planned, text)}
+    if not named:
+        labels = {node.label for node in planned}
+        raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
+    if len(named) > 1:
+        lines = [f"'{text}' names several nodes:", *first([f"  {node.key}  {node.label}" for node in named.values()], SHOWN)]
+        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
+    ((key, node),) = named.items()
+    taken_back = []
+    for run in runs:
+        ended = {str(event.get("key")) for event in events_of(layout, run.run_id) if event.get("event") in ENDS}
+        if key in run.nodes and run.nodes[key].runs and key not in ended:
+            layout.cancelled(run.run_id).mkdir(exist_ok=True)
+            layout.cancel(run.run_id, key).touch()
+            count = len(_dependents(run, key) - ended)
+            also = f", and {count} that {'need' if count > 1 else 'needs'} it" if count else ""
+            taken_back.append(f"{node.label} is taken back{also} (run {run.run_id})")
+    if not taken_back:
+        raise UsageError(f"'{node.label}' has ended", "wasp status shows what runs")
+    return taken_back
 
-    run: PlannedRun
-    node: PlannedNode
-    dependents: tuple[PlannedNode, ...]
+
+def _dependents(run: PlannedRun, key: str) -> set[str]:
+    """The keys of what needs a node, through others too."""
+    return reached([key], lambda needed: [other.key for other in run.nodes.values() if other.runs and needed in other.needs]) - {key}
 
 
-def cancel(layout: Layout, runs: Sequence[PlannedRun], text: str) -> list[TakenBack]:
-    """Take a node back from every run that has it yet to compute, or computes it now.
+def detached(arguments: Sequence[str]) -> tuple[Mapping[str, Any] | None, int, str]:
+    """Start this program again without the terminal, and wait until its run has begun or it has ended.
 
     Args:
-        layout: the results folder.
-        runs: runs that go on.
-        text: a label, or the beginning of a key.
+        arguments: of the command line.
 
-    Raises:
-        UsageError: the text names several nodes, or one that has ended.
-        UnknownName: it names none.
+    Returns:
+        What it says of its run (None where it ended without one), its exit code (0 while it goes on), and what it printed until then.
     """
-    text = " ".join(text.split())
-    planned = [(run, node) for run in runs for node in run.nodes.values() if node.runs]
-    named = [(run, node) for run, node in planned if begins(node.key, text)]
-    named = named or [(run, node) for run, node in planned if same_label(node.label, text)]
-    if not named:
-        labels = {node.label for _, node in planned}
-        raise UnknownName("node", text, labels, f"no run that goes on computes '{text}'", otherwise="wasp status names the nodes")
-    if len({node.key for _, node in named}) > 1:
-        lines = "\n".join(f"  {node.key}  {node.label}" for _, node in named[:10])
-        raise UsageError(f"'{text}' names several nodes:\n{lines}", "give the first characters of one of these keys")
-    open_ = [(run, node) for run, node in named if node.key not in _ended(layout, run)]
-    if not open_:
-        raise UsageError(f"'{named[0][1].label}' has ended", "wasp status shows what runs")
-    for run, node in open_:
-        layout.cancelled(run.run_id).mkdir(exist_ok=True)
-        layout.cancel(run.run_id, node.key).touch()
-    return [TakenBack(run, node, _dependents(run, node, _ended(layout, run))) for run, node in open_]
+    # As a module where it was started so: the folder of a package is no place to import from.
+    own = Path(sys.argv[0])
+    program = ["-m", "wasp_cli"] if own.name == "__main__.py" else [str(own)]
+    with tempfile.TemporaryDirectory(prefix="wasp-") as folder:
+        told, log = Path(folder) / "run.json", Path(folder) / "terminal.log"
+        with log.open("w", encoding="utf-8") as stream:
+            process = subprocess.Popen(
+                [sys.executable, "-P", *program, *arguments],
+                stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True, env={**os.environ, TOLD: str(told)},
+            )  # fmt: skip
+        while not told.exists() and process.poll() is None:
+            time.sleep(POLL_SECONDS)
+        said = json.loads(told.read_text(encoding="utf-8")) if told.exists() else None
+        return said, process.poll() or 0, log.read_text(encoding="utf-8", errors="replace")
 
 
-def _ended(layout: Layout, run: PlannedRun) -> set[str]:
-    return {str(event.get("key")) for event in events_of(layout, run.run_id) if event.get("event") in ENDS}
-
-
-def _dependents(run: PlannedRun, node: PlannedNode, ended: set[str]) -> tuple[PlannedNode, ...]:
-    """What needs a node, through others too."""
-    lost = {node.key: node}
-    while more := {
-        key: other for key, other in run.nodes.items() if other.runs and key not in lost and not lost.keys().isdisjoint(other.needs)
-    }:
-        lost |= more
-    return tuple(other for key, other in lost.items() if key != node.key and key not in ended)
-
-
-def _told(taken: TakenBack) -> str:
-    count = len(taken.dependents)
-    also = f", and {count} that {'need' if count > 1 else 'needs'} it" if count else ""
-    return f"{taken.node.label} is taken back{also} (run {taken.run.run_id})"
+def announce(layout: Layout, run_id: str, spec: str) -> None:
+    """Say where this run is, where somebody has started it without a terminal and waits to hear; from then on it prints to its folder."""
+    told = os.environ.pop(TOLD, None)
+    if told is None:
+        return
+    log = layout.run(run_id).absolute() / "terminal.log"
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    for number in (1, 2):
+        os.dup2(descriptor, number)
+    os.close(descriptor)
+    said = {"spec": spec, "run": run_id, "folder": str(log.parent), "pid": os.getpid(), "log": str(log)}
+    written = Path(told + ".part")
+    written.write_text(json.dumps(said), encoding="utf-8")
+    written.rename(told)  # whole, or not there

@@ -29,9 +29,7 @@ class Heartbeat:
         self.fixed: dict[str, object] = {
             "label": job.label,
             "kind": job.kind,
-            "pid": os.getpid(),
-            "host": platform.node(),
-            "boot": boot_id(),
+            **this_process(),
             "started": _now(),
             "deaths": self.deaths,
         }
@@ -92,6 +90,11 @@ def memory_mb() -> float:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def this_process() -> dict[str, object]:
+    """Name this process, so that others can see whether it lives."""
+    return {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()}
 
 
 def boot_id() -> str | None:

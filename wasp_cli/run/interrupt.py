@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
+import math
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from wasp_cli.console import duration
@@ -58,132 +60,85 @@ def listening(stop: Stop) -> Iterator[None]:
 
 GRACE = 10.0
 """Seconds that a node has to react; one with a shorter limit gets as long again."""
-
-
-@contextmanager
-def limited(seconds: float | None, marker: Path, own_process: bool) -> Iterator[None]:
-    """Raise TimeLimitExceeded in the block after `seconds`.
-
-    In the main thread an alarm interrupts also what sleeps or waits. A thread of somebody else's process (a dask worker) hears of it
-    between two Python instructions. Code that never comes back to Python is ended with its process, where that is ours.
-
-    Args:
-        seconds: the limit; None for none.
-        marker: a file that has text when the process was ended, so that whoever finds it gone knows why.
-        own_process: whether this process does nothing else.
-    """
-    if seconds is None:
-        yield
-        return
-    message = f"it took longer than the limit of {duration(seconds)}"
-    with _alarm(seconds, message):
-        if not own_process:
-            yield
-            return
-        with marker.open("w", encoding="utf-8") as file:
-            # A thread of C: it fires also while a library holds the interpreter's lock.
-            faulthandler.dump_traceback_later(seconds + min(GRACE, seconds), exit=True, file=file)
-            try:
-                yield
-            finally:
-                faulthandler.cancel_dump_traceback_later()
-                marker.unlink(missing_ok=True)
-
-
-@contextmanager
-def _alarm(seconds: float, message: str) -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        with _raised_in_thread(seconds, message):
-            yield
-        return
-
-    def ring(number: int, frame: object) -> None:
-        raise TimeLimitExceeded(message, HINT)
-
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
-
-
-@contextmanager
-def _raised_in_thread(seconds: float, message: str) -> Iterator[None]:
-    thread = ctypes.c_ulong(threading.get_ident())
-
-    def ring() -> None:
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(_Rung))
-
-    timer = threading.Timer(seconds, ring)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    except _Rung:
-        raise TimeLimitExceeded(message, HINT) from None
-    finally:
-        timer.cancel()
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, None)  # what came too late must not reach who called us
-
-
-class _Rung(Exception):
-    """Python raises a class in another thread, not an instance; what it means is said where it arrives."""
-
-
-HINT = "allow more time with --timeout; the log shows where it was"
-
-
 LOOK_SECONDS = 0.5
 """Between two looks for a file that takes a node back."""
+HINT = "allow more time with --timeout; the log shows where it was"
 
 
 class Cancelled(BaseException):
     """Its node was taken back. No `Exception`: what a stage catches must not keep it going."""
 
 
-@contextmanager
-def cancellable(path: Path, own_process: bool) -> Iterator[None]:
-    """Raise Cancelled in the block soon after a file appears.
+class _Overdue(BaseException):
+    """Python raises a class in another thread, not an instance; what it means is said where it arrives."""
 
-    Code that never comes back to Python is ended with its process, where that is ours.
+
+@contextmanager
+def interruptible(limit: float | None, cancel: Path, marker: Path, own_process: bool) -> Iterator[None]:
+    """Raise TimeLimitExceeded in the block after `limit` seconds, and Cancelled soon after a file appears.
+
+    In the main thread a signal interrupts also what sleeps or waits. A thread of somebody else's process (a dask worker) hears of it
+    between two Python instructions. Code that never comes back to Python is ended with its process, where that is ours.
 
     Args:
-        path: the file.
+        limit: seconds; None for no limit.
+        cancel: the file that takes the node back.
+        marker: a file that has text when the process was ended over its limit, so that whoever finds it gone knows why.
         own_process: whether this process does nothing else.
     """
-    over = threading.Event()
+    over, thread = threading.Event(), threading.get_ident()
     main = threading.current_thread() is threading.main_thread()
-    ident = threading.get_ident()
+    reason: type[BaseException] = Cancelled
 
-    def look() -> None:
-        while not path.exists():
-            if over.wait(LOOK_SECONDS):
+    def watch() -> None:
+        nonlocal reason
+        end = math.inf if limit is None else time.monotonic() + limit
+        while not cancel.exists():
+            left = end - time.monotonic()
+            if left <= 0:
+                reason = _Overdue
+                break
+            if over.wait(min(LOOK_SECONDS, left)):
                 return
         if main:
-            signal.pthread_kill(ident, signal.SIGUSR1)
+            signal.pthread_kill(thread, signal.SIGUSR1)
         else:
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(Cancelled))
-        if not over.wait(GRACE) and own_process:
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(reason))
+        if reason is Cancelled and not over.wait(GRACE) and own_process:
             os.kill(os.getpid(), signal.SIGKILL)
 
     def ring(number: int, frame: object) -> None:
         if not over.is_set():
-            raise Cancelled
+            raise reason
 
     before = signal.signal(signal.SIGUSR1, ring) if main else None
-    watcher = threading.Thread(target=look, daemon=True, name="cancel-watch")
+    watcher = threading.Thread(target=watch, daemon=True, name="node-watch")
     watcher.start()
     try:
-        yield
+        with _ended_over(limit, marker) if limit is not None and own_process else nullcontext():
+            yield
+    except _Overdue:
+        raise TimeLimitExceeded(f"it took longer than the limit of {duration(limit or 0.0)}", HINT) from None
     finally:
         over.set()
         watcher.join()
         if main:
             signal.signal(signal.SIGUSR1, before)
-        else:
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), None)
+        else:  # what came too late must not reach who called us
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), None)
+
+
+@contextmanager
+def _ended_over(limit: float, marker: Path) -> Iterator[None]:
+    """End this process where it does not react to the limit."""
+    with marker.open("w", encoding="utf-8") as file:
+        # A thread of C: it fires also while a library holds the interpreter's lock.
+        faulthandler.dump_traceback_later(limit + min(GRACE, limit), exit=True, file=file)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+            marker.unlink(missing_ok=True)
 
 
 def was_ended(marker: Path) -> bool:

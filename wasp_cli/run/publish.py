@@ -17,7 +17,7 @@ from typing import Any
 
 import wasp_cli
 from wasp_cli.console import waiting_aloud
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, first
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Step, plan_against
@@ -93,12 +93,14 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         UsageError: the selection means nothing.
         ArtifactError: something is not computed, or damaged, or names this machine.
     """
-    grid = lay_out_over(spec, layout, reuse, recipes=True)
+    grid = lay_out_over(spec, layout, reuse)
     selected = select(grid, selectors)
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]
     behind = _behind(grid)
-    found: dict[str, list[Item]] = {"new": [], "there": [], "large": []}
+    new: list[Item] = []
+    there: list[Item] = []
+    large: list[Item] = []
     refused = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
     private = _private(layout)
     for step in steps:
@@ -107,16 +109,20 @@ def publication(spec: Spec, layout: Layout, target: Layout, selectors: Sequence[
         elif step.state in ("cached", "published"):
             source = layout if step.state == "cached" else target
             item = _item(step, source, grid.recipes[step.node.key], behind[step.node.key])
-            place = "large" if item.size > largest else _place(item, source, target, private, refused)
-            found[place].append(item)
+            if item.size > largest:
+                large.append(item)
+            elif corruption(target, item.node.kind, item.node.key) is None:
+                there.append(item)
+            else:
+                new.append(item)
+                refused += [f"{item.node.label}: {why}"] if (why := _why_not(item, source, private)) else []
     reports = [path for path in _reports(spec, layout) if not _same(path, target.reports(spec.name) / path.name)]
     refused += [f"'{path}': it names {named}" for path in reports if (named := _named(path.read_bytes(), private))]
     if refused:
-        more = [f"  and {len(refused) - NAMED} more"] if len(refused) > NAMED else []
-        lines = [f"{len(refused)} results cannot be published:", *(f"  {text}" for text in refused[:NAMED]), *more]
+        lines = [f"{len(refused)} results cannot be published:", *first([f"  {text}" for text in refused], NAMED)]
         raise ArtifactError("\n".join(lines), "wasp run SPEC --reuse none computes what is missing, with this code")
     absent = tuple(step.node for step in steps if step.state == "unneeded")
-    return Publication(tuple(found["new"]), tuple(found["there"]), tuple(found["large"]), absent, tuple(reports))
+    return Publication(tuple(new), tuple(there), tuple(large), absent, tuple(reports))
 
 
 def _behind(grid: Grid) -> dict[str, dict[str, str]]:
@@ -141,19 +147,14 @@ def _item(step: Step, source: Layout, recipe: str, behind: Mapping[str, str]) ->
     return Item(node, size, {**manifest, "provenance": provenance, RECIPE: recipe, BEHIND: dict(behind)})
 
 
-def _place(item: Item, source: Layout, target: Layout, private: Mapping[str, str], refused: list[str]) -> str:
-    """Whether an artifact is new or there already; why it cannot be published is added to `refused`."""
-    node = item.node
-    if corruption(target, node.kind, node.key) is None:
-        return "there"
-    wrong = corruption(source, node.kind, node.key)
-    texts = [dumps(item.manifest).encode()]
-    if wrong is None:
-        texts += [(source.artifact(node.kind, node.key) / name).read_bytes() for name in item.manifest["files"]]
+def _why_not(item: Item, source: Layout, private: Mapping[str, str]) -> str | None:
+    """Why an artifact cannot be published."""
+    kind, key = item.node.kind, item.node.key
+    if (wrong := corruption(source, kind, key)) is not None:
+        return wrong
+    texts = [dumps(item.manifest).encode(), *((source.artifact(kind, key) / name).read_bytes() for name in item.manifest["files"])]
     named = next(filter(None, (_named(text, private) for text in texts)), None)
-    if wrong is not None or named is not None:
-        refused.append(f"{node.label}: {wrong or f'it names {named}'}")
-    return "new"
+    return None if named is None else f"it names {named}"
 
 
 def _private(layout: Layout) -> dict[str, str]:

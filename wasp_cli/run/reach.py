@@ -33,6 +33,7 @@ from wasp_cli.store.gc import (
 )
 from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held
+from wasp_cli.store.reached import reached
 
 BEGINS_SECONDS = 3600.0
 """How long a run may take from making its folder to the first line of its journal."""
@@ -146,14 +147,7 @@ def _of_people(layout: Layout, there: Mapping[str, list[str]]) -> set[str]:
 
 def _read_by(run: PlannedRun, keys: Set[str]) -> set[str]:
     """The keys of a plan's nodes, and of everything that they need."""
-    found: set[str] = set()
-    pending = [key for key in keys if key in run.nodes]
-    while pending:
-        key = pending.pop()
-        if key not in found:
-            found.add(key)
-            pending += run.nodes[key].needs if key in run.nodes else ()
-    return found
+    return reached(keys & run.nodes.keys(), lambda key: run.nodes[key].needs if key in run.nodes else ())
 
 
 def _goes_on(layout: Layout, run: PlannedRun) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import secrets
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,9 +20,9 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
-from wasp_cli.plan.plan import Plan
+from wasp_cli.plan.plan import Plan, Thing
 from wasp_cli.plan.recorded import order_of, run_ids
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.run.heartbeat import this_process
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type
@@ -105,7 +104,7 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
         last = max((order_of(layout, name) for name in run_ids(layout)), default=0)
         layout.order(folder.name).write_text(f"{last + 1}\n", encoding="utf-8")
         if reports:
-            write_record(layout.reporting(folder.name), {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()})
+            write_record(layout.reporting(folder.name), this_process())
         yield folder
     except OSError as error:
         raise StoreError(f"cannot write to '{folder}': {(error.strerror or str(error)).lower()}") from error
@@ -122,22 +121,20 @@ def read_run(layout: Layout, run_id: str) -> Recorded:
         spec, unknown = _known_part(json.loads(read_plain(folder / "spec.json")))
     except (OSError, ValueError) as error:  # a ValidationError is a ValueError
         raise ArtifactError(f"cannot read the spec of run '{run_id}': {_first_line(error)}", "run the spec again") from error
-    record: dict[str, Any] = {"branched": (), **(read_record(folder / "plan.json") or {})}  # older runs name none
+    record: dict[str, Any] = {"branched": (), "parts": (), **(read_record(folder / "plan.json") or {})}  # older runs name none
     try:
-        cells, branched = (_cells(record[name]) for name in ("cells", "branched"))
-        parts = [(PART.validate_python(_without_key(part)), str(part["key"])) for part in record.get("parts", ())]  # older runs name none
+        cells, branched = (_read(CELL, record[name]) for name in ("cells", "branched"))
+        parts = [(part, key) for part, key in _read(PART, record["parts"]) if part.kind in STAGES]
     except (KeyError, TypeError, AttributeError, ValidationError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else _first_line(error)
         raise ArtifactError(f"cannot read the plan of run '{run_id}': {what}", "run the spec again") from error
     there = [[(cell, key) for cell, key in part if _is_known(cell)] for part in (cells, branched)]
     left_out = Counter(cell.method if cell.method not in METHODS else cell.operator for cell, _ in cells if not _is_known(cell))
-    absent = [f"{name}: not installed here; {_its_cells(count)} left out." for name, count in sorted(left_out.items())]
-    parts = [(part, key) for part, key in parts if part.kind in STAGES]
+    absent = [
+        f"{name}: not installed here; {'its cell is' if count == 1 else f'its {count} cells are'} left out."
+        for name, count in sorted(left_out.items())
+    ]
     return Recorded(run_id, spec, there[0], parts, there[1], tuple(unknown), tuple(absent))
-
-
-def _its_cells(count: int) -> str:
-    return "its cell is" if count == 1 else f"its {count} cells are"
 
 
 def _is_known(cell: Cell) -> bool:
@@ -186,12 +183,10 @@ REQUIRED = ("name", "tasks", "seeds")
 UNKNOWN_MOST = 200
 
 
-def _cells(entries: Sequence[Mapping[str, Any]]) -> list[tuple[Cell, str]]:
-    return [(CELL.validate_python(_without_key(cell)), str(cell["key"])) for cell in entries]
-
-
-def _without_key(entry: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in entry.items() if name != "key"}
+def _read(adapter: TypeAdapter[Thing], entries: Sequence[Mapping[str, Any]]) -> list[tuple[Thing, str]]:
+    """Cells or parts of a plan, each with its key."""
+    fields = [({name: value for name, value in entry.items() if name != "key"}, str(entry["key"])) for entry in entries]
+    return [(adapter.validate_python(values), key) for values, key in fields]
 
 
 def _first_line(error: Exception) -> str:

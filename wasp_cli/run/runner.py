@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -14,8 +12,9 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.closure import source_hashes
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
+from wasp_cli.plan.recorded import number
 from wasp_cli.plan.schedule import Schedule, durations
-from wasp_cli.run.heartbeat import boot_id, forget
+from wasp_cli.run.heartbeat import forget, this_process
 from wasp_cli.run.interrupt import HINT, Stop, was_ended
 from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
@@ -112,14 +111,14 @@ class Runner:
         """What workers compute now, in the order in which it began."""
         self._elsewhere: dict[str, tuple[float, Flight]] = {}
         """By key what another run computes, and when that was last seen."""
-        self._suspects: list[tuple[NodeJob, Node, float | None]] = []
-        """What ran when a worker was killed, and what it held then, in MB."""
+        self._suspects: list[Flight] = []
+        """What ran when a worker was killed."""
         self._jobs: dict[str, NodeJob] = {}
         """What runs again, by key."""
         self._tries: dict[str, int] = {}
         """Further attempts that are left, by key."""
-        self._deaths: list[tuple[NodeJob, bool, float | None]] = []
-        """What was lost with killed workers and is not in the journal yet: whether it ran, and what it held."""
+        self._deaths: list[tuple[Flight, bool]] = []
+        """What was lost with killed workers and is not in the journal yet, and whether it ran."""
         self._nodes: dict[str, Node] = {}
         self._begun: Mapping[str, str] = {}
         """By key of a cell the key of another one that has its first episodes."""
@@ -140,8 +139,7 @@ class Runner:
         self._nodes = {node.key: node for node in nodes}
         self._begun = plan.begun
         self.summary.workers = max(self._pool.jobs, 1)
-        facts = {"pid": os.getpid(), "host": platform.node(), "boot": boot_id(), "jobs": self._pool.jobs, "backend": self._pool.name}
-        self._journal.write("run started", nodes=len(nodes), **facts)
+        self._journal.write("run started", nodes=len(nodes), **this_process(), jobs=self._pool.jobs, backend=self._pool.name)
         try:
             self._carry_out(Schedule(nodes, durations(nodes, plan.seconds)))
             if self.stop.asked:
@@ -191,15 +189,15 @@ class Runner:
         jobs = max(self._pool.jobs, 1)
         while len(self._flying) < jobs and not self.stop.asked and not self._paused:
             if self._suspects:
-                job, node, memory = self._suspects.pop(0)
-                self._send(self._pool.alone(replace(job, wait=True)), Flight(node, job, alone=True, memory=memory))
+                flight = self._suspects.pop(0)
+                self._flying[self._pool.alone(replace(flight.job, wait=True))] = replace(flight, alone=True)
             elif len(schedule):
                 node = schedule.pop()
                 together = max(1, min(jobs, len(self._flying) + 1 + len(schedule)))
                 job = self._jobs.pop(node.key) if node.key in self._jobs else self._job(node, max(1, self._cores // together))
-                self._send(self._pool.submit(job), Flight(node, job))
+                self._flying[self._pool.submit(job)] = Flight(node, job)
             elif (waited := self._waited()) is not None:
-                self._send(self._pool.submit(waited.job), waited)
+                self._flying[self._pool.submit(waited.job)] = waited
             else:
                 return
 
@@ -210,9 +208,6 @@ class Runner:
             return None
         _, flight = self._elsewhere.pop(due[0])
         return replace(flight, job=replace(flight.job, wait=not self._flying))
-
-    def _send(self, future: Future[NodeResult], flight: Flight) -> None:
-        self._flying[future] = flight
 
     def _landed(self) -> list[tuple[Flight, NodeResult | None]]:
         """Wait until a node ends. The result is None where its worker was killed."""
@@ -244,7 +239,8 @@ class Runner:
             self._elsewhere[node.key] = (time.monotonic(), flight)
         elif result.state == "failed" and result.by_chance and self._tries.setdefault(node.key, self._retries):
             self._tries[node.key] -= 1
-            self._jobs[node.key] = self._another(job, result)
+            self._jobs[node.key] = replace(job, attempt=job.attempt + 1)
+            self._journal.write("retry", key=job.key, label=job.label, message=result.message, attempt=job.attempt + 1)
             schedule.put(node)
         else:
             self._ended(node, result)
@@ -287,19 +283,18 @@ class Runner:
         self._unexplained += not was_running
         # Where workers die again and again before a node can say that it runs, the one that kills is found one by one.
         if was_running or self._unexplained > UNEXPLAINED * max(self._pool.jobs, 1):
-            self._suspects.append((job, flight.node, memory))
+            self._suspects.append(replace(flight, memory=memory))
         else:
             self._jobs[job.key] = job
             schedule.put(flight.node)
-        self._deaths.append((job, was_running, memory))
+        self._deaths.append((replace(flight, memory=memory), was_running))
         return None
 
     def _tell_deaths(self) -> None:
         if self._deaths:
-            suspects = [(job, memory) for job, was_running, memory in self._deaths if was_running]
-            held = {job.key: memory for job, memory in suspects}
-            keys, labels = [job.key for job, _ in suspects], [job.label for job, _ in suspects]
-            self._journal.write("worker killed", suspects=keys, labels=labels, memory_mb=held)
+            suspects = [flight for flight, was_running in self._deaths if was_running]
+            held = {flight.node.key: flight.memory for flight in suspects}
+            self._journal.write("worker killed", suspects=list(held), labels=[flight.node.label for flight in suspects], memory_mb=held)
             self._deaths = []
 
     def _tell_workers(self) -> None:
@@ -315,10 +310,6 @@ class Runner:
         record_failure(self._layout, job, result)
         self._layout.overdue(self._run_id, job.key).unlink(missing_ok=True)
         return result
-
-    def _another(self, job: NodeJob, result: NodeResult) -> NodeJob:
-        self._journal.write("retry", key=job.key, label=job.label, message=result.message, attempt=job.attempt + 1)
-        return replace(job, attempt=job.attempt + 1)
 
     def _stored(self, job: NodeJob) -> NodeResult:
         manifest = read_manifest(self._layout, job.kind, job.key)
@@ -369,10 +360,9 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
 
 def _memory(path: Path) -> float | None:
     try:
-        memory = (read_record(path) or {}).get("memory_mb")
+        return number(read_record(path) or {}, "memory_mb")
     except ArtifactError:  # killed while it wrote
         return None
-    return float(memory) if isinstance(memory, int | float) else None
 
 
 def _killed(future: Future[NodeResult]) -> bool:

@@ -9,18 +9,18 @@ import os
 import signal
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
-from wasp_cli.errors import CellsFailed, Interrupted, UnknownName, UsageError
+from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
 from wasp_cli.plan.grid import Grid, together
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.plan.reuse import lay_out_over, with_episodes
+from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
-from wasp_cli.run.detach import announce
+from wasp_cli.run.control import announce
 from wasp_cli.run.interrupt import SIGNALS, listening
 from wasp_cli.run.job import Pool
 from wasp_cli.run.pool import pool_of, require_backend
@@ -48,29 +48,6 @@ def useful_jobs(plan: Plan, jobs: int) -> int:
     """Return the number of workers: no more than nodes can run side by side, since an idle worker costs memory too."""
     nodes = plan.to_run()
     return min(jobs, simulated(nodes, durations(nodes, plan.seconds), None)[1]) if nodes else jobs
-
-
-def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
-    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them.
-
-    Raises:
-        UnknownName: the spec has no such task, or no such method.
-    """
-    update: dict[str, tuple[str, ...]] = {}
-    for field_, wanted, there in (("tasks", tasks, loaded.spec.tasks), ("methods", methods, loaded.spec.methods)):
-        for name in wanted or ():
-            if name not in there:
-                raise UnknownName(f"{field_[:-1]} of this spec", name, there)
-        if wanted:
-            update[field_] = tuple(name for name in there if name in wanted)
-    return replace(loaded, spec=loaded.spec.model_copy(update=update)) if update else loaded
-
-
-def limited(loaded: Loaded, episodes: int | None) -> Loaded:
-    """Return the spec with so many episodes in each cell at most (or as it is). These are the first ones of the whole cell."""
-    if episodes is None:
-        return loaded
-    return replace(loaded, spec=with_episodes(loaded.spec, min(episodes, loaded.spec.episodes)))
 
 
 @dataclass(frozen=True)
@@ -113,21 +90,15 @@ class RunOptions:
     """Whether this process writes a report afterwards, and then calls `record.reported`."""
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Which part of a spec is meant."""
-
-    select: Sequence[str] = ()
-    """Texts of `--select`; all is meant without any."""
-    failed: bool = False
-    """Only what failed before, and what waits for it."""
-
-
-WHOLE = Selection()
-
-
 def run_spec(
-    loaded: Loaded, results: Path, options: RunOptions, selection: Selection = WHOLE, reuse: str | None = None, *, aside: bool = False
+    loaded: Loaded,
+    results: Path,
+    options: RunOptions,
+    chosen: Sequence[str] = (),
+    reuse: str | None = None,
+    *,
+    failed: bool = False,
+    aside: bool = False,
 ) -> Session:
     """Compute what is missing of a spec.
 
@@ -135,8 +106,9 @@ def run_spec(
         loaded: the spec.
         results: the results folder.
         options: how it is carried out.
-        selection: which part of the spec is meant.
+        chosen: texts of `--select`, which say what of the spec is meant; all of it without any.
         reuse: what of published results may be used, instead of what the spec says.
+        failed: of what is meant, only what failed before, and what waits for it.
         aside: whether reports show it only where it is named.
 
     Raises:
@@ -145,32 +117,26 @@ def run_spec(
         Interrupted: Ctrl-C or SIGTERM; finished nodes are kept.
     """
     grid = lay_out_over(loaded.spec, Layout(results.absolute()), reuse)
-    wanted = select(grid, selection.select)
+    wanted = select(grid, chosen)
     layout = prepared(results, options)
     with planning(layout):
-        plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
+        plan = plan_against(grid, layout, wanted=wanted, failed_only=failed)
         if _without_slim_inputs(plan, layout):
-            plan = plan_against(grid, layout, wanted=wanted, failed_only=selection.failed)
+            plan = plan_against(grid, layout, wanted=wanted, failed_only=failed)
         run_id = new_run(layout, loaded, plan, reports=options.reports, aside=aside)
     announce(layout, run_id, loaded.spec.name)
     return carry_out(plan, layout, run_id, options)
 
 
-def planned(spec: Spec, results: Path, selection: Selection = WHOLE, reuse: str | None = None) -> Plan:
-    """Return the plan of a spec.
-
-    Args:
-        spec: what to run.
-        results: the results folder; it need not be there.
-        selection: which part of the spec is meant.
-        reuse: what of published results may be used, instead of what the spec says.
+def planned(spec: Spec, results: Path, chosen: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False) -> Plan:
+    """Return the plan that `run_spec` would carry out; the results folder need not be there.
 
     Raises:
         UsageError: the selection means nothing, or there are no published results.
     """
     layout = Layout(results.absolute())
     grid = lay_out_over(spec, layout, reuse)
-    return plan_against(grid, layout, wanted=select(grid, selection.select), failed_only=selection.failed)
+    return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)
 
 
 def _without_slim_inputs(plan: Plan, layout: Layout) -> bool:
@@ -275,40 +241,13 @@ def _failure_message(summary: Summary, names: Mapping[str, str]) -> str:
         lines += [f"{len(summary.cancelled)} cancelled:", *(f"  {names.get(node.key, node.label)}" for node in summary.cancelled)]
     if summary.blocked:
         lines.append(f"{len(summary.blocked)} blocked by them:")
-        lines += [
-            f"  {names.get(node.key, node.label)} (needs {names.get(cause.key, cause.label)})" for node, cause in summary.blocked[:10]
-        ]
-        if len(summary.blocked) > 10:
-            lines.append(f"  and {len(summary.blocked) - 10} more")
+        named = [f"  {names.get(node.key, node.label)} (needs {names.get(cause.key, cause.label)})" for node, cause in summary.blocked]
+        lines += first(named, 10)
     return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class SweepSession:
-    """A sweep that is over."""
-
-    session: Session
-    """One run over the nodes of all values."""
-    grids: tuple[Grid, ...]
-    """What each value asks for."""
-
-
-def on_tasks(sweep: Sweep, tasks: Sequence[str] | None) -> Sweep:
-    """Return the sweep with some of the spec's tasks only (or as it is).
-
-    Raises:
-        UnknownName: the spec has no such task.
-    """
-    return replace(sweep, points=tuple(replace(point, loaded=restricted(point.loaded, tasks)) for point in sweep.points))
-
-
 def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:
-    """Return the plan of a spec under every value of a setting.
-
-    Args:
-        sweep: the setting and its values.
-        layout: the results folder; it need not be there.
-        reuse: what of published results may be used, instead of what the spec says.
+    """Return the plan that `run_sweep` would carry out; the results folder need not be there.
 
     Raises:
         UsageError: there are no cells, they are the same under every value, or there are no published results.
@@ -316,20 +255,17 @@ def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Pla
     return plan_against(together(_grids(sweep, layout, reuse)), layout)
 
 
-def _grids(sweep: Sweep, layout: Layout, reuse: str | None) -> tuple[Grid, ...]:
-    grids = tuple(lay_out_over(point.loaded.spec, layout, reuse) for point in sweep.points)
-    _require_effect(sweep, grids)
-    return grids
-
-
-def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | None = None) -> SweepSession:
-    """Compute what is missing of a spec under every value of a setting.
+def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | None = None) -> tuple[Session, tuple[Grid, ...]]:
+    """Compute what is missing of a spec under every value of a setting, in one run over the nodes of all values.
 
     Args:
         sweep: the setting and its values.
         results: the results folder.
         options: how it is carried out.
         reuse: what of published results may be used, instead of what the spec says.
+
+    Returns:
+        The run, and what each value asks for.
 
     Raises:
         UsageError: there are no cells, they are the same under every value, or there are no published results.
@@ -344,16 +280,18 @@ def run_sweep(sweep: Sweep, results: Path, options: RunOptions, reuse: str | Non
     users = _users(grids)
     plain(_shares(sweep, grids, users))
     names = {node.key: _name(sweep, node.label, users[node.key]) for node in plan.grid.nodes}
-    return SweepSession(carry_out(plan, layout, run_id, options, names), grids)
+    return carry_out(plan, layout, run_id, options, names), grids
 
 
-def _require_effect(sweep: Sweep, grids: Sequence[Grid]) -> None:
+def _grids(sweep: Sweep, layout: Layout, reuse: str | None) -> tuple[Grid, ...]:
+    grids = tuple(lay_out_over(point.loaded.spec, layout, reuse) for point in sweep.points)
     cells = [frozenset(node.key for _, node in grid.cells) for grid in grids]
     if not any(cells):
         raise UsageError("there is nothing to compare: the spec evaluates no method", "list methods and operators in the spec")
     if len(set(cells)) == 1:
         methods = ", ".join(sweep.points[0].loaded.spec.methods)
         raise UsageError(f"'{sweep.key}' changes no cell of {methods}: every value would have the same rows", "choose others with --method")
+    return grids
 
 
 def _users(grids: Sequence[Grid]) -> dict[str, tuple[int, ...]]:

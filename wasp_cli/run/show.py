@@ -16,9 +16,9 @@ from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.console import count_table, duration, size
-from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError
+from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError, first
 from wasp_cli.plan.recorded import PlannedRun
-from wasp_cli.store.find import SHOWN, begins, find_node, same_label
+from wasp_cli.store.find import SHOWN, find_node, matching, same_label
 from wasp_cli.store.gc import FAILURES, LOCKS, RUNS, TMP, WORK, Rubbish
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, printable
@@ -231,14 +231,14 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
     """
     wanted = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
-    matches = [log for log in logs if begins(log.key, wanted)]
-    if not matches:
-        named = [log for log in logs if same_label(log.label, wanted)]
+    matches = matching(logs, wanted)
+    if matches and same_label(matches[0].label, wanted):
         # A label may have had another key in an older run; there it is another node's.
-        matches = [log for log in named if log.run_id == named[0].run_id]
+        matches = [log for log in matches if log.run_id == matches[0].run_id]
     newest = {log.key: log for log in reversed(matches)}
     if len(newest) > 1:
-        raise UsageError(_several(wanted, list(newest.values())), "give the first characters of one of these keys")
+        lines = [f"'{wanted}' names {len(newest)} nodes:", *first([f"  {log.key}  {log.label}" for log in newest.values()], SHOWN)]
+        raise UsageError("\n".join(lines), "give the first characters of one of these keys")
     if not newest:
         if (without := _without_log(layout, wanted)) is not None:
             raise without
@@ -292,9 +292,3 @@ def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
         return []
     paths = [(node, layout.log(run.run_id, node.label, node.key)) for node in run.nodes.values()]
     return [Log(run.run_id, node.key, node.label, path) for node, path in paths if path.name in there]
-
-
-def _several(wanted: str, logs: list[Log]) -> str:
-    lines = [f"  {log.key}  {log.label}" for log in logs[:SHOWN]]
-    more = [f"  and {len(logs) - SHOWN} more"] if len(logs) > SHOWN else []
-    return "\n".join([f"'{wanted}' names {len(logs)} nodes:", *lines, *more])

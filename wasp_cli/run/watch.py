@@ -9,7 +9,7 @@ import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError, StoreError
@@ -22,7 +22,6 @@ from wasp_cli.store.plain import read_json_lines
 State = Literal["running", "ended", "interrupted", "died", "not started"]
 LATELY = 10
 """Finished nodes behind the rate."""
-SILENT = timedelta(days=1)
 ENDS = ("done", "shared", "failed", "blocked", "cancelled")
 """Events after which a node does not run any more."""
 
@@ -121,7 +120,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     for event in events:
         by_event.setdefault(str(event.get("event")), []).append(event)
     start = next(iter(by_event.get("run started", ())), {})
-    state, ended = _life(run, events, start, now)
+    state, ended = _life(run, events, start)
     # A node that died with its worker and runs again ends twice; the last time counts.
     ends = {str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS}
     failed = {str(event.get("key")): event for event in by_event.get("failed", ())}
@@ -211,17 +210,14 @@ def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
         return []
 
 
-def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[str, Any], now: datetime) -> tuple[State, datetime | None]:
+def _life(run: PlannedRun, events: Sequence[Mapping[str, Any]], start: Mapping[str, Any]) -> tuple[State, datetime | None]:
     """Whether a run goes on, and when it ended."""
     if not events:
         return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
     for event in reversed(events):
         if event.get("event") in ("run ended", "run interrupted"):
             return ("ended" if event["event"] == "run ended" else "interrupted"), moment(event.get("at"))
-    last = moment(events[-1].get("at"))
-    # Older versions wrote no process: after so long without an event it is taken for dead.
-    silent = "pid" not in start and (last is None or now - last > SILENT)
-    return ("died", last) if silent or is_gone(start) else ("running", None)
+    return ("died", moment(events[-1].get("at"))) if is_gone(start) else ("running", None)
 
 
 def _active(layout: Layout, run_id: str, ends: Mapping[str, str]) -> tuple[Active, ...]:

@@ -25,7 +25,7 @@ from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.registry import load_target
 from wasp_cli.run.heartbeat import Heartbeat
-from wasp_cli.run.interrupt import Cancelled, cancellable, limited
+from wasp_cli.run.interrupt import Cancelled, interruptible
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
@@ -124,10 +124,7 @@ def _computed(job: NodeJob, layout: Layout, log: Path, started: float, heartbeat
     began = time.monotonic()
     _note(log, f"{job.label}: begun {started_at}, process {os.getpid()} on {platform.node()}")
     try:
-        with (
-            limited(job.limit, layout.overdue(job.run_id, job.key), own_process),
-            cancellable(layout.cancel(job.run_id, job.key), own_process),
-        ):
+        with interruptible(job.limit, layout.cancel(job.run_id, job.key), layout.overdue(job.run_id, job.key), own_process):
             require_whole(layout, job.inputs.values())
             stage: Stage = load_target(job.stage)()
             keep_memory()

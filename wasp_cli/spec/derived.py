@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ruamel.yaml import YAML
+
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.load import Chain, Loaded, Override, chain_of, load, loaded, override, path_of, value_of
@@ -34,6 +36,35 @@ def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str
     if preset is not None and preset not in preset_names():
         raise UnknownName("preset", preset, preset_names())
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
+
+
+def restricted(loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None) -> Loaded:
+    """Return the spec with some of its tasks and methods only, in its own order; without names of either, with all of them.
+
+    Raises:
+        UnknownName: the spec has no such task, or no such method.
+    """
+    update: dict[str, tuple[str, ...]] = {}
+    for field_, wanted, there in (("tasks", tasks, loaded.spec.tasks), ("methods", methods, loaded.spec.methods)):
+        for name in wanted or ():
+            if name not in there:
+                raise UnknownName(f"{field_[:-1]} of this spec", name, there)
+        if wanted:
+            update[field_] = tuple(name for name in there if name in wanted)
+    return replace(loaded, spec=loaded.spec.model_copy(update=update)) if update else loaded
+
+
+def with_episodes(spec: Spec, episodes: int) -> Spec:
+    """Return a spec with so many episodes in each cell."""
+    evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
+    return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
+
+
+def limited(loaded: Loaded, episodes: int | None) -> Loaded:
+    """Return the spec with so many episodes in each cell at most (or as it is). These are the first ones of the whole cell."""
+    if episodes is None:
+        return loaded
+    return replace(loaded, spec=with_episodes(loaded.spec, min(episodes, loaded.spec.episodes)))
 
 
 def ablation(
@@ -89,7 +120,6 @@ CELLS = {
     "variants": "list them in the spec: each has its rows",
 }
 """Settings that say which cells there are, and what to do instead of varying them."""
-_CLOSING = {"[": "]", "{": "}"}
 
 
 @dataclass(frozen=True)
@@ -116,7 +146,9 @@ class Sweep:
     points: tuple[Point, ...]
 
 
-def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Sequence[str] = ()) -> Sweep:
+def read_sweep(
+    path: Path, vary: str, methods: Sequence[str] = (), settings: Sequence[str] = (), tasks: Sequence[str] | None = None
+) -> Sweep:
     """Read and validate a spec file under every value of `vary`.
 
     Args:
@@ -125,11 +157,12 @@ def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Seq
         methods: the methods of the spec that run. With none, the setting of a method runs this method and Human-only, and any other
             setting all that the spec lists.
         settings: texts `a.b=value`, under every value.
+        tasks: of the spec; without any, all.
 
     Raises:
         UsageError: `vary` has another form, fewer than two values or one twice, or says which cells there are.
         InvalidSpec: with every problem of every value.
-        UnknownName: the spec has no such method.
+        UnknownName: the spec has no such method or task.
     """
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
@@ -143,7 +176,7 @@ def read_sweep(path: Path, vary: str, methods: Sequence[str] = (), settings: Seq
         taken = [point.loaded.spec.name for point in points]
         update = {"name": spec_name(name, f"{key}-{text}", taken), "methods": _methods(valid.spec, options[0].path, methods)}
         # Not validated again: what is listed for other methods (`variants`) is no mistake here.
-        points.append(Point(text, option.value, replace(valid, spec=valid.spec.model_copy(update=update))))
+        points.append(Point(text, option.value, restricted(replace(valid, spec=valid.spec.model_copy(update=update)), tasks)))
     return Sweep(spec_name(name, f"sweep-{key}"), name, key, tuple(points))
 
 
@@ -151,7 +184,7 @@ def values_of(vary: str) -> list[Override]:
     """Read `a.b=v1,v2`: for each value what a `--set` option would do.
 
     Raises:
-        UsageError: another form, a value that is not YAML, fewer than two values, one twice, or a setting that says which cells there are.
+        UsageError: another form, values that are not YAML, fewer than two, one twice, or a setting that says which cells there are.
     """
     key, equals, rest = vary.partition("=")
     path = path_of(key)
@@ -160,7 +193,7 @@ def values_of(vary: str) -> list[Override]:
     if path[0] in CELLS:
         raise UsageError(f"{OPTION}: '{path[0]}' decides which cells there are; a sweep compares the same ones", CELLS[path[0]])
     name = ".".join(path)
-    options = [Override(f"{name}={text}", path, value_of(text, f"{name}={text}", OPTION), OPTION) for text in split(rest)]
+    options = [Override(f"{name}={text}", path, value, OPTION) for text, value in split(rest)]
     if len(options) < 2:
         raise UsageError(f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE)
     seen: dict[str, str] = {}
@@ -177,36 +210,19 @@ def written(option: Override) -> str:
     return " ".join(option.text.partition("=")[2].split())
 
 
-def split(text: str) -> list[str]:
-    """Split at the commas that are in no quotes and no brackets.
+def split(values: str) -> list[tuple[str, Any]]:
+    """Return each value of a comma-separated list in YAML: as it is written, and what it means.
 
     Raises:
-        UsageError: a bracket or a quote stays open, or nothing stands between two commas.
+        UsageError: it is not YAML, or a value is empty.
     """
-    parts, open_, quote, start, i = [], "", "", 0, 0
-    while i < len(text):
-        character = text[i]
-        if quote:
-            if (quote, character) == ('"', "\\") or (quote, text[i : i + 2]) == ("'", "''"):
-                i += 1  # whatever follows is meant as it is
-            elif character == quote:
-                quote = ""
-        elif character in "\"'" and (not text[start:i].strip() or (open_ and text[:i].rstrip()[-1] in "[{,:")):
-            quote = character  # elsewhere it is an apostrophe
-        elif character in _CLOSING:
-            open_ += _CLOSING[character]
-        elif open_ and character == open_[-1]:
-            open_ = open_[:-1]
-        elif character == "," and not open_:
-            parts.append(text[start:i])
-            start = i + 1
-        i += 1
-    if quote or open_:
-        raise UsageError(f"{OPTION}: '{text}' lacks a closing {quote or open_[-1]}", EXAMPLE)
-    parts = [part.strip() for part in (*parts, text[start:])]
-    if not all(parts):
-        raise UsageError(f"{OPTION}: '{text}' has an empty value", "write null where no value is meant")
-    return parts
+    meant = value_of(f"[{values}]", values, OPTION)
+    if not meant or values.rstrip().endswith(","):
+        raise UsageError(f"{OPTION}: '{values}' has an empty value", "write null where no value is meant")
+    text = f"value: [{values}]"
+    ((_, written_list),) = YAML(typ="safe", pure=True).compose(text).value
+    texts = [text[item.start_mark.index : item.end_mark.index].strip() for item in written_list.value]
+    return list(zip(texts, meant, strict=True))
 
 
 def _validated(chain: Chain, overrides: Sequence[Override], options: Sequence[Override]) -> list[Loaded]:

@@ -15,9 +15,9 @@ from wasp_cli.errors import UsageError
 from wasp_cli.spec.hints import Finding, findings, misplaced
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.names import EXTENDS, SHORT
-from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem, locate
+from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem
 from wasp_cli.spec.presets import merged
-from wasp_cli.spec.read import Source, dotted, kind_of, meant, parse, plain, read
+from wasp_cli.spec.read import Source, dotted, kind_of, meant, parse, read
 from wasp_cli.spec.shipped import spec_path
 
 USUAL = ("mild", "moderate", "severe")
@@ -120,10 +120,8 @@ class Chain:
         values: dict[str, Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
-            document, found = plain(source)
-            document.pop(EXTENDS, None)
-            document, also = _listed(source, document)
-            problems += found + also
+            document, also = _listed(source, {name: value for name, value in source.document.items() if name != EXTENDS})
+            problems += source.problems + also
             values = merged(values, document)
         nearest = self.sources[0]
         if len(self.sources) > 1 and isinstance(operators := values.get("operators"), Mapping):
@@ -174,6 +172,8 @@ def _extended(source: Source) -> Path:
     """The file that a source extends: one beside it, or a spec that comes with the package."""
     value = source.document[EXTENDS]
     if not isinstance(value, str):
+        if value is None and source.problems:  # what stands there is no value at all
+            raise InvalidSpec(source.problems)
         shown = "nothing" if value is None else "a number" if isinstance(value, int | float) else kind_of(value)
         raise _refused(source, f"should be the name of one file, not {shown}")
     if Path(value).suffix not in ("", SUFFIX) or not Path(value).name or not value.isprintable():
@@ -196,8 +196,7 @@ def _as_written(source: Source, loc: Loc) -> Loc:
 
 def _depth(source: Source, loc: Loc) -> int:
     """How many parts of a place a file has."""
-    written = _as_written(source, loc)
-    return locate(source.document, written).depth if written == loc else len(loc)
+    return source.depth(loc) if _as_written(source, loc) == loc else len(loc)
 
 
 def _listed(source: Source, document: dict[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
@@ -258,13 +257,13 @@ def value_of(value: str, text: str, place: str) -> Any:
         UsageError: it is not YAML, or no value of a spec.
     """
     try:
-        document, problems = plain(parse(f"value: {value.strip()}", text))
+        source = parse(f"value: {value.strip()}", text)
     except InvalidSpec as error:
         raise UsageError(f"{place}: the value of '{text}' is not YAML: {error.problems[0].message}") from error
-    if problems or set(document) != {"value"}:
-        reason = problems[0].message if problems else "more than one value"
+    if source.problems or set(source.document) != {"value"}:
+        reason = source.problems[0].message if source.problems else "more than one value"
         raise UsageError(f"{place}: '{text}': {reason}")
-    return document["value"]
+    return source.document["value"]
 
 
 def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from wasp_cli.spec.hints import findings
 from wasp_cli.spec.model import refuse
 from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
 from wasp_cli.spec.places import InvalidSpec, Loc
-from wasp_cli.spec.read import Source, plain, read
+from wasp_cli.spec.read import Source, read
 from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
 
 COLUMNS = (*WEIGHTS, "uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
@@ -228,7 +228,7 @@ def paper_of(source: Source) -> Paper:
     Raises:
         InvalidSpec: with every problem, each with file, line and column.
     """
-    document, problems = plain(source)
+    document, problems = source.document, list(source.problems)
     places = {problem.position for problem in problems}
     try:
         paper = Paper.model_validate_json(json.dumps(document), strict=True)

@@ -1,12 +1,10 @@
-"""Where things stand in spec files, and the problems that are found there."""
+"""Problems of spec files, each with its place."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
-
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from wasp_cli.errors import SpecError
 
@@ -24,82 +22,6 @@ class Position:
 
 
 START = Position(1, 1)
-LARGEST = 2**63
-"""Numbers of a spec lie below it."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a document has what pydantic calls a `loc`."""
-
-    position: Position
-    depth: int
-    """How many parts of the `loc` the document really has."""
-
-
-def locate(document: Any, loc: Sequence[str | int], *, at_key: bool = False) -> Place:
-    """Return the place of what pydantic calls `loc`.
-
-    pydantic's places also hold the tags of unions, which no file has, and fields that the file leaves out: a tag is skipped,
-    and a missing field is reported at the mapping it is missing from.
-    """
-    wants_key = at_key or (bool(loc) and loc[-1] == KEY)
-    position, node, depth = START, document, 0
-    parent = document
-    for index, part in enumerate(loc):
-        if part == KEY:
-            break
-        child = _child(node, part)
-        if child is _ABSENT:
-            following = loc[index + 1] if index + 1 < len(loc) else KEY
-            if depth and _child(node, following) is not _ABSENT:
-                continue
-            break
-        last = index == len(loc) - 1 or loc[index + 1] == KEY
-        parent = node
-        position = _position(parent, part, key=(wants_key and last) or child is None) or position
-        node, depth = child, index + 1
-    if isinstance(node, CommentedMap | CommentedSeq) and depth < len(loc) and depth:
-        # Something is missing inside: the key of the section says more than its first entry.
-        position = _position(parent, loc[depth - 1], key=True) or position
-    return Place(position, depth)
-
-
-def key_position(node: CommentedMap, key: Any) -> Position | None:
-    """Return where a key is written, whatever it is; None where ruamel does not say."""
-    return _position(node, key, key=True)
-
-
-_ABSENT = object()
-
-
-def _child(node: Any, part: str | int) -> Any:
-    if isinstance(node, CommentedMap):
-        key = _written(node, part)
-        return _ABSENT if key is _ABSENT else node[key]
-    if isinstance(node, CommentedSeq) and isinstance(part, int) and 0 <= part < len(node):
-        return node[part]
-    return _ABSENT
-
-
-def _written(node: CommentedMap, part: Any) -> Any:
-    """A key as the file has it: one written as a number reaches pydantic as a string."""
-    if part in node:
-        return part
-    # Python refuses to write very large numbers; they are no keys of a spec.
-    numbers = (key for key in node if isinstance(key, int | float) and abs(key) < LARGEST)
-    return next((key for key in numbers if str(key) == str(part)), _ABSENT)
-
-
-def _position(node: Any, part: Any, *, key: bool) -> Position | None:
-    try:
-        if isinstance(node, CommentedMap):
-            line, column = (node.lc.key if key else node.lc.value)(_written(node, part))
-        else:
-            line, column = node.lc.item(part)
-    except (KeyError, TypeError, AttributeError):  # a collection without positions
-        return None
-    return Position(line + 1, column + 1)
 
 
 _WIDTH = 110

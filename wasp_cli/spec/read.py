@@ -1,4 +1,4 @@
-"""From the text of a spec file to plain values.
+"""From the text of a spec file to plain values, and where each of them stands.
 
 What YAML knows beyond JSON (dates, anchors, merges, tags) is a problem with a place: `extends` is the one way to share sections.
 """
@@ -8,24 +8,36 @@ from __future__ import annotations
 import datetime
 import math
 import re
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.tokens import AliasToken, AnchorToken, ScalarToken, TagToken
 
 from wasp_cli.errors import did_you_mean
-from wasp_cli.spec.places import KEY, LARGEST, START, InvalidSpec, Loc, Position, Problem, key_position, locate
+from wasp_cli.spec.places import KEY, START, InvalidSpec, Loc, Position, Problem
 from wasp_cli.spec.shipped import shipped_names
 
 MAX_BYTES = 1_000_000
+MAX_DEPTH = 32
+"""Of lists and mappings in each other; JSON readers give up at some depth without a place."""
+LARGEST = 2**63
+"""Numbers of a spec lie below it."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something stands."""
+
+    key: Position
+    """Of what is in a list, that of the value."""
+    value: Position
+    """Of what is empty, that of the key."""
 
 
 @dataclass(frozen=True)
@@ -34,17 +46,57 @@ class Source:
 
     name: str
     text: str
-    document: Any
+    document: dict[str, Any] = field(default_factory=dict)
+    """As JSON values; null where a value has no such form."""
+    places: dict[Loc, Place] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    """What has no form as a JSON value."""
+
+    def depth(self, loc: Loc) -> int:
+        """Return how many parts of what pydantic calls a `loc` the document really has."""
+        return self._found(loc)[1]
 
     def problem(self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False) -> Problem:
-        """Return a problem at a place."""
-        return self.problem_at(locate(self.document, loc, at_key=at_key).position, message, hint)
+        """Return a problem at what pydantic calls a `loc`."""
+        return self.problem_at(self._position(loc, at_key), message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
         """Return a problem at a position of the text."""
         lines = lines_of(self.text)
         line = lines[position.line - 1] if 0 < position.line <= len(lines) else None
         return Problem(self.name, position, message, hint, line or None)
+
+    def _position(self, loc: Loc, at_key: bool) -> Position:
+        found, depth, node = self._found(loc)
+        if not found:
+            return START
+        whole = depth == len(loc) or loc[depth] == KEY
+        # Of a section in which something is missing, the key says more than its first entry.
+        lacking = depth < len(loc) and isinstance(node, dict | list)
+        place = self.places[found]
+        return place.key if lacking or (whole and (at_key or loc[-1] == KEY)) else place.value
+
+    def _found(self, loc: Loc) -> tuple[Loc, int, Any]:
+        """The part of a `loc` that the document has, how many parts of the `loc` that takes, and what stands there.
+
+        pydantic's places also hold the tags of unions, which no file has, and fields that the file leaves out: a tag is skipped, and a
+        missing field is reported at the mapping it is missing from.
+        """
+        found: Loc = ()
+        depth, node = 0, self.document
+        for index, part in enumerate(loc):
+            if _has(node, part):
+                key = str(part) if isinstance(node, dict) else part
+                found, depth, node = (*found, key), index + 1, node[key]
+            elif not depth or index + 1 >= len(loc) or not _has(node, loc[index + 1]):
+                break
+        return found, depth, node
+
+
+def _has(node: Any, part: str | int) -> bool:
+    if isinstance(node, dict):
+        return str(part) in node
+    return isinstance(node, list) and isinstance(part, int) and 0 <= part < len(node)
 
 
 def read(path: Path) -> Source:
@@ -57,20 +109,17 @@ def read(path: Path) -> Source:
 
 
 def parse(text: str, name: str) -> Source:
-    """Parse a YAML mapping; `name` stands for the file in messages."""
-    source = Source(name, text, None)
-    document = _document(source)
-    if not isinstance(document, CommentedMap):
-        what = "the file is empty" if document is None else f"a spec is a mapping of keys to values, not {kind_of(document)}"
-        raise InvalidSpec([source.problem_at(START, what, "specs/quickstart.yaml is an example")])
-    return Source(name, text, document)
+    """Parse a YAML mapping; `name` stands for the file in messages.
 
-
-def _document(source: Source) -> Any:
-    text = source.text
+    Raises:
+        InvalidSpec: it is not YAML, not a mapping, or has too many levels.
+    """
+    source = Source(name, text)
     try:
         _refuse_sharing(source)
-        return YAML(typ="rt").load(text)
+        reader = YAML(typ="safe", pure=True)
+        root = reader.compose(text)
+        values = _Reader(source, reader).value(root, ()) if root is not None else None
     except MarkedYAMLError as error:
         raise InvalidSpec([_yaml_problem(source, error)]) from error
     except ReaderError as error:
@@ -79,9 +128,13 @@ def _document(source: Source) -> Any:
     except RecursionError as error:
         raise InvalidSpec([source.problem_at(START, "nested too deeply")]) from error
     except (YAMLError, ValueError, TypeError, KeyError, AttributeError, IndexError, AssertionError, NotImplementedError) as error:
-        # ruamel builds dates and numbers while it loads, and lets their errors through without a position.
-        position, reason = unplaced(text) or (START, str(error))
-        raise InvalidSpec([source.problem_at(position, f"not valid YAML: {reason}")]) from error
+        # ruamel lets errors of Python through, without a position.
+        raise InvalidSpec([source.problem_at(START, f"not valid YAML: {error}")]) from error
+    if not isinstance(values, dict):
+        what = "the file is empty" if values is None else f"a spec is a mapping of keys to values, not {kind_of(values)}"
+        raise InvalidSpec([source.problem_at(START, what, "specs/quickstart.yaml is an example")])
+    source.document.update(values)
+    return source
 
 
 SHARING = {AnchorToken: "an anchor (&)", AliasToken: "an alias (*)", TagToken: "a tag (!)"}
@@ -90,13 +143,107 @@ MERGE = "<<"
 
 def _refuse_sharing(source: Source) -> None:
     """See that a text has no anchors, aliases, merges and tags: what is meant at one place should be read there."""
-    for token in YAML(typ="rt").scan(source.text):
+    for token in YAML(typ="safe", pure=True).scan(source.text):
         what = SHARING.get(type(token))
         if isinstance(token, ScalarToken) and token.plain and token.value == MERGE:
             what = f"a merge ({MERGE})"
         if what is not None:
             hint = "write the value where it is used; whole sections are shared with `extends`"
             raise InvalidSpec([source.problem_at(_at(token), f"{what} is no part of a spec", hint)])
+
+
+_TAG = "tag:yaml.org,2002:"
+_NO_SCALAR = {"int": "not an integer", "float": "not a number", "timestamp": "not a valid date", "bool": "not a boolean"}
+"""By tag: what is said of a scalar that cannot be built."""
+_LONGEST = 40
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Makes JSON values of YAML nodes, and notes where they stand and what has no such form."""
+
+    source: Source
+    yaml: YAML
+
+    def value(self, node: Any, loc: Loc) -> Any:
+        if len(loc) > MAX_DEPTH:
+            raise InvalidSpec([self.source.problem_at(_at(node), "nested too deeply")])
+        if isinstance(node, MappingNode):
+            return dict(self.entries(node, loc))
+        if isinstance(node, SequenceNode):
+            for index, item in enumerate(node.value):
+                self.source.places[*loc, index] = Place(_at(item), _at(item))
+            return [self.value(item, (*loc, index)) for index, item in enumerate(node.value)]
+        scalar = self.scalar(node)
+        reason, hint = _no_value(scalar)
+        if reason is None:
+            # 1e6 is a float in YAML and a count to people.
+            return int(scalar) if isinstance(scalar, float) and scalar.is_integer() and abs(scalar) < 2**53 else scalar
+        self.source.problems.append(self.source.problem_at(_at(node), reason, hint))
+        return None
+
+    def entries(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Any]]:
+        keys: set[str] = set()
+        for key_node, value_node in node.value:
+            key = self.scalar(key_node)
+            reason = _no_key(key)
+            if reason is not None:
+                self.source.problems.append(self.source.problem_at(_at(key_node), reason))
+                continue
+            name = str(key)
+            if name in keys:
+                hint = "each key may stand once; which of the values is meant?"
+                raise InvalidSpec([self.source.problem_at(_at(key_node), f"found duplicate key '{name}'", hint)])
+            keys.add(name)
+            empty = value_node.tag == f"{_TAG}null"
+            self.source.places[*loc, name] = Place(_at(key_node), _at(key_node if empty else value_node))
+            yield name, self.value(value_node, (*loc, name))
+
+    def scalar(self, node: Any) -> Any:
+        """The value of a scalar; of another node an empty one of its kind."""
+        if not isinstance(node, ScalarNode):
+            return {} if isinstance(node, MappingNode) else []
+        tag = str(node.tag).removeprefix(_TAG)
+        if tag not in (*_NO_SCALAR, "null"):
+            return node.value
+        try:
+            return self.yaml.constructor.construct_object(node)
+        except Exception as error:  # whatever Python says of a text that is no number
+            value = node.value if len(node.value) <= _LONGEST else node.value[: _LONGEST - 3] + "..."
+            message = f"not valid YAML: '{value}' is {_NO_SCALAR.get(tag, 'no value')}"
+            raise InvalidSpec([self.source.problem_at(_at(node), message)]) from error
+
+
+def _no_value(scalar: Any) -> tuple[str | None, str | None]:
+    """Why a scalar is no value of a spec, and a hint."""
+    if isinstance(scalar, int) and abs(scalar) >= LARGEST:
+        return "is too large a number", None
+    if isinstance(scalar, float) and not math.isfinite(scalar):
+        return f"should be a finite number, not {scalar}", None
+    if isinstance(scalar, str) and not _whole(scalar):
+        return "holds an unpaired surrogate escape", None
+    if isinstance(scalar, datetime.date):
+        return "a date is no value of a spec", "put it in quotes"
+    return None, None
+
+
+def _no_key(key: Any) -> str | None:
+    """Why something is no key of a spec."""
+    if isinstance(key, bool) or not isinstance(key, str | int | float):
+        shown = repr(key) if key is None or isinstance(key, bool) else kind_of(key)
+        return f"a key should be a plain word, not {shown}"
+    if isinstance(key, str):
+        return None if _whole(key) else "a key should be a plain word, not an unpaired surrogate escape"
+    return None if abs(key) < LARGEST else "a key should be a plain word, not so large a number"  # nan is too
+
+
+def _whole(text: str) -> bool:
+    """Whether a text can be written anywhere: a lone surrogate, which an escape can name, is no character."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)
+
+
+def _at(node: Any) -> Position:
+    return Position(node.start_mark.line + 1, node.start_mark.column + 1)
 
 
 def _text(path: Path) -> str:
@@ -160,144 +307,19 @@ def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:
     mark = error.problem_mark or error.context_mark
     position = Position(mark.line + 1, mark.column + 1) if mark is not None else START
     what = (error.problem or error.context or "not valid YAML").strip()
-    if what.startswith("found duplicate key"):
-        what = what.split(" with value")[0].replace('"', "'")
-        return source.problem_at(position, what, "each key may stand once; which of the values is meant?")
     hint = "indent with spaces; a tab is not allowed there" if "\\t" in what else None
     return source.problem_at(position, f"not valid YAML: {what}", hint)
 
 
-_KINDS = {
-    "CommentedMap": "a mapping",
-    "CommentedKeyMap": "a mapping",
-    "CommentedSeq": "a list",
-    "CommentedKeySeq": "a list",
-}
-
-
-def kind_of(node: Any) -> str:
-    """Return what people call a value of a YAML document."""
-    if isinstance(node, str):
-        return "a single word" if " " not in node and "\n" not in node else "plain text"
-    if isinstance(node, datetime.date):  # ruamel's timestamps too
+def kind_of(value: Any) -> str:
+    """Return what people call a value."""
+    if isinstance(value, str):
+        return "a single word" if " " not in value and "\n" not in value else "plain text"
+    if isinstance(value, datetime.date):
         return "a date"
-    name = type(node).__name__
-    return _KINDS.get(name, f"a {name}")
+    return "a mapping" if isinstance(value, Mapping) else "a list" if isinstance(value, list) else f"a {type(value).__name__}"
 
 
 def dotted(loc: Loc) -> str:
     """Return a place as `--set` names it."""
     return ".".join(str(part) for part in loc if part != KEY)
-
-
-_TAG = "tag:yaml.org,2002:"
-_NO_SCALAR = {"int": "not an integer", "float": "not a number", "timestamp": "not a valid date", "bool": "not a boolean"}
-"""By tag: what is said of a scalar that cannot be built. Those of other tags always can, or have an error with a position."""
-_LONGEST = 40
-Fault = tuple[Position, str]
-
-
-def unplaced(text: str) -> Fault | None:
-    """Return the place and the reason of the first value in a text that cannot be built, or None when every one can."""
-    reader = YAML(typ="rt")
-    with suppress(RecursionError):
-        return next(_faults(reader, reader.compose(text)), None)
-    return None
-
-
-def _faults(reader: YAML, node: Any) -> Iterator[Fault]:
-    if isinstance(node, ScalarNode):
-        tag = str(node.tag).removeprefix(_TAG)
-        if tag in _NO_SCALAR:
-            try:
-                reader.constructor.construct_object(node)
-            except Exception:  # whatever Python says of a text that is no number
-                value = node.value if len(node.value) <= _LONGEST else node.value[: _LONGEST - 3] + "..."
-                yield _at(node), f"'{value}' is {_NO_SCALAR[tag]}"
-    elif isinstance(node, SequenceNode | MappingNode):
-        for below in node.value:
-            for each in below if isinstance(below, tuple) else (below,):
-                yield from _faults(reader, each)
-
-
-def _at(node: Any) -> Position:
-    return Position(node.start_mark.line + 1, node.start_mark.column + 1)
-
-
-MAX_DEPTH = 32
-"""Of lists and mappings in each other; JSON readers give up at some depth without a place."""
-
-
-def plain(source: Source) -> tuple[dict[str, Any], list[Problem]]:
-    """Return the document as JSON values, and what in it is none.
-
-    Raises:
-        InvalidSpec: it has too many levels for anything to be said of them.
-    """
-    reader = _Reader(source)
-    values: dict[str, Any] = reader.value(source.document, ())
-    return values, reader.problems
-
-
-@dataclass
-class _Reader:
-    source: Source
-    problems: list[Problem] = field(default_factory=list)
-
-    def value(self, node: Any, loc: Loc) -> Any:
-        if len(loc) > MAX_DEPTH:
-            raise InvalidSpec([self.source.problem(loc, "nested too deeply")])
-        if isinstance(node, CommentedMap):
-            return self.mapping(node, loc)
-        if isinstance(node, CommentedSeq):
-            return [self.value(value, (*loc, index)) for index, value in enumerate(node)]
-        return self.scalar(node, loc)
-
-    def mapping(self, node: CommentedMap, loc: Loc) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for key, value in node.items():
-            reason = _no_key(key)
-            if reason is None and str(key) in result:
-                reason = f"duplicate key '{key}'"  # 1 and '1'
-            if reason is not None:
-                position = key_position(node, key)
-                self.problems.append(
-                    self.source.problem(loc, reason, at_key=True) if position is None else self.source.problem_at(position, reason)
-                )
-                continue
-            result[str(key)] = self.value(value, (*loc, str(key)))
-        return result
-
-    def scalar(self, node: Any, loc: Loc) -> Any:
-        if node is None or isinstance(node, bool):
-            return node
-        if isinstance(node, int):
-            return int(node) if abs(node) < LARGEST else self.refuse(loc, "is too large a number")
-        if isinstance(node, float):
-            number = float(node)
-            if not math.isfinite(number):
-                return self.refuse(loc, f"should be a finite number, not {number}")
-            # 1e6 is a float in YAML and a count to people.
-            return int(number) if number.is_integer() and abs(number) < 2**53 else number
-        if isinstance(node, str):
-            return str(node) if _whole(node) else self.refuse(loc, "holds an unpaired surrogate escape")
-        hint = "put it in quotes" if isinstance(node, datetime.date) else "specs hold plain numbers, words, lists and mappings"
-        return self.refuse(loc, f"{kind_of(node)} is no value of a spec", hint)
-
-    def refuse(self, loc: Loc, message: str, hint: str | None = None) -> None:
-        self.problems.append(self.source.problem(loc, message, hint))
-
-
-def _no_key(key: Any) -> str | None:
-    """Why something is no key of a spec."""
-    if isinstance(key, bool) or not isinstance(key, str | int | float):
-        shown = repr(key) if key is None or isinstance(key, bool) else kind_of(key)
-        return f"a key should be a plain word, not {shown}"
-    if isinstance(key, str):
-        return None if _whole(key) else "a key should be a plain word, not an unpaired surrogate escape"
-    return None if abs(key) < LARGEST else "a key should be a plain word, not so large a number"  # nan is too
-
-
-def _whole(text: str) -> bool:
-    """Whether a text can be written anywhere: a lone surrogate, which an escape can name, is no character."""
-    return not any("\ud800" <= character <= "\udfff" for character in text)

@@ -21,6 +21,7 @@ from wasp_cli.spec.model import EVERYWHERE, method_sections, mixing_stages, spec
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, training_stages
 from wasp_cli.spec.presets import PRESETS, preset_values
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.store.reached import reached
 from wasp_cli.tasks.registry import TASKS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -138,13 +139,8 @@ def _without_defaults(properties: Schema, preset: Mapping[str, Any], definitions
 
 def _used(definitions: Schema, *within: Any) -> Schema:
     """The definitions that something refers to, also through others."""
-    found: set[str] = set()
-    waiting = list(within)
-    while waiting:
-        names = set(_references(waiting.pop())) - found
-        found |= names
-        waiting += [definitions[name] for name in names]
-    return {name: definitions[name] for name in sorted(found)}
+    used = reached(_references(list(within)), lambda name: _references(definitions[name]))
+    return {name: definitions[name] for name in sorted(used)}
 
 
 def _references(node: Any) -> Iterable[str]:

@@ -56,15 +56,20 @@ def commit(layout: Layout, kind: str, key: str, staging: Path, manifest: Mapping
     return place
 
 
-def stored_keys(layout: Layout, kind: str) -> set[str]:
-    """Return the keys of all artifacts of a kind, damaged ones too."""
+def artifact_keys(layout: Layout, kind: str) -> list[str]:
+    """Return the keys of a kind that have a folder, whatever is in it."""
     try:
         with os.scandir(layout.within(layout.kind(kind))) as entries:
-            return {entry.name for entry in entries if _holds_manifest(entry)}
+            return sorted(entry.name for entry in entries if is_key(entry.name) and entry.is_dir(follow_symlinks=False))
     except FileNotFoundError:
-        return set()
+        return []
     except OSError as error:
         raise StoreError(f"cannot read '{layout.kind(kind)}': {(error.strerror or str(error)).lower()}") from error
+
+
+def stored_keys(layout: Layout, kind: str) -> set[str]:
+    """Return the keys of all artifacts of a kind, damaged ones too."""
+    return {key for key in artifact_keys(layout, kind) if layout.manifest(kind, key).is_file()}
 
 
 def stored_kinds(layout: Layout) -> list[str]:
@@ -74,10 +79,6 @@ def stored_kinds(layout: Layout) -> list[str]:
             return sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False) and is_name(entry.name))
     except OSError:
         return []
-
-
-def _holds_manifest(entry: os.DirEntry[str]) -> bool:
-    return entry.is_dir(follow_symlinks=False) and os.path.isfile(f"{entry.path}/{MANIFEST}")
 
 
 def exists(layout: Layout, kind: str, key: str) -> bool:
@@ -90,11 +91,17 @@ def damage(layout: Layout, kind: str, key: str) -> str | None:
 
     Sizes only: the manifest has each file's SHA-256 too, but planning must not read gigabytes.
     """
+    return read_whole(layout, kind, key)[1]
+
+
+def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str | None]:
+    """Return the manifest of an artifact, empty where it does not read, and what `damage` says."""
     try:
-        files = listed_files(read_manifest(layout, kind, key), layout.manifest(kind, key))
+        manifest = read_manifest(layout, kind, key)
+        sizes = listed_files(manifest, layout.manifest(kind, key))
     except ArtifactError as error:
-        return error.message
-    return missing_file(layout, str(layout.artifact(kind, key)), files)
+        return {}, error.message
+    return manifest, _missing_file(layout, layout.artifact(kind, key), sizes)
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
@@ -113,14 +120,11 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
     return files
 
 
-def missing_file(layout: Layout, place: str, files: Mapping[str, int]) -> str | None:
-    """Return the first file of an artifact that is gone, a link, or of another size, in words; None when all are there.
-
-    The names are those of `listed_files`, and the way to the artifact is known to have no links.
-    """
-    for name, size in files.items():
+def _missing_file(layout: Layout, place: Path, sizes: Mapping[str, int]) -> str | None:
+    """The first file of an artifact that is gone, a link, or of another size, in words."""
+    for name, size in sizes.items():
         try:
-            state = os.stat(layout.within(Path(place, name)) if "/" in name else f"{place}/{name}", follow_symlinks=False)
+            state = layout.within(place / name).lstat()
         except StoreError as error:
             return error.message
         except (OSError, ValueError):
@@ -142,10 +146,10 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
 
     A process reads a file once, as long as its time and size stay.
     """
-    wrong = damage(layout, kind, key)
+    manifest, wrong = read_whole(layout, kind, key)
     if wrong is not None:
         return wrong
-    for name, known in read_manifest(layout, kind, key)["files"].items():
+    for name, known in manifest["files"].items():
         path = layout.artifact(kind, key) / name
         state = path.stat()
         stamp = state.st_mtime_ns, state.st_size

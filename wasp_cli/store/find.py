@@ -13,13 +13,13 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
+from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import printable
@@ -94,6 +94,9 @@ class FoundNode(Found):
         return None if label is None else str(label)
 
 
+Target = TypeVar("Target", FoundCell, FoundNode)
+
+
 def find_cell(layout: Layout, text: str, within: Container[str] | None = None) -> FoundCell:
     """Return the one cell that `text` names: the beginning of a key, a label, or a path.
 
@@ -107,18 +110,9 @@ def find_cell(layout: Layout, text: str, within: Container[str] | None = None) -
         UnknownName: it names none.
         ArtifactError: the manifest of the cell is damaged.
     """
-    wanted = " ".join(text.split())
-    keys = [key for key in sorted(filter(is_key, stored_keys(layout, KIND))) if within is None or key in within]
-    found = [_of_key(layout, key) for key in keys if begins(key, wanted)]
-    named: list[str] = []
-    if not found:
-        for cell in _readable(layout, keys):
-            named.append(cell.label or "")
-            if same_label(named[-1], wanted):
-                found.append(cell)
-    if len(found) > 1:
-        raise UsageError(_several(wanted, "evaluations", found), ONE_OF)
-    return found[0] if found else _by_path(layout, text, wanted, named)
+    named, labels = _stored(layout, [KIND], text, within)
+    cells = [FoundCell(layout.within(cell_file(node.path)), node.key, node.manifest) for node in named]
+    return _only(cells, text, "evaluations") or _by_path(layout, text, labels)
 
 
 def find_node(layout: Layout, text: str, within: Container[str] | None = None) -> FoundNode:
@@ -134,44 +128,66 @@ def find_node(layout: Layout, text: str, within: Container[str] | None = None) -
         UnknownName: it names none.
         ArtifactError: the manifest of the node is damaged.
     """
-    wanted = " ".join(text.split())
-    places = [
-        (kind, key)
-        for kind in stored_kinds(layout)
-        for key in sorted(filter(is_key, stored_keys(layout, kind)))
-        if within is None or key in within
-    ]
     failures = {key: record for key, record in _failures(layout).items() if within is None or key in within}
-    found = [_node(layout, kind, key, failures) for kind, key in places if begins(key, wanted)]
-    there = {key for _, key in places}
-    only_failed = [_failed_node(layout, key, record) for key, record in failures.items() if key not in there]
-    found += [node for node in only_failed if begins(node.key or "", wanted)]
-    labels: list[str] = []
-    if not found:
-        for node in (*_readable_nodes(layout, places, failures), *only_failed):
-            labels.append(node.label or "")
-            if same_label(labels[-1], wanted):
-                found.append(node)
-    if len(found) > 1:
-        raise UsageError(_several(wanted, "nodes", found), ONE_OF)
-    if not found:
-        how = "give a key (a folder name in store/<kind>), or a label" + (f" such as '{labels[0]}'" if labels else "")
-        raise UnknownName("node", wanted, set(labels), f"no node '{wanted}' in '{layout.root}'", otherwise=how)
-    return found[0]
+    named, labels = _stored(layout, stored_kinds(layout), text, within)
+    nodes = [replace(node, failure=failures.get(node.key or "", {})) for node in named]
+    failed = [FoundNode(layout.failure(key), key, {}, str(record.get("kind", "")), record) for key, record in failures.items()]
+    nodes += [node for node in matching(failed, text) if node.key not in {stored.key for stored in named}]
+    labels += [node.label or "" for node in failed]
+    if (node := _only(nodes, text, "nodes")) is not None:
+        return node
+    how = "give a key (a folder name in store/<kind>), or a label" + (f" such as '{labels[0]}'" if labels else "")
+    raise UnknownName("node", text, set(labels), f"no node '{_one_line(text)}' in '{layout.root}'", otherwise=how)
 
 
-def _node(layout: Layout, kind: str, key: str, failures: Mapping[str, Mapping[str, Any]]) -> FoundNode:
-    return FoundNode(layout.artifact(kind, key), key, read_manifest(layout, kind, key), kind, failures.get(key, {}))
-
-
-def _readable_nodes(layout: Layout, places: Sequence[tuple[str, str]], failures: Mapping[str, Mapping[str, Any]]) -> Iterator[FoundNode]:
+def _stored(layout: Layout, kinds: Sequence[str], text: str, within: Container[str] | None) -> tuple[list[FoundNode], list[str]]:
+    """The stored nodes that a text names; and, where it begins no key, the labels that there are."""
+    places = [(kind, key) for kind in kinds for key in sorted(stored_keys(layout, kind)) if within is None or key in within]
+    if by_key := [_node(layout, kind, key) for kind, key in places if _begins(key, _one_line(text))]:
+        return by_key, []
+    nodes: list[FoundNode] = []
     for kind, key in places:
-        with suppress(ArtifactError):
-            yield _node(layout, kind, key, failures)
+        with suppress(ArtifactError):  # one that is damaged has lost its label; its key still finds it
+            nodes.append(_node(layout, kind, key))
+    return matching(nodes, text), [node.label or "" for node in nodes]
 
 
-def _failed_node(layout: Layout, key: str, record: Mapping[str, Any]) -> FoundNode:
-    return FoundNode(layout.failure(key), key, {}, str(record.get("kind", "")), record)
+def _node(layout: Layout, kind: str, key: str) -> FoundNode:
+    return FoundNode(layout.artifact(kind, key), key, read_manifest(layout, kind, key), kind)
+
+
+class Named(Protocol):
+    """What a key or a label names."""
+
+    @property
+    def key(self) -> str | None: ...
+
+    @property
+    def label(self) -> str | None: ...
+
+
+Thing = TypeVar("Thing", bound=Named)
+
+
+def matching(things: Iterable[Thing], text: str) -> list[Thing]:
+    """Return the things whose key begins with what someone wrote; where there are none, those whose label it is."""
+    things, text = list(things), _one_line(text)
+    by_key = [thing for thing in things if _begins(thing.key or "", text)]
+    return by_key or [thing for thing in things if same_label(thing.label or "", text)]
+
+
+def _begins(key: str, text: str) -> bool:
+    return len(text) >= LEAST and key.startswith(text.lower())
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _only(things: Sequence[Target], text: str, what: str) -> Target | None:
+    if len(things) > 1:
+        raise UsageError(_several(_one_line(text), what, things), ONE_OF)
+    return things[0] if things else None
 
 
 def _failures(layout: Layout) -> dict[str, dict[str, Any]]:
@@ -182,11 +198,6 @@ def _failures(layout: Layout) -> dict[str, dict[str, Any]]:
             if is_key(path.stem):
                 found[path.stem] = read_record(path) or {}
     return found
-
-
-def begins(key: str, wanted: str) -> bool:
-    """Return whether what was written is the beginning of a key."""
-    return len(wanted) >= LEAST and key.startswith(wanted.lower())
 
 
 def same_label(label: str, wanted: str) -> bool:
@@ -200,30 +211,16 @@ def _as_run(label: str) -> str:
     return f"{reported[1]} s{reported[3]} {reported[2]}" if reported else label
 
 
-def _of_key(layout: Layout, key: str) -> FoundCell:
-    manifest = read_manifest(layout, KIND, key)
-    return FoundCell(layout.within(cell_file(layout.artifact(KIND, key))), key, manifest)
-
-
-def _readable(layout: Layout, keys: Sequence[str]) -> Iterator[FoundCell]:
-    """A cell whose manifest is damaged has lost its label; its key still finds it."""
-    for key in keys:
-        with suppress(ArtifactError, StoreError):
-            yield _of_key(layout, key)
-
-
-def _by_path(layout: Layout, text: str, wanted: str, labels: Sequence[str]) -> FoundCell:
+def _by_path(layout: Layout, text: str, labels: Sequence[str]) -> FoundCell:
     """The cell of an existing file or folder."""
     path = Path(text)
-    if os.path.isdir(text) and wanted:
+    if os.path.isdir(text) and text.strip():
         path = cell_file(path)
         if not os.path.isfile(path):
-            raise UsageError(
-                f"the folder '{text}' holds no {EPISODES_FILE}",
-                f"give a key, a label, or a folder below {layout.kind(KIND)}",
-            )
+            hint = f"give a key, a label, or a folder below {layout.kind(KIND)}"
+            raise UsageError(f"the folder '{text}' holds no {EPISODES_FILE}", hint)
     elif not os.path.isfile(text):
-        raise _unknown(layout, wanted, labels)
+        raise _unknown(layout, _one_line(text), labels)
     manifest = read_record(path.with_name(MANIFEST)) or {}
     key = manifest.get("key")
     return FoundCell(path, key if isinstance(key, str) and is_key(key) else None, manifest)
@@ -232,23 +229,17 @@ def _by_path(layout: Layout, text: str, wanted: str, labels: Sequence[str]) -> F
 def _unknown(layout: Layout, wanted: str, labels: Sequence[str]) -> UsageError:
     if _PREFIX.fullmatch(wanted.lower()) and len(wanted) < LEAST:
         return UsageError(f"'{wanted}' is too short for a key", f"give at least {LEAST} characters of it, or a label")
-    failed = _failure(layout, wanted)
-    if failed is not None:
-        return UsageError(f"'{wanted}' has no rows: it failed with: {failed}", "run the spec again: what failed runs again")
+    failures = [
+        FoundNode(layout.failure(key), key, {}, "", record) for key, record in _failures(layout).items() if record.get("kind") == KIND
+    ]
+    for node in matching(failures, wanted):
+        message = f"'{wanted}' has no rows: it failed with: {node.failure.get('message')}"
+        return UsageError(message, "run the spec again: what failed runs again")
     if not labels:
         hint = "wasp run SPEC --results DIR writes them; --results chooses where to look"
         return UsageError(f"no evaluation '{wanted}': '{layout.root}' holds none", hint)
     how = "give a key (a folder name in store/evaluate), a label such as " + f"'{labels[0]}', or the path of an {EPISODES_FILE}"
     return UnknownName("evaluation", wanted, set(labels), f"no evaluation '{wanted}' in '{layout.root}'", otherwise=how)
-
-
-def _failure(layout: Layout, wanted: str) -> str | None:
-    """Why the cell of a label, or of the beginning of a key, failed last; None where nothing of it did."""
-    for key, record in _failures(layout).items():
-        names = same_label(str(record.get("label")), wanted) or begins(key, wanted)
-        if record.get("kind") == KIND and names:
-            return str(record.get("message"))
-    return None
 
 
 def _several(wanted: str, what: str, found: Sequence[Found]) -> str:

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.store.artifact import discard, left_behind, read_manifest, stored_kinds
+from wasp_cli.store.artifact import artifact_keys, discard, left_behind, read_manifest, stored_kinds
 from wasp_cli.store.layout import SESSION_FILE, Layout, is_key
 from wasp_cli.store.lock import held_if_free, is_held, remove_lock
+from wasp_cli.store.reached import reached
 
 WORK, FAILURES, RUNS, TMP, LOCKS = "work of nodes", "records of failures", "runs", "left in tmp", "locks"
 """What can go besides artifacts, as people read it."""
@@ -37,7 +38,7 @@ def stored(layout: Layout) -> dict[str, list[str]]:
     """Return the kinds under which a key has a folder in the store, damaged artifacts too."""
     found: dict[str, list[str]] = {}
     for kind in stored_kinds(layout):
-        for key in _keys(layout.kind(kind), lambda entry: entry.is_dir(follow_symlinks=False)):
+        for key in artifact_keys(layout, kind):
             found.setdefault(key, []).append(kind)
     return found
 
@@ -55,16 +56,7 @@ def with_inputs(layout: Layout, keys: Iterable[str], there: Mapping[str, list[st
         keys: where to begin.
         there: the kinds under which a key is in the store, from `stored`.
     """
-    found: set[str] = set()
-    pending = list(keys)
-    while pending:
-        key = pending.pop()
-        if key in found:
-            continue
-        found.add(key)
-        for kind in there.get(key, ()):
-            pending += _upstream(layout, kind, key)
-    return found
+    return reached(keys, lambda key: [needed for kind in there.get(key, ()) for needed in _upstream(layout, kind, key)])
 
 
 def computed_from(layout: Layout, keys: Iterable[str], there: Mapping[str, list[str]]) -> set[str]:
@@ -79,13 +71,7 @@ def computed_from(layout: Layout, keys: Iterable[str], there: Mapping[str, list[
     for key, kinds in there.items():
         for needed in (needed for kind in kinds for needed in _upstream(layout, kind, key)):
             readers.setdefault(needed, []).append(key)
-    found: set[str] = set()
-    pending = list(keys)
-    while pending:
-        new = set(readers.get(pending.pop(), ())) - found
-        found |= new
-        pending += new
-    return found
+    return reached((reader for key in keys for reader in readers.get(key, ())), lambda key: readers.get(key, ()))
 
 
 def _upstream(layout: Layout, kind: str, key: str) -> list[str]:

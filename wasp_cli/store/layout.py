@@ -8,7 +8,6 @@ results/
   tmp/                     artifacts being written; on the same file system, so that publishing is one rename
   runs/<run>/              spec.yaml spec.json plan.json order journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
-  index.json               what plans know of the artifacts; can be removed
   rows/<spec>.parquet      what reports know of the cells of large grids; can be removed
   published/               results that lie in git: store/ and reports/ as above, and nothing else
 """
@@ -48,10 +47,6 @@ class Layout:
     @property
     def runs(self) -> Path:
         return self.root / "runs"
-
-    @property
-    def index(self) -> Path:
-        return self.root / "index.json"
 
     @property
     def published(self) -> Path:

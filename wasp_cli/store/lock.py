@@ -15,8 +15,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.store.plain import parse, read_plain
-
 POLL_SECONDS = 0.2
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 """What a file system answers that has no locks."""
@@ -38,15 +36,14 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
     Args:
         path: the lock file.
         waiting: called as long as someone else has it.
-        holder: what to tell others of this process, for `holder_of`.
+        holder: what the file says of this process, for people.
 
     Raises:
         Busy: someone else has it, and `waiting` said no.
     """
-    path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
     how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     while True:
-        descriptor = _made(path)
+        descriptor = _opened(path)
         try:
             while not _taken(descriptor, how):
                 if not waiting():
@@ -63,20 +60,14 @@ def held(path: Path, waiting: Callable[[], bool], holder: Mapping[str, Any] | No
             os.close(descriptor)
 
 
-def holder_of(path: Path) -> dict[str, Any]:
-    """Return what the holder of a lock told of itself, or the last one that had it; empty where nobody did."""
-    try:
-        record = parse(read_plain(path))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return record if isinstance(record, dict) else {}
-
-
 @contextmanager
-def held_if_free(path: Path) -> Iterator[bool]:
-    """Hold a lock unless someone else has it; whether it is held."""
-    path.parent.mkdir(exist_ok=True)
-    descriptor = _made(path)
+def held_if_free(path: Path, *, made: bool = True) -> Iterator[bool]:
+    """Hold a lock unless someone else has it; whether it is held.
+
+    Raises:
+        FileNotFoundError: there is no lock file, and none is to be `made`.
+    """
+    descriptor = _opened(path, made)
     try:
         yield _taken(descriptor) and _is_at(descriptor, path)
     finally:
@@ -85,42 +76,30 @@ def held_if_free(path: Path) -> Iterator[bool]:
 
 def is_held(path: Path) -> bool:
     """Return whether some process holds a lock now."""
-    while (descriptor := _opened(path)) is not None:
-        try:
-            if not _taken(descriptor):
-                return True
-            if _is_at(descriptor, path):
-                return False
-        finally:
-            os.close(descriptor)
-    return False
+    try:
+        with held_if_free(path, made=False) as mine:
+            return not mine
+    except FileNotFoundError:
+        return False
 
 
 def remove_lock(path: Path) -> bool:
     """Remove a lock file unless someone holds it; whether it is removed."""
-    descriptor = _opened(path)
-    if descriptor is None:
-        return False
     try:
-        if not _taken(descriptor) or not _is_at(descriptor, path):
-            return False
-        path.unlink()
-        return True
-    finally:
-        os.close(descriptor)
-
-
-def _opened(path: Path) -> int | None:
-    """The file of a lock; None where there is none."""
-    try:
-        return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        with held_if_free(path, made=False) as mine:
+            if mine:
+                path.unlink()
+            return mine
     except FileNotFoundError:
-        return None
+        return False
 
 
-def _made(path: Path) -> int:
+def _opened(path: Path, made: bool = True) -> int:
     """The file of a lock, made where there is none."""
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    if made:
+        path.parent.mkdir(exist_ok=True)  # and not the results folder: one that was moved away is not made again
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
 
 
 def _taken(descriptor: int, how: int = fcntl.LOCK_EX) -> bool:

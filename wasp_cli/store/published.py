@@ -97,7 +97,7 @@ def offers(source: Layout) -> tuple[list[Offer], list[str]]:
     notes: list[str] = []
     twice: set[str] = set()
     for kind in stored_kinds(source):
-        for key in sorted(filter(is_key, stored_keys(source, kind))):
+        for key in sorted(stored_keys(source, kind)):
             try:
                 offer = _offer(source, kind, key)
             except ArtifactError as error:
