@@ -44,7 +44,7 @@ ida-guarded: {vote: -0.9, quantile: 0.05}
 
 
 def wasp(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=1200, check=False)
+    return subprocess.run([sys.executable, "-m", "wasp_cli", *arguments], capture_output=True, text=True, timeout=600, check=False)
 
 
 @pytest.fixture(scope="module")

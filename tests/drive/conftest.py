@@ -35,7 +35,7 @@ def served(session: Session) -> Iterator[tuple[Desk, Server, threading.Thread]]:
         yield desk, server, clock
     finally:
         desk.ask(END)
-        clock.join(30)
+        clock.join(300)
         server.stop()
 
 

@@ -41,7 +41,7 @@ def test_lines_run(line: str, folder: Path) -> None:
     assert python == "python"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=120, env=environment, check=False
+        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=600, env=environment, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() not in ("", "0", "[]")

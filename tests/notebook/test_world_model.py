@@ -156,7 +156,7 @@ def test_changed_bytes_are_not_loaded(tmp_path: Path, model: LoadedWorldModel) -
 
 def test_the_example_runs() -> None:
     done = subprocess.run(
-        [sys.executable, "docs/examples/world_model.py"], cwd=ROOT, capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, "docs/examples/world_model.py"], cwd=ROOT, capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0, done.stderr
     lines = [line for line in done.stdout.splitlines() if line.startswith("+")]

@@ -75,7 +75,7 @@ def outsider(tmp_path: Path) -> Path:
 def python(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(outsider.parent), str(Path.cwd())])}
     command = [sys.executable, *arguments]
-    return subprocess.run(command, cwd=outsider.parents[1], env=environment, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, cwd=outsider.parents[1], env=environment, capture_output=True, text=True, timeout=600, check=False)
 
 
 def wasp(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

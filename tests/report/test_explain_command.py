@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "wasp_cli", *map(str, arguments)]
     variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=variables, check=False)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, env=variables, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -256,7 +256,7 @@ def test_a_run_that_begins_while_someone_thinks_about_it_keeps_what_it_found(
         assert keys_of(small_spec, results) & keys_of(spec, results) <= artifacts(results)
     finally:
         os.killpg(process.pid, signal.SIGKILL)
-        process.communicate(timeout=120)
+        process.communicate(timeout=600)
 
 
 def test_a_removal_that_is_killed_leaves_nothing_half(
