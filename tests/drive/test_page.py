@@ -91,7 +91,7 @@ def test_an_episode_in_a_browser(browser: Browser, imported: Path, tmp_path: Pat
         tab.click("Go on")
         tab.until(f"phase === 'driving' && frame.header.t > {where} + 5")
         tab.key(True, "ArrowUp")
-        tab.until("phase === 'over'", 60)
+        tab.until("phase === 'over'")
         assert "1 of 1 episodes" in tab.value("document.body.innerText")
         asked = tab.requests()
         tab.close()

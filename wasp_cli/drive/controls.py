@@ -1,12 +1,11 @@
 """What a driver holds down now, and the action that it means.
 
 The page sends the whole state of keys and sticks whenever it changes. What is kept is the latest one: a decision samples it, so that
-nothing queues up behind a slow moment. The socket writes it, the clock reads it.
+nothing queues up behind a slow moment. The socket writes it, the clock reads it: one reference, so that no lock is needed.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import dataclass
 
@@ -47,23 +46,19 @@ class Controls:
     """The latest state of the controls."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._held = Held()
 
     def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
         """Take a new state; keys that mean nothing here are left out."""
-        with self._lock:
-            self._held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
+        self._held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
 
     def release(self) -> None:
         """Let go of everything: the window lost the focus, or the connection broke."""
-        with self._lock:
-            self._held = Held(number=self._held.number, at=time.monotonic())
+        self._held = Held(number=self._held.number, at=time.monotonic())
 
     def now(self) -> Held:
         """Return what is held now."""
-        with self._lock:
-            return self._held
+        return self._held
 
 
 def action_of(stick: NDArray[np.float32], drive: str | None) -> NDArray[np.float32]:
