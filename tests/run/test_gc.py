@@ -121,7 +121,7 @@ def test_a_run_that_goes_on_loses_nothing(fakes: Fakes, small_spec: Path, other_
     fakes.set(seconds=0.0)
     run(other_spec, results)  # newer, and of the same name
     looked = 0
-    while process.poll() is None and read_json_lines(journal)[-1]["event"] != "run ended":
+    while looked < 4 and process.poll() is None and read_json_lines(journal)[-1]["event"] != "run ended":
         before = artifacts(results)
         collect(results, "--yes", "--runs")
         assert before <= artifacts(results)

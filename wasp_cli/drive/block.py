@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.drive.clock import Clock, Decider
-from wasp_cli.drive.controls import action_of
-from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame
+from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame, action_of
 from wasp_cli.drive.futures import Futures
 from wasp_cli.drive.view import WorldView, camera_bytes
 from wasp_cli.learning.assistants import build_assistant
