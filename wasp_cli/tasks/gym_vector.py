@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -87,7 +88,7 @@ class TaskVectorEnv(SyncVectorEnv):
             env = _Row(self._batch, row, **options)
             return env if max_episode_steps is None else gymnasium.wrappers.TimeLimit(env, max_episode_steps)
 
-        super().__init__([lambda row=row: made(row) for row in range(num_envs)], autoreset_mode=autoreset_mode)
+        super().__init__([partial(made, row) for row in range(num_envs)], autoreset_mode=autoreset_mode)
         self.env_fns = ()  # no pickle could hold them
 
     def step(self, actions: NDArray[Any]) -> tuple[Any, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:

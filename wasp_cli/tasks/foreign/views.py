@@ -123,16 +123,19 @@ def views_of(space: gymnasium.Space[Any]) -> Views:
     Raises:
         TaskError: there is no image in it.
     """
-    spaces = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
-    front, rear = (_camera(spaces, entries) for entries in ((None, *FRONT), REAR))
+    spaces: Mapping[Any, gymnasium.Space[Any]] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
+    front, rear = _camera(spaces, (None, *FRONT)), _camera(spaces, REAR)
     if front is None:
         raise TaskError(f"its observation shows no camera image: {_described(space)}", f"an image is {_WANTED}")
     if front.channels == 6:
         rear = None
     elif rear is not None and rear.channels != 3:
         raise TaskError(f"its second image '{rear.entry}' has {rear.channels} channels, not 3")
-    boxes = {entry: spaces[entry] for entry in (PRIVILEGED, STATE) if isinstance(spaces.get(entry), gymnasium.spaces.Box)}
-    sizes = {entry: size for entry, box in boxes.items() if (size := int(np.prod(box.shape)))}
+    sizes = {
+        entry: size
+        for entry in (PRIVILEGED, STATE)
+        if isinstance(box := spaces.get(entry), gymnasium.spaces.Box) and (size := int(np.prod(box.shape)))
+    }
     privileged = next((entry for entry in (PRIVILEGED, STATE) if entry in sizes), None)
     state = next((entry for entry in (STATE, PRIVILEGED) if entry in sizes), None)
     coarse = 2 * 3 * (2 if rear is not None or front.channels == 6 else 1) * COARSE * COARSE
@@ -146,7 +149,7 @@ def _entry(observation: Any, entry: str) -> Any:
     return observation[entry]
 
 
-def _camera(spaces: Mapping[str | None, gymnasium.Space[Any]], entries: tuple[str | None, ...]) -> _Camera | None:
+def _camera(spaces: Mapping[Any, gymnasium.Space[Any]], entries: tuple[str | None, ...]) -> _Camera | None:
     """The first of these entries, where it is an image."""
     entry = next((entry for entry in entries if entry in spaces), "")
     space = spaces.get(entry)
