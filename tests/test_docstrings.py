@@ -1,4 +1,4 @@
-"""Public functions say what they do, and arrays say how they are shaped: the docstrings, read as text."""
+"""Public functions have docstrings, and arrays say how they are shaped: the docstrings, read as text."""
 
 from __future__ import annotations
 
@@ -9,13 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "wasp_cli"
-
-NO_VERB = re.compile(
-    "A|All|Also|An|And|Any|As|At|Before|Both|By|Each|Either|Every|Everything|First|For|From|How|If|In|Into|Is|It|Its|Mean|No|None|Not|"
-    "Nothing|Of|On|One|Only|Or|Probability|That|The|Their|There|These|They|This|Those|Through|To|What|When|Where|Whether|Which|Who|Why|"
-    "With|Without"
-)
-"""Words with which a docstring does not say what a function does."""
 
 ROOMS_OF_ARRAYS = ("learning", "models", "methods", "operators", "tasks", "metrics", "video")
 ARRAYS = re.compile(r"\b(Tensor|NDArray|ndarray|Floats|Bools|Ints|Images|Pixels)\b")
@@ -63,15 +56,6 @@ def _package() -> list[Function]:
         for path in sorted(PACKAGE.rglob("*.py"))
         for function in _functions(ast.parse(path.read_text()), path.relative_to(PACKAGE).as_posix())
     ]
-
-
-def _has_verb(docstring: str) -> bool:
-    first = docstring.split()[0].rstrip(",.:;")
-    return first[0].isalpha() and first[0].isupper() and not NO_VERB.fullmatch(first) and not first.isupper()
-
-
-def test_docstrings_begin_with_a_verb() -> None:
-    assert not [f"{each.place}: {each.docstring}" for each in _package() if each.docstring and not _has_verb(each.docstring)]
 
 
 def test_public_functions_have_docstrings() -> None:

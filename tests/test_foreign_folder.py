@@ -58,7 +58,7 @@ def started(folder: Path, *arguments: str, safe: bool = True) -> subprocess.Pope
 
 def done(folder: Path, *arguments: str, safe: bool = True) -> str:
     process = started(folder, *arguments, safe=safe)
-    out, errors = process.communicate(timeout=300)
+    out, errors = process.communicate(timeout=600)
     assert process.returncode == 0, errors
     return out
 
@@ -112,7 +112,7 @@ def test_a_film_on_demand_imports_nothing_from_there(theirs: Path) -> None:
         assert process.stdout is not None
         found = re.search(r"view here: http://127\.0\.0\.1:(\d+)(\S+)", process.stdout.readline())
         assert found is not None
-        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=60)
+        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=600)
 
         def ask(method: str, place: str, **headers: str) -> tuple[str, str]:
             connection.request(method, place, headers=headers)
@@ -142,4 +142,4 @@ def test_a_module_that_a_spec_names_is_still_found_beside_it(tmp_path: Path) -> 
     assert "1 cells to evaluate" in done(tmp_path, "plan", "tiny.yaml")
     (tmp_path / "tiny.yaml").write_text(spec.replace("puddle:", "nowhere:"), encoding="utf-8")
     process = started(tmp_path, "plan", "tiny.yaml")
-    assert "run in the folder that holds 'nowhere'" in process.communicate(timeout=60)[1]
+    assert "run in the folder that holds 'nowhere'" in process.communicate(timeout=600)[1]

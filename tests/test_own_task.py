@@ -36,7 +36,7 @@ def wasp(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run `wasp` as its console script does: with `-P`, Python does not search the current folder by itself."""
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "160"}
     command = [sys.executable, "-P", "-m", "wasp_cli", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, env=variables, check=False)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,7 @@ def test_a_small_terminal_ends_with_the_main_table_and_one_line_of_claims(result
 def test_a_pipe_gets_every_column(results: Path) -> None:
     command = [sys.executable, "-m", "wasp_cli", "report", str(results), *NO_PICTURES]
     here = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=True, env=here)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True, env=here)
     heading = next(line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line)
     assert heading.split()[-1] == "ms"
     assert "hidden" not in done.stdout
@@ -116,5 +116,5 @@ def test_an_unknown_backend_is_refused_before_anything_is_planned(tmp_path: Path
 
 def test_debug_is_taken_after_the_command_too(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "wasp_cli", "status", str(tmp_path / "none"), "--debug"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert "Traceback" in done.stderr

@@ -33,7 +33,7 @@ def offered(line: str, folder: Path = ROOT) -> list[str]:
     words = line.split(" ")
     asked = {"_WASP_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1), "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", WASP]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False, env={**os.environ, **asked})
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False, env={**os.environ, **asked})
     assert done.returncode == 0, done.stderr
     assert done.stderr == "HEAVY []\n"
     return done.stdout.split()

@@ -26,7 +26,7 @@ def wasp(*arguments: str | Path, folder: Path = EXAMPLES, columns: int = 200) ->
     """Run `wasp` as its console script does: with `-P`, Python does not search the current folder by itself."""
     variables = {**os.environ, "COLUMNS": str(columns), "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-P", "-m", "wasp_cli", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, env=variables, check=False)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=variables, check=False)
 
 
 @pytest.mark.parametrize("arguments", [["list", "--help"], ["draw", "--help"]])

@@ -34,7 +34,7 @@ class Tab:
         self._number += 1
         self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._socket.recv(timeout=20))
+            message = json.loads(self._socket.recv(timeout=300))
             if message.get("id") == self._number:
                 assert "error" not in message, message
                 return message["result"]
@@ -50,7 +50,7 @@ class Tab:
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
-    def until(self, expression: str, seconds: float = 30.0) -> Any:
+    def until(self, expression: str, seconds: float = 300.0) -> Any:
         """Wait until an expression is true, and return it."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -99,7 +99,7 @@ class Browser:
     def tab(self) -> Tab:
         from urllib.request import Request, urlopen
 
-        with urlopen(Request(f"http://127.0.0.1:{self._port}/json/new?about:blank", method="PUT"), timeout=20) as answer:
+        with urlopen(Request(f"http://127.0.0.1:{self._port}/json/new?about:blank", method="PUT"), timeout=300) as answer:
             return Tab(json.load(answer)["webSocketDebuggerUrl"])
 
 
@@ -114,7 +114,7 @@ def chromium(folder: Path) -> Iterator[Browser]:
     process = subprocess.Popen([CHROMIUM, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         found = folder / "DevToolsActivePort"
-        end = time.monotonic() + 30
+        end = time.monotonic() + 300
         while not (found.exists() and found.read_text().count("\n")) and time.monotonic() < end:
             time.sleep(0.05)
         yield Browser(int(found.read_text().splitlines()[0]))

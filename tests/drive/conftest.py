@@ -9,12 +9,14 @@ from typing import Any
 
 import pytest
 
+from wasp_cli.drive import server as server_module
 from wasp_cli.drive.command import Wanted
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.server import Server
 from wasp_cli.drive.session import Session
 from wasp_cli.store.artifact import sweep
 from wasp_cli.store.layout import Layout
+from wasp_cli.web import guard
 
 
 def wanted(results: Path, method: str = "human", speed: float = 4.0, **more: object) -> Wanted:
@@ -35,7 +37,7 @@ def served(session: Session) -> Iterator[tuple[Desk, Server, threading.Thread]]:
         yield desk, server, clock
     finally:
         desk.ask(END)
-        clock.join(30)
+        clock.join(300)
         server.stop()
 
 
@@ -63,6 +65,15 @@ def harmed(layout: Layout, kind: str, key: str) -> Path:
     data[-40:-20] = bytes(byte ^ 0xFF for byte in data[-40:-20])
     victim.write_bytes(data)
     return victim
+
+
+@pytest.fixture(scope="module", autouse=True)
+def patient() -> Iterator[None]:
+    """On a busy machine a connection may say nothing for longer than a page ever does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(server_module, "SILENT", 600.0)
+        patch.setattr(guard, "PATIENCE", 600.0)
+        yield
 
 
 @pytest.fixture(scope="session")

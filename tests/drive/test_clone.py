@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import torch
 
 from tests.commands import run_here
 from tests.drive.conftest import harmed, swept_before_commit, wanted
+from wasp_cli.drive import clone as module
 from wasp_cli.drive.clone import fitted_mixture, judged, mixture_density, together
 from wasp_cli.drive.command import drive_session
 from wasp_cli.drive.script import Habits
@@ -40,7 +42,7 @@ methods: [ida]
 operators: {person: {p7: 7}, cloned: {p7: 7}}
 seeds: [0]
 training_seed: 1
-episodes: 4
+episodes: 2
 side_by_side: 1
 stages: [counterfactual]
 counterfactual: {stride: 20, window: 5}
@@ -52,6 +54,15 @@ def wasp(*arguments: object) -> Any:
     return run_here(*map(str, arguments), columns=200)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def two_are_enough() -> Iterator[None]:
+    """Of two episodes one is learned from and one held out."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "FEWEST", 2)
+        patch.setattr(module, "HELD_OUT", 2)
+        yield
+
+
 @pytest.fixture(scope="module")
 def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("spec") / "beside.yaml"
@@ -61,12 +72,12 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def cloned(spec: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """The results folder of four episodes, and what `wasp clone` says of them."""
+    """The results folder of two episodes, and what `wasp clone` says of them."""
     results = tmp_path_factory.mktemp("clone") / "results"
     asked = wanted(results, what=str(spec), method=None, speed=5.0, episodes=None, participant=7, simulated=True)
     drive_session(asked.prepared(), 0, open_browser=False, scripted=Habits(7))
     with swept_before_commit("clone"):
-        found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=300")
+        found = wasp("clone", results, "--participant", 7, "--json", "--set", "clone.updates=100")
     assert found.exit_code == 0, found.output
     (said,) = json.loads(found.stdout)
     return results, said
@@ -92,7 +103,7 @@ def test_a_clone_of_what_is_damaged_is_refused(kind: str, cloned: tuple[Path, di
 def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dict[str, Any]]) -> None:
     results, said = cloned
     assert said["label"] == "goal1 s1 clone person=7"
-    assert (said["episodes"], said["heldout_episodes"], said["simulated"], len(said["cells"])) == (3, 1, True, 1)
+    assert (said["episodes"], said["heldout_episodes"], said["simulated"], len(said["cells"])) == (1, 1, True, 1)
     models = said["models"]
     assert set(models) == {"clone", "repeat", "expert", "uniform"}
     assert models["clone"]["log_density"] > models["expert"]["log_density"] > -math.inf
@@ -101,11 +112,12 @@ def test_a_clone_says_what_it_was_fitted_to_and_how_well(cloned: tuple[Path, dic
     assert list(last_runs(Layout(results))[0]) == ["beside"], "a report shows what was driven, not what a clone needs"
 
 
+@pytest.mark.slow
 def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(cloned[0], results)
     # A clone of other settings is another one.
-    found = wasp("run", spec, "--results", results, "-j", "0", "--set", "clone.updates=300")
+    found = wasp("run", spec, "--results", results, "-j", "0", "--set", "clone.updates=100")
     assert found.exit_code == 0, found.output
     assert "goal1 s0 ida cloned=7" in found.output
     branched = {path.parent.name: read_branches(path) for path in (Layout(results).store / "counterfactual").glob(f"*/{BRANCHES_FILE}")}
@@ -113,7 +125,7 @@ def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[
     assert all(len(each.t) for each in branched.values())
     shown = wasp("replay", "goal1 s0 ida cloned=7", "-e", "0", "--every", "100", "--results", results, "--out", tmp_path / "film.webp")
     assert shown.exit_code == 0, shown.output
-    again = wasp("clone", results, "--participant", 7, "--set", "clone.updates=300")
+    again = wasp("clone", results, "--participant", 7, "--set", "clone.updates=100")
     assert again.exit_code == 2
     assert "was computed from the clone that is there" in again.output
     report = wasp("report", results, "--no-films", "--no-trained")
@@ -126,12 +138,13 @@ def test_it_drives_in_the_grid_and_continues_a_session(cloned: tuple[Path, dict[
     assert {"world_model", "policies"} <= left
 
 
+@pytest.mark.slow
 def test_made_again_it_has_the_same_bytes(cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     results, said = tmp_path / "results", cloned[1]
     shutil.copytree(cloned[0], results)
     weights = Layout(results).artifact("clone", said["key"]) / "clone.safetensors"
     before = weights.read_bytes()
-    found = wasp("clone", results, "--participant", 7, "--set", "clone.updates=300")
+    found = wasp("clone", results, "--participant", 7, "--set", "clone.updates=100")
     assert found.exit_code == 0, found.output
     assert "in the place of the earlier one" in found.output
     assert weights.read_bytes() == before
@@ -143,9 +156,9 @@ def test_who_has_driven_nothing_cannot_be_cloned(cloned: tuple[Path, dict[str, A
 
 
 def test_of_too_few_episodes_nothing_is_learnt(cloned: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wasp_cli.drive.clone.FEWEST", 5)
+    monkeypatch.setattr(module, "FEWEST", 3)
     found = wasp("clone", cloned[0], "--participant", 7, "--set", "clone.updates=299")
-    assert (found.exit_code, "drove 4 episodes of goal1 with these models, and 5 are needed" in found.output) == (2, True)
+    assert (found.exit_code, "drove 2 episodes of goal1 with these models, and 3 are needed" in found.output) == (2, True)
 
 
 def test_it_needs_nothing_that_only_driving_needs(cloned: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
@@ -155,6 +168,7 @@ def test_it_needs_nothing_that_only_driving_needs(cloned: tuple[Path, dict[str, 
     assert (done.returncode, "participant 3 has driven nothing" in done.stderr) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_missing_clone_is_said(cloned: tuple[Path, dict[str, Any]], spec: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(cloned[0], results)

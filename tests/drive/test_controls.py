@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.drive.controls import KEYS, Controls, Held, action_of
+from wasp_cli.drive.desk import KEYS, Controls, Held, action_of
 from wasp_cli.video.map import stick
 
 UNIT = st.floats(-1.0, 1.0, width=32)

@@ -52,7 +52,7 @@ def server(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LocalServ
 
 
 def opened(port: int, text: bytes) -> socket.socket:
-    connection = socket.create_connection(("127.0.0.1", port), timeout=20)
+    connection = socket.create_connection(("127.0.0.1", port), timeout=300)
     connection.sendall(text)
     return connection
 
@@ -79,7 +79,7 @@ def test_half_a_request_is_not_waited_for(half: str, server: LocalServer, monkey
 
 def to_the_end(ws: ClientConnection) -> None:
     while True:
-        ws.recv(timeout=10)
+        ws.recv(timeout=300)
 
 
 def test_the_driver_is_no_such_connection(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,10 +143,10 @@ def test_a_session_outlives_more_half_sent_requests_than_it_has_descriptors(tmp_
         assert process.stdout is not None
         found = next(match for line in process.stdout if (match := re.search(r"drive here: http://127\.0\.0\.1:(\d+)/", line)))
         for _ in range(150):
-            waiting.append(socket.create_connection(("127.0.0.1", int(found[1])), timeout=20))
+            waiting.append(socket.create_connection(("127.0.0.1", int(found[1])), timeout=300))
             with suppress(OSError):  # closed already
                 waiting[-1].sendall(HALVES["a line"])
-        _, errors = process.communicate(timeout=300)
+        _, errors = process.communicate(timeout=600)
     finally:
         process.kill()
         for each in waiting:

@@ -37,7 +37,7 @@ def page(steps: str) -> Any:
     """Run the page's script and then some steps; returns what these make of `result`."""
     assert NODE is not None
     script = f"{BROWSER}\n{PAGE.read_text()}\nlet result;\n{steps}\nconsole.log(JSON.stringify(result));"
-    done = subprocess.run([NODE, "-"], input=script, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run([NODE, "-"], input=script, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

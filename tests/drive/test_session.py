@@ -136,7 +136,7 @@ def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imp
     session = wanted(results, episodes=2).prepared()
     with served(session) as (desk, server, clock):
         asyncio.run(drive(server.address, driver=_ends(desk, after=1)))
-        clock.join(20)
+        clock.join(300)
     (first,) = session.done
     assert (first["episodes"], first["of"]) == (1, 2)
     layout = Layout(results)
@@ -150,7 +150,7 @@ def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(imp
     again = wanted(results, episodes=2, session=0).prepared()
     with served(again) as (_, server, clock):
         asyncio.run(drive(server.address))
-        clock.join(20)
+        clock.join(300)
     (whole,) = again.done
     assert (whole["episodes"], whole["key"] != first["key"]) == (2, True)
     rows = [read_steps(cell_file(layout.artifact("evaluate", key))) for key in (first["key"], whole["key"])]
@@ -257,7 +257,7 @@ def test_pauses_count_and_the_world_waits(imported: Path, tmp_path: Path) -> Non
 
     with served(session) as (desk, server, clock):
         asyncio.run(drive(server.address, driver=keys))
-        clock.join(20)
+        clock.join(300)
     told = json.loads((Layout(results).artifact("evaluate", session.done[0]["key"]) / SESSION_FILE).read_text())
     assert told["sittings"][0]["pauses"] == 1
     assert session.done[0]["decisions"] == 250

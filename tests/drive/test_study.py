@@ -13,9 +13,9 @@ from tests.drive.conftest import wanted
 from wasp_cli.cli.app import app
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.script import Habits
-from wasp_cli.drive.session import titles
 from wasp_cli.errors import UsageError
 from wasp_cli.report.document import TABLES
+from wasp_cli.report.tables.titles import who_title
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 
@@ -64,7 +64,8 @@ def test_everybody_drove_every_condition_in_an_order_of_their_own(trial: Path, s
         answers = each["answers"]
         assert isinstance(answers, dict)
         assert {name: len(scales) for name, scales in answers.items()} == {"tlx": 6, "assistance": 3}
-    orders = [titles(each.prepared()) for each in wanted(trial, what=str(spec), method=None, episodes=None, simulated=True).everyone()]
+    everyone = wanted(trial, what=str(spec), method=None, episodes=None, simulated=True).everyone()
+    orders = [[who_title(cell.method, cell.assistant) for cell, _ in each.prepared().blocks] for each in everyone]
     assert orders == [["Human-only", "IDA"], ["IDA", "Human-only"]]
 
 

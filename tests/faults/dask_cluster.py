@@ -55,4 +55,4 @@ def dask_cluster(folder: Path, workers: int = 2, threads: int = 1, cwd: Path = R
         for process in started:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-            process.wait(timeout=30)
+            process.wait(timeout=300)

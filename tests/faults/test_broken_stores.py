@@ -30,7 +30,7 @@ from wasp_cli.store.tables import EPISODES_FILE, SCHEMA, CellIdentity
 
 def fake_wasp(*arguments: str | Path | int) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
 
 
 @pytest.fixture

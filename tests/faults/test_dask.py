@@ -29,14 +29,14 @@ def test_a_grid_through_dask_has_the_same_bytes(fakes: Fakes, small_spec: Path, 
     fakes.set(seconds=0.05, behave={"s0 ida_q": "refuse"})
     with dask_cluster(tmp_path / "dask") as cluster:
         first = through(cluster, small_spec, results)
-        _, errors = first.communicate(timeout=120)
+        _, errors = first.communicate(timeout=600)
         assert first.returncode == 1
         assert "goal1 s0 ida_q: the loss is not finite" in errors
         assert "Traceback" not in errors
     fakes.set()
     with dask_cluster(tmp_path / "again") as cluster:  # its workers were told of no refusal
         second = through(cluster, small_spec, results)
-        _, errors = second.communicate(timeout=120)
+        _, errors = second.communicate(timeout=600)
         assert second.returncode == 0, errors
     run(small_spec, tmp_path / "here")
     assert data_of(results) == data_of(tmp_path / "here")
@@ -52,7 +52,7 @@ def test_a_dask_run_drains(fakes: Fakes, small_spec: Path, tmp_path: Path) -> No
         process = through(cluster, small_spec, results)
         wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 2)
         os.kill(process.pid, signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=600)
     assert process.returncode == 130
     assert "finishing running nodes" in errors
     ran, there = len(fakes.executions()), len(list(results.glob("store/*/*/_manifest.json")))
@@ -64,7 +64,7 @@ def test_a_node_that_kills_dask_workers_is_named_and_the_others_finish(fakes: Fa
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "kill"})
     with dask_cluster(tmp_path / "dask") as cluster:
         process = through(cluster, small_spec, results)
-        _, errors = process.communicate(timeout=180)
+        _, errors = process.communicate(timeout=600)
     assert process.returncode == 1
     assert "1 failed:\n  goal1 s0 human noisy=0.2: its process was killed" in errors
     assert len(list(results.glob("store/*/*/_manifest.json"))) == 17
@@ -77,7 +77,7 @@ def test_a_worker_that_does_not_see_the_folder_computes_nothing(fakes: Fakes, sm
     there.mkdir()
     with dask_cluster(tmp_path / "dask", workers=1, cwd=there) as cluster:
         process = through(cluster, small_spec, results, here)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=600)
     assert process.returncode == 1
     assert f"error: {platform.node()} does not see the results folder '{results}'" in errors
     assert "every worker needs it under the same path" in errors
@@ -99,7 +99,7 @@ def test_a_run_without_workers_says_so_and_goes_on_when_one_comes(fakes: Fakes, 
         (state,) = json.loads(run_here("status", results, "--json", columns=200).stdout)
         fakes.set()
         cluster.add("late")
-        _, errors = process.communicate(timeout=120)
+        _, errors = process.communicate(timeout=600)
     way = f"all dask workers are gone; the run waits, and goes on when one is there: dask worker {cluster.address} --nthreads 1"
     assert way in told
     assert " left" not in told.replace("no worker is left", "")
@@ -121,7 +121,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(fakes: Fake
         process = through(cluster, small_spec, results)
         wait_until(lambda: len(list(results.glob("store/*/*/_manifest.json"))) >= 3)
         os.killpg(cluster.processes[0].pid, signal.SIGKILL)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=600)
     assert process.returncode == 1
     assert "error: the dask scheduler is lost" in errors
     kept = len(list(results.glob("store/*/*/_manifest.json")))
@@ -145,7 +145,7 @@ def test_a_backend_that_is_not_there_is_a_usage_error(
     arguments: tuple[str, ...], message: str, fakes: Fakes, small_spec: Path, tmp_path: Path
 ) -> None:
     process = start("run", small_spec, "--results", tmp_path / "results", *arguments)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 2
     assert message in errors
     assert "Traceback" not in errors
@@ -154,7 +154,7 @@ def test_a_backend_that_is_not_there_is_a_usage_error(
 def test_workers_with_several_threads_are_refused(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     with dask_cluster(tmp_path / "dask", workers=1, threads=2) as cluster:
         process = through(cluster, small_spec, tmp_path / "results")
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=600)
     assert process.returncode == 2
     assert "start it with --nthreads 1" in errors
 
@@ -166,7 +166,7 @@ def test_the_smoke_grid_through_dask(tmp_path: Path) -> None:
 
     def wasp(*arguments: str | Path) -> None:
         command = [sys.executable, "-m", "wasp_cli", "run", spec, *arguments]
-        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=900, check=False)
+        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False)
         assert done.returncode == 0, done.stderr
 
     there, here = tmp_path / "there", tmp_path / "here"

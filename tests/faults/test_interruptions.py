@@ -19,7 +19,7 @@ def finished(results: Path) -> set[str]:
 
 
 def end(process: subprocess.Popen[str]) -> tuple[str, str]:
-    return process.communicate(timeout=120)
+    return process.communicate(timeout=600)
 
 
 @pytest.mark.parametrize(

@@ -24,15 +24,15 @@ def cluster(fakes: Fakes) -> Iterator[str]:
     ray = [sys.executable, "-m", "ray.scripts.scripts"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "RAY_DISABLE_IMPORT_WARNING": "1"}
     options = ["--head", "--num-cpus", "2", "--port", str(PORT), "--include-dashboard", "false", "--disable-usage-stats"]
-    subprocess.run([*ray, "start", *options], env=environment, cwd=ROOT, check=True, capture_output=True, timeout=120)
+    subprocess.run([*ray, "start", *options], env=environment, cwd=ROOT, check=True, capture_output=True, timeout=600)
     yield f"127.0.0.1:{PORT}"
-    subprocess.run([*ray, "stop", "--force"], check=True, capture_output=True, timeout=120)
+    subprocess.run([*ray, "stop", "--force"], check=True, capture_output=True, timeout=600)
 
 
 def test_a_grid_through_ray_has_the_same_bytes(fakes: Fakes, small_spec: Path, cluster: str, tmp_path: Path) -> None:
     results = tmp_path / "results"
     process = start("run", small_spec, "--results", results, "--backend", "ray", "--scheduler", cluster)
-    _, errors = process.communicate(timeout=300)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 0, errors
     assert "18 computed, 0 computed before" in errors
     run(small_spec, tmp_path / "here")
@@ -44,7 +44,7 @@ def test_a_node_that_fails_through_ray_is_named(fakes: Fakes, small_spec: Path, 
     fakes.set(behave={"goal1 s0 evaluate human {} noisy": "refuse"})
     address = request.getfixturevalue("cluster")  # its workers take the behaviour with their environment
     process = start("run", small_spec, "--results", tmp_path / "results", "--backend", "ray", "--scheduler", address)
-    _, errors = process.communicate(timeout=300)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 1
     assert "1 failed:\n  goal1 s0 human noisy=0.2: the loss is not finite" in errors
     assert "Traceback" not in errors
@@ -52,7 +52,7 @@ def test_a_node_that_fails_through_ray_is_named(fakes: Fakes, small_spec: Path, 
 
 def test_no_ray_cluster_is_a_usage_error(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     process = start("run", small_spec, "--results", tmp_path / "results", "--backend", "ray", "--scheduler", "127.0.0.1:1")
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=600)
     assert process.returncode == 2
     assert "no ray scheduler answers at '127.0.0.1:1'" in errors
     assert "Traceback" not in errors

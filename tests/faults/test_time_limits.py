@@ -45,11 +45,11 @@ def test_a_node_that_sleeps_is_stopped_and_named_and_the_others_finish(
     pool: type[InlinePool], fakes: Fakes, small_spec: Path, tmp_path: Path
 ) -> None:
     fakes.set(behave={NODE: "sleep"})
-    summary = limited_run(small_spec, tmp_path / "results", pool(), limit=1.0)
+    summary = limited_run(small_spec, tmp_path / "results", pool(), limit=3.0)
     (failure,) = summary.failed
     assert failure.node.label == LABEL
-    assert failure.result.message == "it took longer than the limit of 1.0 s"
-    assert failure.result.seconds < 10
+    assert failure.result.message == "it took longer than the limit of 3.0 s"
+    assert failure.result.seconds < 55
     assert not summary.blocked
     fakes.set()
     assert run(small_spec, tmp_path / "results").complete
@@ -62,7 +62,7 @@ def test_a_node_that_never_comes_back_to_python_is_ended_with_its_process(
     jobs: int, fakes: Fakes, small_spec: Path, tmp_path: Path
 ) -> None:
     fakes.set(behave={NODE: "hang"})
-    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=1.0)
+    summary = limited_run(small_spec, tmp_path / "results", LokyPool(jobs), limit=3.0)
     (failure,) = summary.failed
     assert failure.node.label == LABEL
     assert failure.result.message == "it exceeded its time limit and did not stop, so its process was ended"
@@ -92,7 +92,7 @@ def test_a_node_that_eats_memory_until_it_is_killed_is_named_with_what_it_held(f
 
     thread = threading.Thread(target=killer)
     thread.start()
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=600)
     thread.join()
     assert process.returncode == 1
     assert killed == 2
@@ -136,7 +136,7 @@ def test_a_limit_reaches_a_thread_of_somebody_else(tmp_path: Path) -> None:
 
     thread = threading.Thread(target=work)
     thread.start()
-    thread.join(20)
+    thread.join(300)
     assert [type(error) for error in caught] == [TimeLimitExceeded, StopIteration]
     assert not was_ended(tmp_path / "marker")
 
@@ -151,12 +151,12 @@ def test_what_is_in_time_leaves_no_alarm_behind(tmp_path: Path) -> None:
 
 def test_the_time_is_typed_as_people_write_it(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
     fakes.set(behave={NODE: "sleep"})
-    process = start("run", small_spec, "--results", tmp_path / "results", "-j", "2", "--timeout", "1s")
+    process = start("run", small_spec, "--results", tmp_path / "results", "-j", "2", "--timeout", "3s")
     wait_until(lambda: process.poll() is not None)
     _, errors = process.communicate()
     assert process.returncode == 1
-    assert f"{LABEL}: it took longer than the limit of 1.0 s\n      allow more time with --timeout" in errors
+    assert f"{LABEL}: it took longer than the limit of 3.0 s\n      allow more time with --timeout" in errors
     refused = start("run", small_spec, "--timeout", "soon")
-    _, errors = refused.communicate(timeout=30)
+    _, errors = refused.communicate(timeout=300)
     assert refused.returncode == 2
     assert "invalid duration 'soon'" in errors

@@ -32,11 +32,6 @@ VALUES = {"limited-skill": 0.25, "reaction-time": 0.8}
 WINDOW = 6
 
 
-@pytest.fixture(scope="module")
-def cell(inputs: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
-    return evaluated(inputs, tmp_path_factory.mktemp("cell"), "ida", IDA)
-
-
 def rerun_of(cell: Evaluated) -> Rerun:
     world = cell.world()
     return Rerun(world, load_world_model(cell.inputs["world_model"]), cell.operator(world), Recorded(**read_recorded(cell.path)))
@@ -76,7 +71,7 @@ def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention
     cell = evaluated(inputs, tmp_path, method, config, variant, value, task=task)
     recorded = Recorded(**read_recorded(cell.path))
     intervened = [np.flatnonzero((a != a_h).any(1)) for a, a_h in zip(recorded.a, recorded.a_h, strict=True)]
-    chosen = [intervened[0][[1]].tolist(), [], intervened[2][[0, -1]].tolist()]  # how many there are depends on the machine
+    chosen = [intervened[0][[1]].tolist(), [], intervened[2][[-1]].tolist()]  # how many there are depends on the machine
     found = branched(cell, chosen)
     assert [(b.episode, b.t, b.name) for b in found] == [
         (e, t, name) for e, steps in enumerate(chosen) for t in steps for name in (ASSISTED, ALONE)
@@ -92,7 +87,14 @@ def test_both_branches_are_what_whole_episodes_with_and_without_the_intervention
     assert any(not np.array_equal(one.reward, two.reward) for one, two in zip(found[::2], found[1::2], strict=True))
 
 
-@pytest.mark.parametrize("variant", [name for name, info in OPERATORS.items() if info.simulated])
+QUICK = ("noisy", "laggy", "reactive")
+"""An operator that draws, one that remembers, one that heeds what was executed; of all operators tests/contract asks for snapshots."""
+
+
+@pytest.mark.parametrize(
+    "variant",
+    [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name, info in OPERATORS.items() if info.simulated],
+)
 def test_without_an_intervention_both_branches_are_the_real_continuation(inputs: Mapping[str, Path], tmp_path: Path, variant: str) -> None:
     cell = evaluated(inputs, tmp_path, "human", {}, variant, VALUES.get(variant, 0.5))
     recorded = Recorded(**read_recorded(cell.path))

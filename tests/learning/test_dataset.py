@@ -72,7 +72,7 @@ stage.DatasetStage().run(job(Path(sys.argv[1]), "killed", kill))
 
 
 def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_bytes(root: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", KILLED, str(root)], timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(root)], timeout=600, check=False)
     assert done.returncode == -signal.SIGKILL
     kept = root / "killed-work" / "shard-0000.parquet"
     stamp = kept.stat().st_mtime_ns

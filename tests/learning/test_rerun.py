@@ -35,7 +35,7 @@ def again(cell: Evaluated, **changes: Any) -> Rerun:
     return Rerun(world, load_world_model(cell.inputs["world_model"]), cell.operator(world), recorded)
 
 
-@pytest.mark.parametrize(("variant", "value"), [("noisy", 0.4), ("laggy", 0.7), ("reaction-time", 0.8)])
+@pytest.mark.parametrize(("variant", "value"), [("noisy", 0.4), ("reaction-time", 0.8)])
 def test_latents_commands_and_actions_of_an_assisted_cell_come_back(
     inputs: Mapping[str, Path], tmp_path: Path, variant: str, value: float
 ) -> None:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import os
+import io
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import duckdb
@@ -37,14 +35,11 @@ def test_the_page_shows_lines() -> None:
 @pytest.mark.parametrize("line", LINES)
 def test_lines_run(line: str, folder: Path) -> None:
     pytest.importorskip("pandas")
-    python, *arguments = shlex.split(line)
-    assert python == "python"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=120, env=environment, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() not in ("", "0", "[]")
+    *python, program = shlex.split(line)
+    assert python == ["python", "-c"]
+    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(program, {})
+    assert printed.getvalue().strip() not in ("", "0", "[]")
 
 
 def test_frames_are_made_as_shown(folder: Path) -> None:

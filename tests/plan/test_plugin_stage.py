@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from textwrap import dedent
 
@@ -75,7 +76,7 @@ def outsider(tmp_path: Path) -> Path:
 def python(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(outsider.parent), str(Path.cwd())])}
     command = [sys.executable, *arguments]
-    return subprocess.run(command, cwd=outsider.parents[1], env=environment, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, cwd=outsider.parents[1], env=environment, capture_output=True, text=True, timeout=600, check=False)
 
 
 def wasp(outsider: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -105,6 +106,7 @@ def test_the_stage_of_a_plugin_is_planned_and_in_the_keys_of_what_needs_it(outsi
     assert of_preset == keys(outsider, "--set", "habits.updates=4")
 
 
+@pytest.mark.slow
 def test_another_class_of_the_same_module_has_other_keys(outsider: Path) -> None:
     before = keys(outsider)
     (outsider / "method.py").write_text("class Nudge: ...\nclass Shove: ...\n", encoding="utf-8")
@@ -147,13 +149,16 @@ def test_its_section_has_values_of_presets_checks_and_a_schema(outsider: Path) -
     assert "habits" in with_plugins["properties"]["stages"]["items"]["enum"]
 
 
+slow = partial(pytest.param, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(
     ("found", "put", "message"),
     [
         ('StageInfo("habits"', 'StageInfo("tasks"', "a plugin names a stage 'tasks', which is a field of every spec"),
-        ('StageInfo("habits"', 'StageInfo("ida"', "a plugin names a stage 'ida', which is the name of a method"),
-        ('StageInfo("habits"', 'StageInfo("Habits!"', "the stage name 'Habits!' should be small letters"),
-        ('presets=', 'unit="cell", presets=', "has unit 'cell'"),
+        slow('StageInfo("habits"', 'StageInfo("ida"', "a plugin names a stage 'ida', which is the name of a method"),
+        slow('StageInfo("habits"', 'StageInfo("Habits!"', "the stage name 'Habits!' should be small letters"),
+        slow('presets=', 'unit="cell", presets=', "has unit 'cell'"),
         ('STAGE = StageInfo(', 'STAGE = MethodInfo("a", "b", "c", "d")\nOTHER = StageInfo(', "is of type MethodInfo"),
         ("outsider.stage:HabitsStage", "outsider.method:Nudge", "has no `config`"),
     ],

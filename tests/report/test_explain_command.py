@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from click.testing import Result
 
+from tests.commands import run_here
 from tests.report.explained import KEY, Invented
 from wasp_cli.metrics.episode import GATE_SAFETY
 
 ROOT = Path(__file__).parents[2]
 
 
-def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "wasp_cli", *map(str, arguments)]
-    variables = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, env=variables, check=False)
+def wasp(*arguments: str | Path) -> Result:
+    return run_here(*arguments, columns=200)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +34,7 @@ def test_the_command_by_key_label_and_path(results: Path) -> None:
     folder = results / "store" / "evaluate" / KEY
     said = [wasp("explain", cell, "-e", "0", "--results", results) for cell in ("0123", "goal1 s0 wasp laggy=0.7", str(folder))]
     browser = f"in a browser: wasp view {results} --open /cell/01234567/episode/0\n"
-    assert {(done.returncode, done.stderr) for done in said} == {(0, browser)}
+    assert {(done.exit_code, done.stderr) for done in said} == {(0, browser)}
     assert len({done.stdout for done in said}) == 1
     hint = f"one decision in full: wasp explain 01234567 --results {results} --episode 0 --step 2\n"
     assert said[0].stdout.endswith(hint)
@@ -62,7 +61,7 @@ def test_the_command_prints_json_alone(results: Path) -> None:
 )
 def test_wrong_usage_of_the_command_ends_with_2(arguments: list[str], expected: str, results: Path) -> None:
     done = wasp("explain", *arguments, "--results", results)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert (done.exit_code, done.stdout) == (2, "")
     assert expected in done.stderr
     assert "Traceback" not in done.stderr
 
@@ -71,7 +70,7 @@ def test_rows_that_cannot_be_read_end_with_1(results: Path, tmp_path: Path) -> N
     path = tmp_path / "cell.parquet"
     path.write_bytes(b"PAR1 no table")
     done = wasp("explain", path, "-e", "0")
-    assert done.returncode == 1
+    assert done.exit_code == 1
     assert "is damaged or was cut off" in done.stderr
     assert "Traceback" not in done.stderr
 

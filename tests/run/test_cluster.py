@@ -68,13 +68,13 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def error_of(found: Future[NodeResult]) -> BaseException | None:
-    return found.exception(timeout=30)
+    return found.exception(timeout=300)
 
 
 def test_what_is_finished_is_the_result(pool: Any) -> None:
     found = pool.submit(JOB)
     pool._client.task.end("finished")
-    assert found.result(timeout=30) is DONE
+    assert found.result(timeout=300) is DONE
 
 
 @pytest.mark.parametrize("status", ["lost", "cancelled", "pending"])
@@ -119,7 +119,7 @@ def test_nothing_is_given_up_while_the_client_connects_again(pool: Any) -> None:
         found.result(timeout=0.1)
     pool._client.status = "running"
     pool._client.task.end("finished")
-    assert found.result(timeout=30) is DONE
+    assert found.result(timeout=300) is DONE
 
 
 def test_the_pool_knows_when_its_workers_are_gone_and_when_they_are_back(pool: Any) -> None:

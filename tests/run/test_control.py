@@ -29,7 +29,7 @@ def events(results: Path) -> list[str]:
 
 def wasp(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     process = start(*arguments)
-    out, errors = process.communicate(timeout=60)
+    out, errors = process.communicate(timeout=600)
     return subprocess.CompletedProcess(arguments, process.returncode, out, errors)
 
 
@@ -40,7 +40,7 @@ def going(spec: Path, results: Path, jobs: int = 2) -> Iterator[subprocess.Popen
         yield process
     finally:
         process.kill()
-        process.communicate(timeout=60)
+        process.communicate(timeout=600)
 
 
 def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_a_paused_run_begins_nothing_new_and_goes_on_when_told(fakes: Fakes, sma
         assert ", paused" in wasp("status", results).stdout
         assert len(fakes.executions()) == begun
         assert "small: goes on" in wasp("control", "resume", "--results", results).stdout
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=600)
         assert process.returncode == 0, errors
     assert "nothing new begins" in errors
     assert len(finished(results)) == NODES
@@ -73,7 +73,7 @@ def test_a_running_node_that_is_taken_back_ends_and_the_others_go_on(
         wait_until(lambda: any("s0 world_model" in line for line in fakes.executions()))
         told = wasp("control", "cancel", "goal1 s0 world_model", "--results", results)
         assert "goal1 s0 world_model is taken back, and " in told.stdout
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=600)
         assert process.returncode == 1
     assert "1 cancelled:\n  goal1 s0 world_model" in errors
     assert "Traceback" not in errors
@@ -95,7 +95,7 @@ def test_a_waiting_node_that_is_taken_back_never_begins(fakes: Fakes, small_spec
         assert wasp("control", "cancel", cell.key[:10], "--results", results).stdout.startswith(
             "goal1 s0 wasp noisy=0.2 is taken back (run "
         )
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=600)
     assert "1 cancelled:\n  goal1 s0 wasp noisy=0.2" in errors
     assert len(finished(results)) == NODES - 1
     assert cell.key not in finished(results)

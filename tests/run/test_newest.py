@@ -71,7 +71,7 @@ def test_what_a_run_reports_on_stays_until_its_report_is_written(fakes: Fakes, s
         assert before <= artifacts(results)
     finally:
         gate.touch()
-        output = process.communicate(timeout=60)
+        output = process.communicate(timeout=600)
     assert process.returncode == 0, output
     run_here("gc", results, "--yes", columns=80)
     assert artifacts(results) == keys_of(later, results)

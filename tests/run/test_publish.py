@@ -182,7 +182,7 @@ def test_two_that_publish_to_one_folder_take_turns(
     monkeypatch.setattr(publish_module, "copy_files", copied)
     monkeypatch.setattr(publish_module, "waiting_aloud", lambda text: lambda: waits.set() or True, raising=False)
     carry_publication(found, spec, layout, target, Slimming())
-    second.join(30)
+    second.join(300)
     assert keys(target.root) == keys(results)
     for path in target.store.glob("*/*"):
         assert corruption(target, path.parent.name, path.name) is None

@@ -124,7 +124,7 @@ def closed_pipe() -> int:
 def wasp(*arguments: str | Path, stdout: int, program: tuple[str, ...] = ("-m", "wasp_cli")) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, *program, *map(str, arguments)]
     try:
-        return subprocess.run(command, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+        return subprocess.run(command, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
     finally:
         os.close(stdout)
 

@@ -190,7 +190,7 @@ def test_a_node_that_hangs_holds_back_nobody_but_its_dependents(behaviour: str, 
         wait_until(lambda: {path.parent.name for path in results.glob("store/*/*/_manifest.json")} == others)
     finally:
         process.kill()
-        process.communicate(timeout=60)
+        process.communicate(timeout=600)
 
 
 def test_the_end_of_a_run_says_how_busy_its_workers_were(fakes: Fakes, small_spec: Path, tmp_path: Path) -> None:

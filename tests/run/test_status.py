@@ -83,7 +83,7 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes: Fake
         os.killpg(process.pid, signal.SIGTERM)
         wait_until(lambda: any(layout.root.glob("runs/*/stop")))
         os.killpg(process.pid, signal.SIGTERM)
-        process.communicate(timeout=120)
+        process.communicate(timeout=600)
     assert json.loads(status(layout, "--json"))[0]["state"] == "interrupted"
 
 

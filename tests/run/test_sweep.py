@@ -135,7 +135,7 @@ def test_an_interrupted_sweep_keeps_what_is_finished(fakes: Fakes, small_spec: P
     for _ in range(2):  # the first would wait for what runs
         os.killpg(process.pid, signal.SIGINT)
         wait_until(lambda: any(results.glob("runs/*/stop")))
-    shown, errors = process.communicate(timeout=120)
+    shown, errors = process.communicate(timeout=600)
     assert (process.returncode, shown) == (130, "")
     assert errors.count("\ninterrupted: ") == 1
     assert "nodes were finished and are kept" in errors

@@ -144,7 +144,7 @@ def wasp(installed: Path, folder: Path, *arguments: str) -> subprocess.Completed
     """Run the command of the installed wheel in a folder."""
     code = f"import sys; sys.path.insert(0, {str(installed)!r}); from wasp_cli.cli.app import main; main()"
     command = [sys.executable, "-P", "-c", code, *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
 
 
 def test_an_installed_wheel_has_the_specs(installed: Path, tmp_path: Path) -> None:

@@ -17,11 +17,6 @@ def load_recording(name: str) -> dict[str, NDArray[Any]]:
         return {field: archive[field] for field in archive.files}
 
 
-@pytest.fixture(scope="session")
-def recorded_folder() -> Path:
-    return DATA
-
-
 @pytest.fixture
 def recording() -> dict[str, NDArray[Any]]:
     return load_recording("PointGoal1_seed0.npz")

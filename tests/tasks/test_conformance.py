@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -108,11 +109,14 @@ def test_the_layout_of_a_seed_is_bit_exact(recording):
     assert start["bodies"][1, 0, :2].tolist() == recording["layout_vases_xy"][0].tolist()
 
 
-def test_the_command_reports_and_passes(recorded_folder: Path, capsys):
-    assert conformance.main([str(recorded_folder)]) == 0
+def test_the_command_reports_and_passes(tmp_path: Path, capsys):
+    names = ["PointGoal1_seed0.npz", "dynamics.npz"]  # the others pass above
+    for name in names:
+        shutil.copy(DATA / name, tmp_path)
+    assert conformance.main([str(tmp_path)]) == 0
 
     out = capsys.readouterr().out
-    assert all(name in out for name in RECORDINGS)
+    assert all(name in out for name in names)
     assert "FAILED" not in out
     assert "skipped" not in out
 
@@ -153,7 +157,7 @@ def cut(recording, keep):
 
 
 @pytest.mark.parametrize("name", [name for name in RECORDINGS if name != "dynamics.npz"])
-@pytest.mark.parametrize("keep", [0, 1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("keep", [0, *(pytest.param(many, marks=pytest.mark.slow) for many in (1, 20))])
 def test_a_recording_with_less_in_it_is_compared_as_far_as_it_goes(name, keep):
     recording = cut(load_recording(name), keep)
     recording.pop("vases_xy_mm", None)

@@ -119,9 +119,9 @@ def test_a_map_is_fast_enough_for_a_video():
     appearance = formula_appearance(1)
     view = scene(appearance, tuple(track.STAGES[2]), goal=[track.STAGES[3]])
     draw_map(appearance, view, 0, SIZE)
-    start = time.perf_counter()
+    start = time.process_time()
     draw_map(appearance, view, 0, SIZE)
-    assert time.perf_counter() - start < 0.5
+    assert time.process_time() - start < 0.5
 
 
 @pytest.mark.parametrize("name", ["goal1", "race1", "formula1"])

@@ -19,7 +19,7 @@ from wasp_cli.view.server import ViewServer
 def numbers(server: ViewServer) -> dict[str, list[str]]:
     """What the table says of every cell, once it has read them."""
     ask(server, "/cells")
-    end = time.monotonic() + 20
+    end = time.monotonic() + 300
     while (found := json.loads(ask(server, "/cells/numbers")[2]))["left"]:
         assert time.monotonic() < end
         time.sleep(0.05)

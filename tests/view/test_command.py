@@ -24,7 +24,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
         assert process.stdout is not None
         found = re.search(r"view here: http://127\.0\.0\.1:(\d+)(/cell/\S+\?token=\S+)", process.stdout.readline())
         assert found is not None
-        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=10)
+        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=300)
         connection.request("GET", found[2])
         answer = connection.getresponse()
         answer.read()
@@ -32,7 +32,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
         connection.request("GET", answer.getheader("location") or "", headers={"Cookie": cookie})
         assert HUMAN in connection.getresponse().read().decode()
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=300)
     finally:
         process.kill()
         process.wait()

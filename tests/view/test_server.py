@@ -27,7 +27,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewServer]:
 def ask(
     server: ViewServer, path: str, method: str = "GET", body: str | None = None, known: bool = True, **headers: str
 ) -> tuple[int, dict[str, str], str]:
-    connection = HTTPConnection("127.0.0.1", server.port, timeout=20)
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=300)
     if known:
         headers["Cookie"] = f"wasp_view_{server.port}={server.token}"
     connection.request(method, path, body, headers)
@@ -118,7 +118,7 @@ def test_the_pages_change_nothing(server: ViewServer) -> None:
 
 def test_an_answer_does_not_wait_for_more_to_send(server: ViewServer) -> None:
     """With Nagle's algorithm every answer of two parts takes the 40 ms of a delayed acknowledgement."""
-    connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=300)
     taken = []
     for _ in range(20):
         begun = time.perf_counter()

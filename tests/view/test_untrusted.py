@@ -105,7 +105,7 @@ def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Pat
     films = Films(it.layout)
     for kind in (FILM, REPLAY, BRANCHES):
         films.ask(it.key, 0, kind)
-        end = time.monotonic() + 60
+        end = time.monotonic() + 600
         while (state := films.state(it.key, 0, kind))["state"] == "drawing":
             assert time.monotonic() < end
             time.sleep(0.05)
@@ -118,7 +118,7 @@ def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Pat
 def test_a_request_that_is_no_http_or_too_long_ends_nothing(tmp_path: Path) -> None:
     it = UntrustedStore(tmp_path)
     with viewed(it.layout.root) as server:
-        connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
+        connection = HTTPConnection("127.0.0.1", server.port, timeout=300)
         connection.request(
             "POST",
             f"/film/{it.key}/0/film",

@@ -138,8 +138,7 @@ def clone(
 
 
 def _check(session: Session, json: bool) -> None:
-    from wasp_cli.drive.check import as_json, checked_blocks
-    from wasp_cli.drive.command import timing_table
+    from wasp_cli.drive.check import as_json, checked_blocks, timing_table
 
     timings = checked_blocks(session)
     late = any(not timing.in_time for timing in timings)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wasp_cli.drive.clock import Clock, Decider
-from wasp_cli.drive.controls import action_of
-from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame
+from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame, action_of
 from wasp_cli.drive.futures import Futures
 from wasp_cli.drive.view import WorldView, camera_bytes
 from wasp_cli.learning.assistants import build_assistant
@@ -30,6 +29,7 @@ from wasp_cli.methods.record import Planned, blank_record
 from wasp_cli.metrics.episode import GATE_LATE, GATE_NONE, Trajectory
 from wasp_cli.operators.base import EpisodeNoise
 from wasp_cli.operators.person import PersonOperator
+from wasp_cli.plan.node import Cell
 from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.map import stick
@@ -91,36 +91,33 @@ class Cut:
     """`restart`, `next` or `end`"""
 
 
-@dataclass(frozen=True)
-class BlockConfig:
-    """What a block is made of."""
-
-    task: str
-    method: str
-    method_config: Mapping[str, Any]
-    action_repeat: int
-    speed: float = 1.0
-    """simulated seconds per second"""
-    shown: frozenset[str] = frozenset()
-    """what of SHOWN the driver may see"""
-    threads: int = 1
-
-
 SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
 """What there is to show."""
+
+
+@dataclass(frozen=True)
+class How:
+    """How a session is shown and paced; none of it is in a key."""
+
+    speed: float = 1.0
+    """simulated seconds per second"""
+    shown: frozenset[str] = frozenset(SHOWN)
+    """what of SHOWN the driver may see"""
+    simulated: bool = False
+    """a script drives"""
 
 
 class Block:
     """See the module. Worlds come from outside, so that practice and restarts are told from the rest."""
 
-    def __init__(self, config: BlockConfig, parts: Parts, desk: Desk) -> None:
-        self.config, self.parts, self.desk = config, parts, desk
-        self.task: VectorTask = make_task(config.task, 1, action_repeat=config.action_repeat, observe=("pixels",), threads=config.threads)
+    def __init__(self, cell: Cell, method_config: Mapping[str, Any], action_repeat: int, how: How, parts: Parts, desk: Desk) -> None:
+        self.cell, self.how, self.parts, self.desk = cell, how, parts, desk
+        self.task: VectorTask = make_task(cell.task, 1, action_repeat=action_repeat, observe=("pixels",))
         self.view = WorldView(self.task)
-        self.period = self.task.decision_seconds / config.speed
-        self.assistant = build_assistant(config.method, config.method_config, parts)
+        self.period = self.task.decision_seconds / how.speed
+        self.assistant = build_assistant(cell.method, method_config, parts)
         self.operator = PersonOperator(parts.skills.expert, self.task.action_size, EpisodeNoise([0]), 1)
-        self.futures = Futures(config.task, parts, self.assistant, self.task) if "imagined" in config.shown else None
+        self.futures = Futures(cell.task, parts, self.assistant, self.task) if "imagined" in how.shown else None
         self._decider: Decider[Decision] = Decider()
         assistant: Any = self.assistant
         if hasattr(assistant, "time_is_up"):
@@ -148,9 +145,9 @@ class Block:
     def hello(self) -> dict[str, Any]:
         """Return what the page has to know of the block before the first frame."""
         return {
-            "type": "block", "task": self.config.task, "shown": [name for name in SHOWN if name in self.config.shown],
-            "period_ms": 1000 * self.period, "speed": self.config.speed, "cameras": getattr(self.task, "cameras", 2),
-            "map": self.view.still if "map" in self.config.shown else None, "decisions": self.task.max_decisions,
+            "type": "block", "task": self.cell.task, "shown": [name for name in SHOWN if name in self.how.shown],
+            "period_ms": 1000 * self.period, "speed": self.how.speed, "cameras": getattr(self.task, "cameras", 2),
+            "map": self.view.still if "map" in self.how.shown else None, "decisions": self.task.max_decisions,
         }  # fmt: skip
 
     def episode(
@@ -231,7 +228,7 @@ class _Running:
                 return checked(assistant.decide(latent, own, operator), assistant, own, a_h)
 
         answered, seconds = block._decider.ask(answer, PATIENCE, clock.deadline(), LEAST * block.period)
-        late = answered is None and block.config.method != ALONE
+        late = answered is None and block.cell.method != ALONE
         decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None) if answered is None else answered
         executed_at = time.monotonic()
         self._filter.executed(decision.action)
@@ -280,7 +277,7 @@ class _Running:
         """Publish a frame of now."""
         block = self.block
         block._frames += 1
-        shown, t = block.config.shown, len(self.beats)
+        shown, t = block.how.shown, len(self.beats)
         header: dict[str, Any] = {"frame": block._frames, "t": t, "seconds": round(t * block.task.decision_seconds, 2)}
         if self.beats:
             header |= {"input": self.beats[-1].input, "late": sum(beat.late for beat in self.beats)}
@@ -296,7 +293,7 @@ class _Running:
             if "gate" in shown:
                 done = stick(block.task, decision.action[0].cpu().numpy())
                 gate = GATE_NONE if decision.record is None else int(decision.record.gate[0])
-                fired = "alone" if block.config.method == ALONE else GATES.get(gate, "method")
+                fired = "alone" if block.cell.method == ALONE else GATES.get(gate, "method")
                 header |= {
                     "executed": None if done is None else [round(float(x), 3) for x in done],
                     "gate": fired,

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import asyncio
 import math
-import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from wasp_cli import seeds
+from wasp_cli.console import count_table
 from wasp_cli.drive.block import ALONE, Driven
-from wasp_cli.drive.desk import Desk
+from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.script import drive
 from wasp_cli.drive.server import Server
 from wasp_cli.drive.session import Session
@@ -94,63 +97,54 @@ def warning(session: Session) -> str | None:
 
 def checked_blocks(session: Session, most: int | None = None) -> list[Timing]:
     """Let the scripted driver drive an episode of each block, or its first `most` decisions; nothing is recorded."""
-    found = []
+    # The driver finds its way by the numbers of the map.
+    session = replace(session, how=replace(session.how, shown=session.how.shown | {"map"}))
+    timings = []
     for cell, node in session.blocks:
-        unrecorded = _Unrecorded(session, cell, node, most)
         desk = Desk()
         server = Server(desk)
         server.start()
-        clock = threading.Thread(target=unrecorded.run, args=(desk,), daemon=True)
-        clock.start()
-        try:
-            asyncio.run(drive(server.address))
-            clock.join()
-        finally:
-            server.stop()
-        found.append(unrecorded.timing())
-    return found
-
-
-class _Unrecorded:
-    def __init__(self, session: Session, cell: Cell, node: Node, most: int | None) -> None:
-        # The driver finds its way by the numbers of the map.
-        self._session = replace(session, how=replace(session.how, shown=session.how.shown | {"map"}))
-        self._cell, self._node, self._most = cell, node, most
-        self._seconds: list[float] = []
-        self._fired: list[tuple[float, bool]] = []
-        self._driven: Driven | None = None
-        self._failure: BaseException | None = None
-
-    def run(self, desk: Desk) -> None:
-        try:
-            block = self._session.built(desk, self._cell, self._node, self._node.axes["method_config"])
+        with ThreadPoolExecutor(1) as clock:
+            driving = clock.submit(_unrecorded, session, cell, node, most, desk)
             try:
-                found = block.episode(0, seeds.derive("drive-check", self._cell.task), 0, {"of": 1}, self._most)
+                asyncio.run(drive(server.address))
             finally:
-                block.close()
-            self._driven = found if isinstance(found, Driven) else None
-            self._seconds, self._fired, self._period = block.answer_seconds, block.fired, block.period
-        except BaseException as error:  # in a thread: told in the main one
-            self._failure = error
-        finally:
-            desk.state("over", text="", blocks=[])
+                desk.ask(END)
+                server.stop()
+            timings.append(driving.result())
+    return timings
 
-    def timing(self) -> Timing:
-        if self._failure is not None:
-            raise self._failure
-        assert self._driven is not None
-        beats, speed = self._driven.beats, self._session.how.speed
-        fresh = [b.input_age_ms for a, b in pairwise(beats) if b.input != a.input]
-        fired = [seconds for seconds, _ in self._fired]
-        between = [b.at - a.at for a, b in pairwise(beats)]
-        return Timing(
-            self._node.label, 1000 * self._period, len(beats), float(np.mean([beat.late for beat in beats])),
-            _ms(self._seconds), percentiles(fresh), percentiles([beat.round_trip_ms for beat in beats]), speed,
-            recommended(self._seconds, fired, self._driven, self._period, speed),
-            float(np.mean(between)) / self._period if between else 1.0,
-            len(fired), float(np.mean([late for _, late in self._fired])) if fired else 0.0,
-            (1000 * float(np.median(fired)), 1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED))) if fired else (math.nan, math.nan),
-        )  # fmt: skip
+
+def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk: Desk) -> Timing:
+    """Run in the clock's thread."""
+    try:
+        block = session.built(desk, cell, node, node.axes["method_config"])
+        try:
+            driven = block.episode(0, seeds.derive("drive-check", cell.task), 0, {"of": 1}, most)
+        finally:
+            block.close()
+    finally:
+        desk.state("over", text="", blocks=[])
+    assert isinstance(driven, Driven)
+    beats, speed = driven.beats, session.how.speed
+    fresh = [b.input_age_ms for a, b in pairwise(beats) if b.input != a.input]
+    fired = [seconds for seconds, _ in block.fired]
+    between = [b.at - a.at for a, b in pairwise(beats)]
+    return Timing(
+        label=node.label,
+        period_ms=1000 * block.period,
+        decisions=len(beats),
+        late_share=float(np.mean([beat.late for beat in beats])),
+        decision_ms=percentiles([1000 * seconds for seconds in block.answer_seconds]),
+        input_ms=percentiles(fresh),
+        round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]),
+        speed=speed,
+        recommended=recommended(block.answer_seconds, fired, driven, block.period, speed),
+        pace=float(np.mean(between)) / block.period if between else 1.0,
+        fired=len(fired),
+        fired_late_share=float(np.mean([late for _, late in block.fired])) if fired else 0.0,
+        fired_ms=(1000 * float(np.median(fired)), 1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED))) if fired else (math.nan, math.nan),
+    )
 
 
 def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float) -> float:
@@ -164,14 +158,22 @@ def recommended(seconds: list[float], fired: list[float], driven: Driven, period
         speed: at which it was measured.
     """
     besides = float(np.median([beat.rest_ms for beat in driven.beats])) / 1000
-    answers = [np.quantile(each, 1 - share) for each, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED)) if each]
+    answers = [np.quantile(times, 1 - share) for times, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED)) if times]
     needed = float(max(answers, default=0.0)) + besides
-    return next((each for each in SPEEDS if period * speed / each >= needed), SPEEDS[-1])
+    return next((slower for slower in SPEEDS if period * speed / slower >= needed), SPEEDS[-1])
 
 
-def _ms(seconds: list[float]) -> tuple[float, float]:
-    median, most = percentiles(seconds)
-    return 1000 * median, 1000 * most
+def timing_table(timings: Sequence[Timing]) -> Table:
+    """Return the figures of a check: a block of rows for each cell, so that 80 columns are enough."""
+    table = count_table("", "median", "99th percentile")
+    for timing in timings:
+        table.add_row(timing.label, style="bold")
+        pairs = {"decision": timing.decision_ms, "key to action": timing.input_ms, "round trip": timing.round_trip_ms}
+        for name, pair in pairs.items():
+            table.add_row(f"  {name}", *(f"{value:.1f} ms" for value in pair))
+        table.add_row(f"  {timing.late_share:.1%} of {timing.decisions} decisions late")
+        table.add_row(f"  period {timing.period_ms:.0f} ms; in time at --speed {timing.recommended:g}")
+    return table
 
 
 def as_json(timing: Timing) -> dict[str, Any]:

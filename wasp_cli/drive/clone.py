@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -53,16 +53,6 @@ ROUNDS = 50
 """Of expectation and maximisation, for the shares of a baseline."""
 
 
-@dataclass(frozen=True)
-class Sessions:
-    """The cells of a participant that were driven with the models of one clone."""
-
-    node: Node
-    """of the clone"""
-    keys: tuple[str, ...]
-    """of the cells, in ascending order"""
-
-
 def clone_participant(loaded: Loaded, results: Path, participant: int, options: RunOptions) -> dict[str, Any]:
     """Fit a clone to everything that a participant drove on a task with the models of a spec, and put it where plans look for it.
 
@@ -82,19 +72,19 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
     layout = Layout(results.absolute())
     grid = lay_out_over(loaded.spec, layout, None)
     ((_, evaluation),) = grid.cells
-    sessions = _sessions(layout, evaluation.needs[OPERATOR_CLONE], participant)
-    node = sessions.node
+    node = evaluation.needs[OPERATOR_CLONE]
+    keys = _driven_with(layout, node, participant)
     _require_unused(layout, node)
     # It is not asked for by a report: under the name of its spec it would hide what was driven.
     asked = replace(loaded, spec=loaded.spec.model_copy(update={"name": f"{loaded.spec.name}-clone"}))
     made = run_spec(asked, results, options, ["stage=world_model|policies"])
     made.require_complete()
     read = [(kind, node.needs[kind].key) for kind in ("world_model", "policies")]
-    require_whole(layout, [*read, *(("evaluate", key) for key in sessions.keys)])
+    require_whole(layout, [*read, *(("evaluate", key) for key in keys)])
     model = load_world_model(layout.artifact("world_model", node.needs["world_model"].key))
     skills = load_skills(layout.artifact("policies", node.needs["policies"].key))
     with threads_of_evaluations():
-        episodes = [seen for key in sessions.keys for seen in _episodes(layout, key, node, model)]
+        episodes = [seen for key in keys for seen in _episodes(layout, key, node, model)]
         if len(episodes) < FEWEST:
             raise UsageError(
                 f"participant {participant} drove {len(episodes)} episodes of {node.task} with these models, and {FEWEST} are needed",
@@ -107,15 +97,15 @@ def clone_participant(loaded: Loaded, results: Path, participant: int, options: 
         stream = derive("clone", node.task, node.seed, PERSON, participant)
         clone, curve = fit_clone(together(learnt), skills.expert, config, stream, lambda share, text: plain(text) if share == 1 else None)
     document = {
-        "participant": participant, "cells": list(sessions.keys),
-        "simulated": any(_session(layout, key).get("simulated", False) for key in sessions.keys),
+        "participant": participant, "cells": keys,
+        "simulated": any(_session(layout, key).get("simulated", False) for key in keys),
         "episodes": len(learnt), "heldout_episodes": len(held), "decisions": sum(len(seen.command) for seen in learnt),
         "ways": dict(zip(("repeat", "own", "uniform"), clone.weight_logits.softmax(-1).tolist(), strict=True)),
         "models": judged(clone, skills.expert, together(learnt), together(held)),
     }  # fmt: skip
     models = cast(dict[str, dict[str, float]], document["models"])
     summary = {f"{name}_{figure}": round(number, 3) for name, row in models.items() for figure, number in row.items()}
-    begun = read_manifest(layout, "evaluate", sessions.keys[0])["provenance"]["started_at"]
+    begun = read_manifest(layout, "evaluate", keys[0])["provenance"]["started_at"]
     arguments = {"features": learnt[0].features.shape[1], "hidden": list(config.hidden), "action": learnt[0].command.shape[1]}
     with lock.held(layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")):
         staging = staging_folder(layout, node.key)
@@ -139,23 +129,23 @@ def quality_table(found: Mapping[str, Any]) -> RichTable:
     return table
 
 
-def _sessions(layout: Layout, node: Node, participant: int) -> Sessions:
-    """The cells of a participant with the models that the clone reads."""
+def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
+    """Keys of the cells that a participant drove with the models that the clone reads, in ascending order."""
     models = {name: needed.key for name, needed in node.needs.items()}
-    found, others = [], 0
+    keys, others = [], 0
     for key, manifest in driven(layout, participant):
         if manifest.get("task") == node.task:
             same = all(manifest.get("upstream", {}).get(name) == needed for name, needed in models.items())
             same &= manifest.get("settings", {}).get("action_repeat") == node.settings.get("action_repeat")
-            found += [key] if same else []
+            keys += [key] if same else []
             others += not same
-    if not found:
+    if not keys:
         more = f"; {others} cells of theirs were driven with other models: --preset or --set" if others else ""
         raise UsageError(
             f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}",
             f"wasp drive {node.task} --participant {participant}",
         )
-    return Sessions(node, tuple(found))
+    return keys
 
 
 def _session(layout: Layout, key: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import shutil
 import threading
+import time
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
@@ -13,12 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.console import count_table, plain, say
-from wasp_cli.drive.block import SHOWN
+from wasp_cli.drive.block import SHOWN, How
 from wasp_cli.drive.check import TOLERATED, warning
 from wasp_cli.drive.desk import END, Desk
 from wasp_cli.drive.script import Habits, drive
 from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import How, Session, cells_of, free_session, ordered, participants, prepared, shipped
+from wasp_cli.drive.session import Session, cells_of, free_session, ordered, participants, prepared, shipped
 from wasp_cli.errors import Interrupted, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
@@ -37,8 +38,6 @@ from wasp_cli.tasks.registry import TASKS, is_foreign
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-    from wasp_cli.drive.check import Timing
 
 NONE = "none"
 WAITED = 20.0
@@ -188,8 +187,8 @@ def drive_session(session: Session, port: int, *, open_browser: bool, scripted: 
         desk.ask(END)
         clock.join(30.0)
     finally:
-        if not interrupted:
-            _linger(desk)
+        if desk.present and not interrupted:
+            time.sleep(1.0)  # the page shows the end
         server.stop()
     for block in session.done:
         whole = "" if block["episodes"] == block["of"] else f" of {block['of']}: the session ended early"
@@ -216,26 +215,6 @@ def _led(session: Session, desk: Desk) -> None:
     except BaseException as error:
         session.failure = error
         desk.state("over", text="Something went wrong; the terminal says what. Finished episodes are kept.", blocks=[])
-
-
-def _linger(desk: Desk, seconds: float = 1.0) -> None:
-    """Give the page the time to show the end."""
-    waiting = threading.Event()
-    if desk.present:
-        waiting.wait(seconds)
-
-
-def timing_table(found: Sequence[Timing]) -> Table:
-    """Return the figures of a check: a block of rows for each cell, so that 80 columns are enough."""
-    table = count_table("", "median", "99th percentile")
-    for timing in found:
-        table.add_row(timing.label, style="bold")
-        pairs = {"decision": timing.decision_ms, "key to action": timing.input_ms, "round trip": timing.round_trip_ms}
-        for name, pair in pairs.items():
-            table.add_row(f"  {name}", *(f"{value:.1f} ms" for value in pair))
-        table.add_row(f"  {timing.late_share:.1%} of {timing.decisions} decisions late")
-        table.add_row(f"  period {timing.period_ms:.0f} ms; in time at --speed {timing.recommended:g}")
-    return table
 
 
 def withdrawn(wanted: Wanted) -> int:

@@ -1,4 +1,4 @@
-"""Between the socket and the clock: what the driver asked for, what is to be shown, and whether anyone is there.
+"""Between the socket and the clock: what the driver holds down and asked for, what is to be shown, and whether anyone is there.
 
 Two threads meet here. The clock's thread publishes and asks; the socket's loop reads and writes. Nothing here waits for the network.
 """
@@ -9,15 +9,24 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from wasp_cli.drive.controls import Controls
+import numpy as np
+from numpy.typing import NDArray
 
 GO, PAUSE, RESTART, NEXT, END = "go", "pause", "restart", "next", "end"
 REQUESTS = (GO, PAUSE, RESTART, NEXT, END)
 """What a driver may ask for."""
 ROUND_TRIPS = 20
 """Frames whose acknowledgement may be outstanding before their times are forgotten."""
+
+FORWARD, LEFT = 0, 1
+KEYS = {
+    "ArrowUp": (FORWARD, 1.0), "KeyW": (FORWARD, 1.0), "ArrowDown": (FORWARD, -1.0), "KeyS": (FORWARD, -1.0),
+    "ArrowLeft": (LEFT, 1.0), "KeyA": (LEFT, 1.0), "ArrowRight": (LEFT, -1.0), "KeyD": (LEFT, -1.0),
+}  # fmt: skip
+"""By `KeyboardEvent.code`: along which axis of the stick, and which way."""
 
 
 class Frame(NamedTuple):
@@ -27,6 +36,51 @@ class Frame(NamedTuple):
     """JSON values"""
     pixels: bytes
     """RGB of the cameras, one below the other; empty where they are not shown"""
+
+
+@dataclass(frozen=True)
+class Held:
+    """What is held at one moment."""
+
+    keys: frozenset[str] = frozenset()
+    """of KEYS"""
+    axes: tuple[float, float] = (0.0, 0.0)
+    """of a gamepad or a finger: forward, left in [-1, 1]"""
+    number: int = 0
+    """of the message that said so; 0: none did"""
+    at: float = 0.0
+    """when it arrived, on the monotonic clock"""
+
+    @property
+    def stick(self) -> NDArray[np.float32]:
+        """Return (forward, left) [2] in [-1, 1]: keys and axes together, opposite keys cancel out."""
+        stick = np.array(self.axes, np.float32)
+        for axis in (FORWARD, LEFT):
+            stick[axis] += sum({way for key in self.keys for along, way in [KEYS[key]] if along == axis})
+        return np.clip(stick, -1.0, 1.0)
+
+
+class Controls:
+    """The latest state of the controls.
+
+    The page sends the whole state of keys and sticks whenever it changes, and a decision samples the latest one, so that nothing queues up
+    behind a slow moment. The socket writes it, the clock reads it: one reference, so that no lock is needed.
+    """
+
+    def __init__(self) -> None:
+        self._held = Held()
+
+    def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
+        """Take a new state; keys that mean nothing here are left out."""
+        self._held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
+
+    def release(self) -> None:
+        """Let go of everything: the window lost the focus, or the connection broke."""
+        self._held = Held(number=self._held.number, at=time.monotonic())
+
+    def now(self) -> Held:
+        """Return what is held now."""
+        return self._held
 
 
 class Desk:
@@ -174,3 +228,14 @@ class Desk:
                 self.round_trip = time.monotonic() - sent
             self._free = True
         self.changed()
+
+
+def action_of(stick: NDArray[np.float32], drive: str | None) -> NDArray[np.float32]:
+    """Turn a stick (forward, left) [2] into an action [2]: the inverse of `video.map.stick`.
+
+    A point has throttle and turn rate, a car the torques of the driver's right and left wheel. A task that does not say how it is driven
+    gets the stick as it is.
+    """
+    forward, left = stick
+    action = np.array([forward + left, forward - left] if drive == "car" else [forward, left], np.float32)
+    return np.clip(action, -1.0, 1.0)

@@ -60,7 +60,7 @@ class CellRecord:
         self._session = {**(read_record(self._folder / SESSION_FILE) or {"cut": [], "sittings": []})}
         self._session |= facts
         self._session["sittings"].append({"begun": _now(), "first_episode": self.finished})
-        write_record(self._folder / SESSION_FILE, self._session)
+        self.note()
 
     def _earlier(self) -> Any:
         return first_rows(self._folder, 1) if (self._folder / EPISODES_FILE).exists() else None
@@ -74,24 +74,21 @@ class CellRecord:
         write_cell(
             self._folder, self._identity, [driven.trajectory], [row], thresholds, [driven.decision_ms], [driven.layout], self._earlier()
         )
-        self._sitting(pauses=driven.pauses, paused_seconds=round(driven.paused_seconds, 1))
+        sitting = self._session["sittings"][-1]
+        sitting["pauses"] = sitting.get("pauses", 0) + driven.pauses
+        sitting["paused_seconds"] = sitting.get("paused_seconds", 0) + round(driven.paused_seconds, 1)
+        sitting["ended"] = _now()
+        self.note()
         self.finished += 1
 
     def cut(self, cut: Cut) -> None:
         """Note an episode that was given up."""
         self._session["cut"].append({"before_episode": self.finished, **asdict(cut)})
-        write_record(self._folder / SESSION_FILE, self._session)
+        self.note()
 
     def note(self, **facts: Any) -> None:
         """Write more into the session's file."""
         self._session |= facts
-        write_record(self._folder / SESSION_FILE, self._session)
-
-    def _sitting(self, **more: float) -> None:
-        last = self._session["sittings"][-1]
-        for name, value in more.items():
-            last[name] = last.get(name, 0) + value
-        last["ended"] = _now()
         write_record(self._folder / SESSION_FILE, self._session)
 
     def _timing(self) -> pa.Table:
@@ -99,12 +96,12 @@ class CellRecord:
         known = read_timing(path) if path.exists() else BEAT.empty_table()
         return known.filter(pc.less(known["episode"], self.finished))
 
-    def timing(self) -> dict[str, Any]:
-        """Return how well decisions were in time, over all finished episodes."""
-        return timing_summary(self._timing())
+    def publish(self, run_id: str, node: Node) -> dict[str, Any]:
+        """Make the rows the artifact of `node`: that of the whole cell, or of the same cell with as many episodes as there are.
 
-    def publish(self, run_id: str, node: Node) -> Path:
-        """Make the rows the artifact of `node`: that of the whole cell, or of the same cell with as many episodes as there are."""
+        Returns:
+            how well decisions were in time, over all finished episodes.
+        """
         summary = timing_summary(self._timing())
         numbers = read_episodes([self._folder / EPISODES_FILE])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
@@ -117,9 +114,9 @@ class CellRecord:
             staging = staging_folder(self._layout, node.key)
             for path in self._folder.iterdir():
                 shutil.copyfile(path, staging / path.name)
-            made = commit(self._layout, node.kind, node.key, staging, manifest)
+            commit(self._layout, node.kind, node.key, staging, manifest)
         shutil.rmtree(self._folder, ignore_errors=True)
-        return made
+        return summary
 
 
 def _beats(episode: int, beats: Sequence[Beat]) -> pa.Table:

@@ -18,7 +18,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from wasp_cli import seeds
-from wasp_cli.drive.controls import KEYS
+from wasp_cli.drive.desk import KEYS
 from wasp_cli.drive.server import LONGEST, unpacked
 from wasp_cli.errors import WaspError
 from wasp_cli.tasks.frames import wrapped

@@ -17,14 +17,13 @@ import torch
 
 from wasp_cli import seeds
 from wasp_cli.console import plain
-from wasp_cli.drive.block import ALONE, SHOWN, Block, BlockConfig, Cut, Driven
+from wasp_cli.drive.block import ALONE, SHOWN, Block, Cut, Driven, How
 from wasp_cli.drive.desk import END, NEXT, Desk
 from wasp_cli.drive.record import CellRecord
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.device import training_device
 from wasp_cli.memory import keep_memory
-from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Node
@@ -50,17 +49,6 @@ QUICK = ("goal1",)
 """Tasks whose small models are published; of the others those of the preset `cpu` are."""
 IN_TIME = ("rollouts=4", "candidates=16", "elites=5", "feasible=5", "iterations=2")
 """Settings of WASP with small models: a decision of the grid's planner can take longer than the 80 ms that Goal1 leaves."""
-
-
-@dataclass(frozen=True)
-class How:
-    """How a session is shown and paced; none of it is in a key."""
-
-    speed: float = 1.0
-    shown: frozenset[str] = frozenset(SHOWN)
-    threads: int = 1
-    simulated: bool = False
-    """a script drives"""
 
 
 @dataclass
@@ -194,8 +182,7 @@ class Session:
         if not whole:
             grid, of, part = self._limited(cell, record.finished)
             run_id = new_run(self.layout, part, plan_against(grid, self.layout))
-        timing = record.timing()
-        record.publish(run_id, of)
+        timing = record.publish(run_id, of)
         self.done.append({"label": of.label, "key": of.key, "episodes": record.finished, "of": node.config["episodes"], **timing})
 
     def _facts(self, number: int, cell: Cell) -> dict[str, Any]:
@@ -220,9 +207,7 @@ class Session:
         require_whole(self.layout, node_inputs(node))
         inputs = {name: self.layout.artifact(needed.kind, needed.key) for name, needed in node.needs.items()}
         parts = load_parts(inputs, self.loaded.spec.returns, training_device(), motors=TASKS[cell.task].motors)
-        repeat, how = self.loaded.spec.action_repeat, self.how
-        config = BlockConfig(cell.task, cell.method, method_config, repeat, how.speed, how.shown, how.threads)
-        block = Block(config, parts, desk)
+        block = Block(cell, method_config, self.loaded.spec.action_repeat, self.how, parts, desk)
         desk.world(block.hello())
         return block
 
@@ -358,8 +343,3 @@ def free_session(layout: Layout, of: Callable[[int], Loaded], most: int = 10_000
         if not any(exists(layout, node.kind, node.key) for _, node in grid.cells):
             return number
     raise UsageError(f"{most} sessions were driven", "choose another results folder with --results")
-
-
-def titles(session: Session) -> list[str]:
-    """Return the blocks as people read them."""
-    return [METHODS[cell.method].title + ("" if cell.assistant == "full" else f" ({cell.assistant})") for cell, _ in session.blocks]

@@ -15,28 +15,25 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec, WrapperSpec
 from numpy.typing import NDArray
 
-from wasp_cli.errors import TaskError
+from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.tasks import reference
-from wasp_cli.tasks.base import MAP_SIZE, Pixels
+from wasp_cli.tasks.base import MAP_SIZE, Observation, Pixels, Step, VectorTask
+from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.gym_common import (
-    Info,
-    Maps,
     ObservationName,
-    Seen,
     checked_control,
-    chosen_fields,
     drawn_layout,
-    limited_spec,
     observed_task,
     refuse_other_task,
-    refuse_reset_options,
     refuse_unknown,
-    row_of,
+    shown,
     space_of,
 )
 from wasp_cli.tasks.registry import TASKS
 
-_OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "upstream_api")
+Seen = NDArray[Any] | dict[str, NDArray[Any]]
+"""An observation: an array, or with `all` and `vision` a dictionary."""
+OPTIONS = ("observation", "action_repeat", "render_mode", "width", "height", "upstream_api")
 
 
 class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
@@ -69,6 +66,8 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
+    _row = 0
+    """Of the task's batch."""
 
     def __init__(
         self,
@@ -83,16 +82,23 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         **unknown: object,
     ) -> None:
         refuse_other_task(task, registered)
-        refuse_unknown("TaskEnv", task, unknown, _OPTIONS)
-        self._task, self._name = observed_task(task, 1, observation, action_repeat), observation
+        refuse_unknown("TaskEnv", task, unknown, OPTIONS)
+        self._task, self._observation = self._made(task, observation, action_repeat), observation
+        if render_mode is not None and (render_mode != "rgb_array" or not isinstance(self._task, HasScene)):
+            raise UsageError(f"task '{task}' cannot render '{render_mode}'", "render_mode is None or 'rgb_array'")
+        if width != height or not isinstance(width, int | np.integer) or width < 1:
+            raise UsageError(f"a map is square, and not {width!r} x {height!r} pixels", "give width and height the same number")
         self._success_goals = TASKS[task].success_goals
         self._upstream = bool(upstream_api)
         self._spec: EnvSpec | None = None
         self._goals = 0
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self._task.decision_seconds)}
-        self.render_mode, self._maps = render_mode, Maps(task, self._task, render_mode, width, height)
+        self.render_mode, self._map_size = render_mode, int(width)
         self.action_space = gymnasium.spaces.Box(self._task.action_low, self._task.action_high, dtype=np.float64)
         self.observation_space = space_of(self._task, observation)
+
+    def _made(self, task: str, observation: str, action_repeat: int) -> VectorTask:
+        return observed_task(task, 1, observation, action_repeat)
 
     @property
     def max_episode_steps(self) -> int:
@@ -104,7 +110,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         """What `gymnasium.make` makes such an environment of, the time limit included; None for one that was made without it."""
         if self._spec is None:
             return None
-        spec = limited_spec(self._spec, self.max_episode_steps)
+        spec = replace(self._spec, max_episode_steps=self._spec.max_episode_steps or self.max_episode_steps)
         if not self._upstream:
             return spec
         # Whoever makes this spec puts a TimeLimit around, which works on five values: six come last, and without it.
@@ -126,11 +132,11 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
             UsageError: `options` holds something; there are none.
         """
         super().reset(seed=seed, options=options)
-        refuse_reset_options(options)
-        layout = drawn_layout(self.np_random, seed)
+        for option in options or {}:
+            raise UsageError(f"reset has no option '{option}'", "a seed names a layout; there is nothing else to choose")
         self._goals = 0
-        seen = row_of(chosen_fields(self._task, self._task.reset([layout]), self._name), 0)
-        return seen, self._told(Info.zeros(self._task), 0)
+        rows = np.arange(self._task.batch) == self._row
+        return self._seen(self._task.reset([drawn_layout(self.np_random, seed)], rows)), self._info(None)
 
     def step(self, action: NDArray[Any]) -> tuple[Seen, SupportsFloat, bool, bool, dict[str, Any]]:
         """Advance by `action_repeat` env steps under `action` [A].
@@ -138,29 +144,46 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         Raises:
             TaskError: the action is no finite [A], or the episode has not begun or has ended.
         """
-        step = self._task.step(checked_control(action, (self._task.action_size,))[None])
-        reached = int(step.goals[0])
-        self._goals += reached
-        terminated = bool(step.terminated[0])
-        seen = row_of(chosen_fields(self._task, step.observation, self._name), 0)
-        reward, truncated = float(step.reward[0]), bool(step.ended[0]) and not terminated
-        goals = np.array([self._goals])
-        told = Info.of(step, goals, goals >= self._success_goals)
+        step, row = self._advance(action), self._row
+        self._goals += int(step.goals[row])
+        seen, info = self._seen(step.observation), self._info(step)
+        reward, terminated = float(step.reward[row]), bool(step.terminated[row])
+        truncated = bool(step.ended[row]) and not terminated
         if self._upstream:
-            six = (seen, reward, float(told.cost[0]), terminated, truncated, self._told(told, reached))
+            six = (seen, reward, float(step.cost_env[row]), terminated, truncated, info)
             return cast("tuple[Seen, float, bool, bool, dict[str, Any]]", six)
-        return seen, reward, terminated, truncated, self._told(told, reached)
+        return seen, reward, terminated, truncated, info
 
-    def _told(self, info: Info, reached: int) -> dict[str, Any]:
-        """What `info` says; in the reference package's keys where its six values are given."""
-        if not self._upstream:
-            return info.row(0)
-        costs = {f"cost_{name}": float(value[0]) for name, value in info.sources.items()} | {"cost_sum": float(info.cost[0])}
-        return costs | {"goal_met": True} if reached else costs
+    def _advance(self, action: NDArray[Any]) -> Step:
+        return self._task.step(checked_control(action, (self._task.action_size,))[None])
+
+    def _seen(self, observation: Observation) -> Seen:
+        return shown(self._task, observation, self._row, self._observation)
+
+    def _info(self, step: Step | None) -> dict[str, Any]:
+        """What is told of a step, or without one of a reset; in the reference package's keys where its six values are given.
+
+        All values are NumPy's, as TorchRL's reader wants them.
+        """
+        cost = np.float64(0 if step is None else step.cost_env[self._row])
+        counts = {name: 0 if step is None else step.sources[name][self._row] for name in self._task.cost_sources}
+        sources = {f"cost_{name}": np.float64(count) for name, count in counts.items()}
+        if self._upstream:
+            met = {"goal_met": True} if step is not None and step.goals[self._row] else {}
+            return {**sources, "cost_sum": cost, **met}
+        # An array of no axes: of NumPy's bools gymnasium's vectors would make objects.
+        success = np.array(self._goals >= self._success_goals)
+        return {"cost": cost, "cost_sum": cost, **sources, "goals": np.int64(self._goals), "success": success}
 
     def render(self) -> Pixels | None:
         """Draw the episode as a map from above, uint8 [height, width, 3]; None without a render mode."""
-        return self._maps.draw(0)
+        if self.render_mode is None:
+            return None
+        # Not above: it imports MuJoCo, and a registered task does not need it before it is made.
+        from wasp_cli.tasks.camera.topdown import from_above
+
+        assert isinstance(self._task, HasScene)
+        return from_above(self._task, self._row, self._map_size)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that determines the rest of this episode, as plain arrays; `restore` of it is exact to the bit.
@@ -170,7 +193,8 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         Raises:
             TaskError: no episode has begun.
         """
-        return {**self._task.snapshot(), "goals_reached": np.array([self._goals])}
+        arrays = {name: array[self._row : self._row + 1] for name, array in self._task.snapshot().items()}
+        return {**arrays, "goals_reached": np.array([self._goals])}
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Seen:
         """Return to a snapshot of an environment with the same task and options, and see what was seen there.
@@ -180,9 +204,9 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
         """
         if "goals_reached" not in snapshot:
             raise TaskError("the snapshot is not one of an environment: 'goals_reached' is missing")
-        seen = self._task.restore({name: array for name, array in snapshot.items() if name != "goals_reached"})
+        observation = self._task.restore({name: array for name, array in snapshot.items() if name != "goals_reached"})
         self._goals = int(snapshot["goals_reached"][0])
-        return row_of(chosen_fields(self._task, seen, self._name), 0)
+        return self._seen(observation)
 
 
 def give_six_values(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:

@@ -37,7 +37,7 @@ with drawn((2, 2)) as figure:
 def test_a_killed_report_leaves_no_half_drawn_figure(written: int, there: set[str], tmp_path: Path) -> None:
     root = Path(__file__).parents[3]
     done = subprocess.run(
-        [sys.executable, "-c", DRAW, tmp_path, str(written)], env={**os.environ, "PYTHONPATH": str(root)}, timeout=120, check=False
+        [sys.executable, "-c", DRAW, tmp_path, str(written)], env={**os.environ, "PYTHONPATH": str(root)}, timeout=600, check=False
     )
     assert done.returncode == (0 if written == 2 else -signal.SIGKILL)
     assert {path.name for path in tmp_path.iterdir()} == there

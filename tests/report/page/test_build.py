@@ -126,7 +126,7 @@ def test_a_browser_sorts_turns_pages_and_complains_of_nothing(frame: Frame, tmp_
     page.write_text(page_of(frame, tmp_path, word=EVIL).replace("</body>", PROBE), encoding="utf-8")
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}"]
     command = [CHROMIUM, *options, "--virtual-time-budget=3000", "--dump-dom", page.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
     assert title is not None
     assert title[1] == "told true true true true true"

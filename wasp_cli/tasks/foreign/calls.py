@@ -19,6 +19,7 @@ from wasp_cli.errors import TaskError
 GymEnv = gymnasium.Env[Any, Any]
 
 COST_HINT = "its step has to return info['cost']: a number for every env step, 0 where nothing went wrong"
+_A_COST = "a cost is a finite number of at least 0"
 LONE_SOURCE = "cost"
 """The cost source of an environment that names none."""
 _SUM = "cost_sum"
@@ -70,15 +71,10 @@ def described(error: BaseException) -> str:
 
 
 def reset(env: GymEnv, seed: int) -> Any:
-    """Start an episode and return what is seen.
-
-    Raises:
-        TaskError: it fails, or returns something else than gymnasium says.
-    """
+    """Start an episode and return what is seen."""
     with calling("reset"):
         returned = env.reset(seed=seed)
-    seen, info = _tuple("reset", returned, "(observation, info)", 2)
-    _mapping("reset", info)
+    seen, _ = _values("reset", returned, "(observation, info)", 2)
     return seen
 
 
@@ -90,71 +86,50 @@ def step(env: GymEnv, action: NDArray[Any]) -> EnvStep:
     """
     with calling("step"):
         returned = env.step(action)
-    seen, reward, terminated, truncated, info = _tuple("step", returned, "(observation, reward, terminated, truncated, info)", 5)
-    _mapping("step", info)
-    paid = _number(reward)
-    if paid is None or not math.isfinite(paid):
-        raise TaskError(f"its step gave a reward of {_shown(reward)}", "a reward is a finite number")
-    cost = _cost(info)
+    seen, reward, terminated, truncated, info = _values("step", returned, "(observation, reward, terminated, truncated, info)", 5)
+    if "cost" not in info:
+        raise TaskError("its info has no 'cost'", COST_HINT)
+    reward = _finite("its step gave a reward of", reward, "a reward is a finite number")
+    cost = _finite("info['cost'] is", info["cost"], _A_COST, least=0.0)
+    goals = None
+    if "goals" in info:
+        goals = _finite("info['goals'] is", info["goals"], "the number of goals reached so far in the episode", least=0.0, whole=True)
     return EnvStep(
         seen,
-        paid,
+        reward,
         _flag("terminated", terminated),
         _flag("truncated", truncated),
         cost,
         _sources(info, cost),
-        _goals(info),
+        None if goals is None else int(goals),
         _flag("info['success']", info.get("success", False)),
     )
 
 
-def _tuple(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
-    if isinstance(returned, tuple) and len(returned) == size:
-        return returned
-    got = f"{len(returned)} values" if isinstance(returned, tuple) else f"a single {type(returned).__name__}"
-    raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
-
-
-def _mapping(part: str, info: Any) -> None:
-    if not isinstance(info, Mapping):
-        raise TaskError(f"its {part} returned {_shown(info)} as info", "info is a dictionary; " + COST_HINT)
-
-
-def _cost(info: Mapping[str, Any]) -> float:
-    if "cost" not in info:
-        raise TaskError("its info has no 'cost'", COST_HINT)
-    cost = _number(info["cost"])
-    if cost is None or not (math.isfinite(cost) and cost >= 0):
-        raise TaskError(f"info['cost'] is {_shown(info['cost'])}", "a cost is a finite number of at least 0")
-    return cost
+def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
+    """What a call returned, of which the last value has to be an info."""
+    if not isinstance(returned, tuple) or len(returned) != size:
+        got = f"{len(returned)} values" if isinstance(returned, tuple) else f"a single {type(returned).__name__}"
+        raise TaskError(f"its {part} returned {got}", f"gymnasium's {part} returns {size}: {form}")
+    if not isinstance(returned[-1], Mapping):
+        raise TaskError(f"its {part} returned {_shown(returned[-1])} as info", "info is a dictionary; " + COST_HINT)
+    return returned
 
 
 def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
-    sources: Any = info.get("cost_sources", _flat_sources(info) or {LONE_SOURCE: cost})
-    named = isinstance(sources, Mapping) and bool(sources) and all(isinstance(source, str) for source in sources)
-    if not named:
+    # Safety-Gymnasium tells its costs flat: `cost_<source>` beside `cost_sum`.
+    flat = {key.removeprefix("cost_"): value for key, value in info.items() if str(key).startswith("cost_") and key != _SUM}
+    sources: Any = info.get("cost_sources", (flat if _SUM in info else {}) or {LONE_SOURCE: cost})
+    if not (isinstance(sources, Mapping) and sources and all(isinstance(source, str) for source in sources)):
         raise TaskError(f"info['cost_sources'] is {_shown(sources)}", "a dictionary from names to costs, with every source in every step")
-    costs = {source: _number(value) for source, value in sources.items()}
-    for source, value in costs.items():
-        if value is None or not math.isfinite(value):
-            raise TaskError(f"info['cost_sources']['{source}'] is {_shown(sources[source])}", "a cost is a finite number of at least 0")
-    return {source: value for source, value in costs.items() if value is not None}
+    return {source: _finite(f"info['cost_sources']['{source}'] is", value, _A_COST) for source, value in sources.items()}
 
 
-def _flat_sources(info: Mapping[str, Any]) -> dict[str, Any]:
-    """The costs of an environment that tells them as Safety-Gymnasium does: `cost_<source>` beside `cost_sum`."""
-    if _SUM not in info:
-        return {}
-    return {key.removeprefix("cost_"): value for key, value in info.items() if str(key).startswith("cost_") and key != _SUM}
-
-
-def _goals(info: Mapping[str, Any]) -> int | None:
-    if "goals" not in info:
-        return None
-    goals = _number(info["goals"])
-    if goals is None or not (math.isfinite(goals) and goals >= 0 and goals == int(goals)):
-        raise TaskError(f"info['goals'] is {_shown(info['goals'])}", "the number of goals reached so far in the episode")
-    return int(goals)
+def _finite(said: str, value: Any, hint: str, least: float = -math.inf, whole: bool = False) -> float:
+    number = _number(value)
+    if number is None or not math.isfinite(number) or number < least or (whole and number != int(number)):
+        raise TaskError(f"{said} {_shown(value)}", hint)
+    return number
 
 
 def _flag(name: str, value: Any) -> bool:

@@ -77,9 +77,11 @@ def _examined(name: str) -> Facts:
             low, high = _bounds(env)
             views = views_of(env.observation_space)
             sources = _try_step(env, views)
-            success = _success_goals(env)
-            modules, registered = _modules(name, spec), _registered(spec)
-            return Facts(modules, registered, limit, _env_seconds(env), success, sources, low.ravel(), high.ravel(), views)
+            points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
+            modules = dict.fromkeys(filter(None, [name.rpartition(":")[0], *map(_entry_module, points)]))
+            registered = f"{sorted(spec.kwargs.items())} {[(wrapper.entry_point, wrapper.kwargs) for wrapper in spec.additional_wrappers]}"
+            seconds, success = _env_seconds(env), _success_goals(env)
+            return Facts(tuple(modules), registered, limit, seconds, success, sources, low.ravel(), high.ravel(), views)
     finally:
         with contextlib.suppress(TaskError), calling("close"):  # nothing is asked of it any more
             env.close()
@@ -153,17 +155,6 @@ def _import(module: str) -> None:
 
 def _entry_module(entry_point: Any) -> str:
     return entry_point.partition(":")[0] if isinstance(entry_point, str) else str(getattr(entry_point, "__module__", ""))
-
-
-def _modules(name: str, spec: EnvSpec) -> tuple[str, ...]:
-    points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
-    named = [name.rpartition(":")[0], *map(_entry_module, points)]
-    return tuple(dict.fromkeys(module for module in named if module))
-
-
-def _registered(spec: EnvSpec) -> str:
-    wrappers = [(wrapper.entry_point, wrapper.kwargs) for wrapper in spec.additional_wrappers]
-    return f"{sorted(spec.kwargs.items())} {wrappers}"
 
 
 def _env_steps(spec: EnvSpec, env: GymEnv) -> int:

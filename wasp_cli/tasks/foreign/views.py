@@ -23,6 +23,7 @@ FRONT, REAR = ("pixels", "image", "vision"), ("pixels2", "image2", "vision_back"
 PRIVILEGED, STATE = "privileged", "state"
 COARSE = 8
 """Side of the coarse image that stands in for a privileged vector."""
+_AS_SAID = "what reset and step return has to be as observation_space says"
 _WANTED = "a uint8 Box of shape [H, W, 3], [3, H, W], [H, W, 6] or [6, H, W], or a Dict with one named " + ", ".join(FRONT)
 
 
@@ -37,28 +38,19 @@ class _Camera:
     """Of the image as the observation holds it."""
 
     def image(self, observation: Any) -> Pixels:
-        """Return the image as it is, checked: uint8, of the shape of its space.
-
-        Raises:
-            TaskError: it is not there, or is not what the observation space says.
-        """
+        """Return the image as it is, checked: uint8, of the shape of its space."""
         image = np.asarray(observation if self.entry is None else _entry(observation, self.entry))
         if image.shape != self.shape or image.dtype != np.uint8:
             which = "its observation" if self.entry is None else f"its observation '{self.entry}'"
-            found = f"None, not {self._wanted}" if observation is None else f"{image.dtype} of shape {image.shape}, not {self._wanted}"
-            raise TaskError(f"{which} is {found}", "what reset and step return has to be as observation_space says")
+            is_now = "None" if observation is None else f"{image.dtype} of shape {image.shape}"
+            raise TaskError(f"{which} is {is_now}, not uint8 of shape {self.shape}", _AS_SAID)
         return image
-
-    @property
-    def _wanted(self) -> str:
-        return f"uint8 of shape {self.shape}"
 
     def images(self, observation: Any) -> Pixels:
         """Scale to uint8 [channels, 64, 64]: every pixel the mean of the area that it covers."""
         image = self.image(observation)
         last = image if self.channels_last else np.moveaxis(image, 0, -1)
-        parts = [_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)]
-        return np.concatenate(parts)
+        return np.concatenate([_resized(last[..., first : first + 3]) for first in range(0, self.channels, 3)])
 
 
 @dataclass(frozen=True)
@@ -113,11 +105,11 @@ class Views:
             TaskError: it is not there, not finite, or has another size than the observation space says.
         """
         size = self.privileged_size if entry == self.privileged else self.state_size
-        found = _entry(observation, entry)
+        given = _entry(observation, entry)
         try:
-            values = np.asarray(found, np.float64).ravel()
+            values = np.asarray(given, np.float64).ravel()
         except (TypeError, ValueError) as error:
-            raise TaskError(f"its observation '{entry}' is no array of numbers: {type(found).__name__}") from error
+            raise TaskError(f"its observation '{entry}' is no array of numbers: {type(given).__name__}") from error
         if values.size != size:
             raise TaskError(f"its observation '{entry}' has {values.size} values, its space has {size}")
         if not np.isfinite(values).all():
@@ -131,50 +123,42 @@ def views_of(space: gymnasium.Space[Any]) -> Views:
     Raises:
         TaskError: there is no image in it.
     """
-    front, rear = _camera(space, FRONT), _camera(space, REAR) if isinstance(space, gymnasium.spaces.Dict) else None
+    spaces: Mapping[Any, gymnasium.Space[Any]] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {None: space}
+    front, rear = _camera(spaces, (None, *FRONT)), _camera(spaces, REAR)
     if front is None:
         raise TaskError(f"its observation shows no camera image: {_described(space)}", f"an image is {_WANTED}")
     if front.channels == 6:
         rear = None
     elif rear is not None and rear.channels != 3:
         raise TaskError(f"its second image '{rear.entry}' has {rear.channels} channels, not 3")
-    sizes = {entry: size for entry in (PRIVILEGED, STATE) if (size := _vector_size(space, entry)) is not None}
+    sizes = {
+        entry: size
+        for entry in (PRIVILEGED, STATE)
+        if isinstance(box := spaces.get(entry), gymnasium.spaces.Box) and (size := int(np.prod(box.shape)))
+    }
     privileged = next((entry for entry in (PRIVILEGED, STATE) if entry in sizes), None)
     state = next((entry for entry in (STATE, PRIVILEGED) if entry in sizes), None)
-    views = Views(front, rear, privileged, state, 0, 0)
-    coarse = 2 * 3 * views.cameras * COARSE * COARSE
+    coarse = 2 * 3 * (2 if rear is not None or front.channels == 6 else 1) * COARSE * COARSE
     return Views(front, rear, privileged, state, sizes.get(privileged or "", coarse), sizes.get(state or "", coarse))
 
 
 def _entry(observation: Any, entry: str) -> Any:
     if not isinstance(observation, Mapping) or entry not in observation:
-        found = f"entries {list(observation)}" if isinstance(observation, Mapping) else type(observation).__name__
-        raise TaskError(f"its observation has no '{entry}': {found}", "what reset and step return has to be as observation_space says")
+        holds = f"entries {list(observation)}" if isinstance(observation, Mapping) else type(observation).__name__
+        raise TaskError(f"its observation has no '{entry}': {holds}", _AS_SAID)
     return observation[entry]
 
 
-def _camera(space: gymnasium.Space[Any], entries: tuple[str, ...]) -> _Camera | None:
-    if isinstance(space, gymnasium.spaces.Dict):
-        found = next((entry for entry in entries if entry in space.spaces), None)
-        return None if found is None else _image(space.spaces[found], found)
-    return _image(space, None)
-
-
-def _image(space: gymnasium.Space[Any], entry: str | None) -> _Camera | None:
+def _camera(spaces: Mapping[Any, gymnasium.Space[Any]], entries: tuple[str | None, ...]) -> _Camera | None:
+    """The first of these entries, where it is an image."""
+    entry = next((entry for entry in entries if entry in spaces), "")
+    space = spaces.get(entry)
     if not isinstance(space, gymnasium.spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3 or 0 in space.shape:
         return None
     for channels_last, channels in ((True, space.shape[-1]), (False, space.shape[0])):
         if channels in (3, 6):
             return _Camera(entry, channels_last, channels, space.shape)
     return None
-
-
-def _vector_size(space: gymnasium.Space[Any], entry: str) -> int | None:
-    found = space.spaces.get(entry) if isinstance(space, gymnasium.spaces.Dict) else None
-    if not isinstance(found, gymnasium.spaces.Box):
-        return None
-    size = int(np.prod(found.shape))
-    return size or None
 
 
 def _described(space: gymnasium.Space[Any]) -> str:
