@@ -1,4 +1,4 @@
-"""docs/assistants.md and docs/learning.md say what is published: the field on fresh seeds, operators that no choice has seen, every trained part."""
+"""docs/assistants.md and docs/learning.md say what is published: the field, operators that no choice has seen, every trained part."""
 
 from __future__ import annotations
 
