@@ -84,10 +84,11 @@ def space_of(task: VectorTask, observation: str) -> gymnasium.Space[Any]:
 
 
 def shown(task: VectorTask, observation: Observation, row: int, name: str) -> NDArray[Any] | dict[str, NDArray[Any]]:
-    """Return what was asked for of the observation of one episode of a batch."""
-    fields = {field: value[row : row + 1] for field, value in observation._asdict().items() if value is not None}
+    """Return what was asked for of the observation of one episode of a batch: of arrays [B, ...] those of a row [...]."""
+    fields: dict[str, NDArray[Any]] = {field: value[row : row + 1] for field, value in observation._asdict().items() if value is not None}
     if name not in _FIELDS:
-        return fields[name][0]
+        one: NDArray[Any] = fields[name][0]
+        return one
     if name == "vision":
         fields = with_vision(task, Observation(fields["pixels"], fields["state"], None))
     return {field: value[0] for field, value in fields.items()}
