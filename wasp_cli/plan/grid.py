@@ -16,7 +16,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
 from wasp_cli.plan.closure import PACKAGE, closure_hash
 from wasp_cli.plan.keys import Text, canonical, joined, key_of, recipe_of
-from wasp_cli.plan.node import Cell, Node, Part, sort_of, with_upstream
+from wasp_cli.plan.node import Cell, Node, Part, driver_label, sort_of, with_upstream
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Stage
@@ -191,7 +191,7 @@ class _Builder:
         if cell.operator == CLONED:
             needs = {**needs, **self._cloned_person(cell.task, self.spec.chain_seed(cell.seed), cell.operator, cell.value)}
             upstream = self._upstream(needs)
-        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), (text, upstream, shared.sort))
+        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, cell.who, (text, upstream, shared.sort))
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
         """Return the node that branches the interventions of an evaluated cell."""
@@ -200,7 +200,7 @@ class _Builder:
         # A person cannot be asked again: in the branches the clone goes on.
         driver = CLONED if cell.operator == PERSON else cell.operator
         needs |= self._cloned_person(cell.task, chain, driver, cell.value)
-        label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
+        label = f"{COUNTERFACTUAL} {cell.who}"
         shared: _Assisted = self.assisted(cell.task, chain, cell.method, cell.assistant)
         axes, made = evaluation.axes, self._of_method(COUNTERFACTUAL, cell.task, evaluation.axes, shared.text, needs)
         # The assistant is not asked again: its code is in the key through the evaluation alone.
@@ -242,7 +242,7 @@ class _Builder:
 
     def _clone(self, task: str, seed: int, value: float | None) -> Node:
         axes, roots = {"operator": PERSON, "value": value}, (*_roots(_operator_targets([PERSON])), FITTING)
-        return self._node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), roots, f"{CLONE} {_driver(PERSON, value)}")
+        return self._node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), roots, f"{CLONE} {driver_label(PERSON, value)}")
 
     def _cloned_person(self, task: str, seed: int, operator: str, value: float | None) -> dict[str, Node]:
         """The clone of a participant, where it drives; it is made by `wasp clone`, not by a run."""
@@ -320,16 +320,6 @@ def _plugins(targets: Mapping[str, str]) -> dict[str, Any]:
 def _roots(targets: Mapping[str, str]) -> tuple[str, ...]:
     """Where the code of what import strings name begins."""
     return tuple(map(module_of, targets.values()))
-
-
-def _cell_label(cell: Cell) -> str:
-    """Who assists whom: `wasp/no-case2 laggy=0.7`."""
-    assistant = "" if cell.assistant == CALIBRATED_VARIANT else f"/{cell.assistant}"
-    return f"{cell.method}{assistant} {_driver(cell.operator, cell.value)}"
-
-
-def _driver(operator: str, value: float | None) -> str:
-    return "unimpaired" if value is None else f"{operator}={value:g}"
 
 
 def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:

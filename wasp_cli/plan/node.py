@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.plan.keys import canonical
 
 
@@ -28,9 +27,12 @@ class Cell:
     seed: int
 
     def __str__(self) -> str:
-        assistant = "" if self.assistant == "full" else f"/{self.assistant}"
-        operator = "unimpaired" if self.operator == UNIMPAIRED else f"{self.operator}={self.value:g}"
-        return f"{self.task} {self.method}{assistant} {operator} seed {self.seed}"
+        return f"{self.task} {self.who} seed {self.seed}"
+
+    @property
+    def who(self) -> str:
+        """Say who assists whom, as `cell_label` does."""
+        return cell_label(self.method, self.assistant, self.operator, self.value)
 
     def as_json(self) -> dict[str, Any]:
         """Return this as plain values, for the plan of a run."""
@@ -39,6 +41,17 @@ class Cell:
 
 
 _FIELDS = tuple(field.name for field in fields(Cell))
+
+
+def cell_label(method: str, variant: str, operator: str, value: float | None) -> str:
+    """Say who assists whom: `wasp/no-case2 laggy=0.7`."""
+    assistant = method if variant == "full" else f"{method}/{variant}"
+    return f"{assistant} {driver_label(operator, value)}"
+
+
+def driver_label(operator: str, value: float | None) -> str:
+    """Say who drives: `laggy=0.7`, or `unimpaired`."""
+    return "unimpaired" if value is None else f"{operator}={value:g}"
 
 
 @dataclass(frozen=True, order=True, slots=True)

@@ -16,11 +16,10 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.report.address import cell_address, open_command
-from wasp_cli.report.explain.collect import decision_facts, summarize
 from wasp_cli.report.explain.decision_text import decision_lines
 from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.page.films import timeline
+from wasp_cli.report.explain.timeline import timeline
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.report.tables.table import Column
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
@@ -82,7 +81,7 @@ def episode_page(site: Site, text: str, number: int, step: int | None = None, fi
     whole = not without_steps(artifact.manifest)
     return site.render(
         "episode.html", f"{cell.label}, episode {number}", view=episode_view(site, cell, stored, step, film), cell=cell, number=number,
-        summary=as_html(episode_lines(summarize(stored), WIDTH, f"wasp explain {cell.key[:8]}")),
+        summary=as_html(episode_lines(stored, WIDTH, f"wasp explain {cell.key[:8]}")),
         notes=[note for note in site.notes() if note.key == cell.key and note.episode in (None, number)],
         command=open_command(site.name, cell_address(site.cells.ref(cell), number)),
         before=site.links.episode(cell, number - 1) if whole and number > 0 else "",
@@ -128,7 +127,7 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: i
         pair = both_branches(stored, branches_of(site.layout, cell), step)
     drawn = pair is not None and site.links.live and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
-    words = as_html(decision_lines(decision_facts(stored, step), min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
+    words = as_html(decision_lines(stored, step, min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
     return Markup(site.render("step.html", "", words=words, pair=pair, film=film))
 
 
