@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
+from wasp_cli.plan.node import cell_label
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys
-from wasp_cli.store.find import KIND
+from wasp_cli.store.find import KIND, begins, same_label
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import CellIdentity, cell_file
 
@@ -45,9 +46,7 @@ class ListedCell:
     @property
     def label(self) -> str:
         """As `wasp run` prints it."""
-        variant = "" if self.variant == "full" else f"/{self.variant}"
-        operator = "unimpaired" if self.value is None else f"{self.operator}={self.value:g}"
-        return f"{self.task} s{self.seed} {self.method}{variant} {operator}"
+        return f"{self.task} s{self.seed} {cell_label(self.method, self.variant, self.operator, self.value)}"
 
     @property
     def identity(self) -> CellIdentity:
@@ -115,6 +114,12 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
             who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
             found.append(ListedCell(key, None, *who, None, value, int(manifest["seed"]), judged.get(key)))
     return found
+
+
+def named(cells: Sequence[ListedCell], text: str) -> list[ListedCell]:
+    """Return the cells that the beginning of a key names, or else a label."""
+    typed = " ".join(text.split())
+    return [cell for cell in cells if begins(cell.key, typed)] or [cell for cell in cells if same_label(cell.label, typed)]
 
 
 def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:

@@ -67,18 +67,24 @@ class WrittenVideo(NamedTuple):
 
 
 class Painter:
-    """Paints the frames of one episode."""
+    """Paints the frames of one episode, in any order."""
 
-    def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, *, hold: bool, corrected: str) -> None:
-        """`corrected` names what the lower block imagines."""
-        self._played, self._stored, self._horizon, self._hold, self._corrected = played, stored, horizon, hold, corrected
+    def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, correction: Correction) -> None:
+        self._played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
         self._timeline = Timeline(stored, WIDTH, TIMELINE)
-        self._view = None if played.appearance is None else MapView(played.appearance, MAP)
+        self._view, self._next = self._fresh_view(), 0
 
-    def frame(self, decision: PlayedDecision) -> Image.Image:
+    def _fresh_view(self) -> MapView | None:
+        return None if self._played.appearance is None else MapView(self._played.appearance, MAP)
+
+    def frame(self, index: int) -> Image.Image:
         """Draw one frame: RGB of WIDTH x HEIGHT px."""
-        imagined = imagine(self._played.model, decision.start, self._horizon, self.shown, hold=self._hold)
+        if index < self._next:
+            self._view = self._fresh_view()  # a map that follows its robot has to be painted from the first frame on
+        self._next = index + 1
+        decision = self._played.decisions[index]
+        imagined = imagine(self._played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
         t = decision.start.t
@@ -167,7 +173,7 @@ class Painter:
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
             for row in rows:
                 image.paste(_camera(images, row, SIDE), (column, _TOPS[0] + row * (SIDE + BETWEEN)))
-        for block, (top, name, colour) in enumerate(zip(_TOPS, ("uncorrected", self._corrected), _SEQUENCES, strict=True)):
+        for block, (top, name, colour) in enumerate(zip(_TOPS, ("uncorrected", self._correction.name), _SEQUENCES, strict=True)):
             there = block < len(imagined.features)
             what = f"imagined: {name}" if there else "no correction at this decision"
             draw.rectangle((columns[2], top - 2 * TITLE + 4, columns[2] + 10, top - 2 * TITLE + 14), colour if there else _NOTHING)
@@ -233,14 +239,14 @@ def film_episode(
     checked(out)
     shown = decisions_shown(stored, every)
     played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
-    frames = _Frames(played, stored, horizon, correction)
+    painter = Painter(played, stored, horizon, correction)
 
     def painted(index: int) -> None:
         progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
 
     times = [round(1000 * SLOWER * seconds_of(stored) * (after - t)) for t, after in pairwise(shown)]
     with threads_of_evaluations():
-        write(out, len(shown), frames.paint, [*times, LAST_MS], painted)
+        write(out, len(shown), painter.frame, [*times, LAST_MS], painted)
     names = ("forward", "left", "turn")
     r2 = None if played.readout is None else dict(zip(names, played.explained.tolist(), strict=True))
     return WrittenVideo(len(shown), r2)
@@ -260,25 +266,8 @@ def frames_of(source: Source, stored: Episode, episode: int, correction: Correct
     """Play a cell again and draw the frames of an episode, uint8 [HEIGHT, WIDTH, 3] each; arguments and errors as in `film_episode`."""
     shown = decisions_shown(stored, every)
     played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
-    frames = _Frames(played, stored, horizon, correction)
+    painter = Painter(played, stored, horizon, correction)
     for index in range(len(shown)):
         with threads_of_evaluations():
-            frame = np.asarray(frames.paint(index))
+            frame = np.asarray(painter.frame(index))
         yield frame
-
-
-class _Frames:
-    """Paints the frames in any order, though a map that follows its robot is to be painted from the first one on."""
-
-    def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, correction: Correction) -> None:
-        self._played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
-        self._painter, self._next = self._fresh(), 0
-
-    def _fresh(self) -> Painter:
-        return Painter(self._played, self._stored, self._horizon, hold=self._correction.hold, corrected=self._correction.name)
-
-    def paint(self, index: int) -> Image.Image:
-        if index < self._next:
-            self._painter = self._fresh()
-        self._next = index + 1
-        return self._painter.frame(self._played.decisions[index])

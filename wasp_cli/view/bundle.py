@@ -19,9 +19,8 @@ from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.store.find import KIND
 from wasp_cli.store.tables import cell_file
 from wasp_cli.view import pages, runs
-from wasp_cli.view.cells import problem_of
 from wasp_cli.view.episode import episode_page, load
-from wasp_cli.view.films import FILM, drawing, read_state
+from wasp_cli.view.films import FILM, drawing, problem_of, read_state
 from wasp_cli.view.server import FILES
 from wasp_cli.view.site import BundleLinks, Site
 

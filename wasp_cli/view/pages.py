@@ -20,7 +20,8 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.view import episode
-from wasp_cli.view.cells import COLUMNS, Shown, problem_of, words
+from wasp_cli.view.cells import COLUMNS, words
+from wasp_cli.view.films import problem_of
 from wasp_cli.view.site import Site
 
 FIRST = 400
@@ -58,12 +59,11 @@ def cells_page(site: Site) -> str:
     """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
     site.cells.refresh()
     known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
-    marked = {key for key, _ in invalid(site.notes())}
     rows = []
     for cell in site.cells.listed():
         row = Row(cell.key, site.links.cell(cell), tuple(words(cell)))
         if (shown := known.get(cell.key)) is not None:
-            row = row._replace(episodes=str(shown.episodes or ""), texts=shown.texts, state=_oddity(shown, cell.key in marked))
+            row = row._replace(episodes=str(shown.episodes or ""), texts=shown.texts, state=shown.state)
         rows.append(row)
     choices = {name: sorted({row.words[place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
     return site.render(
@@ -82,16 +82,11 @@ def cells_page(site: Site) -> str:
 def numbers(site: Site, after: int = 0) -> dict[str, Any]:
     """Return the numbers of cells that are read by now, but for the first so many; how many are known, and how many are not."""
     known, left = site.cells.numbers()
-    marked = {key for key, _ in invalid(site.notes())}
     texts = {
-        key: [str(shown.episodes or ""), *(shown.texts or [""] * len(COLUMNS)), _oddity(shown, key in marked)]
+        key: [str(shown.episodes or ""), *(shown.texts or [""] * len(COLUMNS)), shown.state]
         for key, shown in islice(known.items(), after, None)
     }
     return {"left": left, "known": len(known), "numbers": texts}
-
-
-def _oddity(shown: Shown, marked: bool) -> str:
-    return "damaged" if shown.damaged else shown.reason or ("has invalid episodes" if marked else "")
 
 
 def cell_page(site: Site, text: str) -> str:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
+from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.stored import Episode, Floats
 
 
