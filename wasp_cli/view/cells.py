@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,9 +49,9 @@ class Shown:
         return [column.number(self.numbers.pooled[column.key]) for column in COLUMNS]
 
     @property
-    def state(self) -> str:
-        """Return what is odd about the cell in a few words."""
-        return "damaged" if self.damaged else self.reason
+    def row(self) -> list[str]:
+        """Return what the table of cells says: the number of episodes, one text for each of COLUMNS, what is odd."""
+        return [str(self.episodes or ""), *(self.texts or [""] * len(COLUMNS)), "damaged" if self.damaged else self.reason]
 
     def without(self, invalid: Collection[int | None]) -> Shown:
         """Return the cell without the episodes that are marked as invalid; None stands for the whole cell."""
@@ -210,10 +210,7 @@ def _order(cell: ListedCell) -> tuple[str, str, str, str, float, int, str]:
     return cell.task, cell.method, cell.variant, cell.operator, cell.value or 0.0, cell.seed, cell.key
 
 
-def words(cell: ListedCell) -> Iterator[str]:
-    """Yield what the table says of a cell beside its numbers: task, method, operator, severity, seed."""
-    yield cell.task
-    yield who_title(cell.method, cell.variant)
-    yield cell.operator
-    yield "" if cell.value is None else f"{cell.value:g}" + (f" ({cell.severity})" if cell.severity else "")
-    yield str(cell.seed)
+def words(cell: ListedCell) -> tuple[str, ...]:
+    """Return what the table says of a cell beside its numbers: task, method, operator, severity, seed."""
+    severity = "" if cell.value is None else f"{cell.value:g}" + (f" ({cell.severity})" if cell.severity else "")
+    return cell.task, who_title(cell.method, cell.variant), cell.operator, severity, str(cell.seed)

@@ -23,9 +23,10 @@ from wasp_cli.report.explain.stored import Episode, read_episode
 from wasp_cli.report.explain.timeline import LOOKS, timeline
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.report.tables.table import Column
+from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay_step import Criterion, Verdict, judge
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
@@ -126,25 +127,12 @@ def load(cell: FoundCell, number: int) -> Episode:
         state = cell.path.stat()
     except OSError as error:
         raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed") from error
-    return _load(_Place(cell), number, (state.st_mtime_ns, state.st_size))
-
-
-class _Place:
-    """A cell as a key of a cache: by its path."""
-
-    def __init__(self, cell: FoundCell) -> None:
-        self.cell = cell
-
-    def __hash__(self) -> int:
-        return hash(self.cell.path)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Place) and other.cell.path == self.cell.path
+    return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
 
 
 @lru_cache(KEPT)
-def _load(place: _Place, number: int, stamp: tuple[int, int]) -> Episode:
-    return read_episode(place.cell, number)
+def _load(path: Path, key: str | None, number: int, stamp: tuple[int, int]) -> Episode:
+    return read_episode(FoundCell(path, key, read_record(path.with_name(MANIFEST)) or {}), number)
 
 
 def stops(stored: Episode) -> list[int]:
