@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -25,10 +26,10 @@ NUMBER = re.compile(r"[-+.…%\d]*")
 
 def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
     """Set parts below each other, in lines of at most `width` columns."""
-    console = Console(file=io.StringIO(), width=width, markup=False, emoji=False, highlight=False)
+    console = Console(file=io.StringIO(), markup=False, emoji=False, highlight=False)
     lines = []
-    for segments in console.render_lines(Group(*parts), pad=False):
-        line = Text.assemble(*((segment.text, segment.style or "") for segment in segments))
+    for segments in console.render_lines(Group(*parts), console.options.update(width=width), pad=False):
+        line = Text.assemble(*((segment.text, segment.style or "") for segment in Segment.simplify(segments)))
         line.rstrip()
         lines.append(line)
     return lines
@@ -59,7 +60,7 @@ def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: S
     columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
-        drawn.add_column(str(title), justify="right" if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells) else "left")
+        drawn.add_column(title, justify="right" if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells) else "left")
     for i, cells in enumerate(zip(*(cells for _, cells in columns), strict=True)):
         drawn.add_row(*cells, style=styles[i] if styles else "")
     return _indented(drawn)
