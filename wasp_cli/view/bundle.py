@@ -103,11 +103,7 @@ def _prepare(folder: Path) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         if not (folder / MARK).is_file():
             raise UsageError(f"'{folder}' holds something else", "name a new folder")
-        for path in folder.iterdir():
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+        shutil.rmtree(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / MARK).write_text(
         "Written by wasp view --bundle; index.html is where to begin. Everything here is replaced when it is written again.\n"
