@@ -37,7 +37,7 @@ def cells_page(site: Site) -> str:
     site.cells.refresh()
     known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
     unread = [""] * (len(COLUMNS) + 2)
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "key": cell.key, "href": site.links.cell(cell), "words": words(cell),
             "numbers": known[cell.key].row if cell.key in known else unread,
@@ -167,7 +167,8 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
     if world is not None and world not in worlds:
         raise UsageError(f"not both cells met the world {world}")
     met = () if world is None else worlds[world]
-    episodes, problem = [], ""
+    episodes: list[Episode] = []
+    problem = ""
     try:
         episodes = [episode.load(artifact, row["episode"]) for (_, artifact), row in zip(pair, met, strict=False)]
     except WaspError as error:  # where one does not read, neither is shown

@@ -22,6 +22,7 @@ from wasp_cli.report.explain.layout import (
     ms,
     notes,
     plain,
+    section,
     set_out,
     short,
     span,
@@ -54,12 +55,15 @@ def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
 def _parts(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     yield heading(f"{episode.label} · episode {episode.row['episode']} · decision {facts.t}", f"of 0 to {episode.decisions - 1}")
     yield _headline(episode, facts)
-    yield from ("", fields(cell_fields(episode)), "", heading("Action"), _action(facts))
+    yield ""
+    yield fields(cell_fields(episode))
+    yield from section("Action", _action(facts))
     if facts.safety is not None and facts.task is not None:
-        yield from ("", heading("Gates"), *_gates(episode, facts.safety, facts.task), "", heading("Plan"), *_plan(episode, facts))
+        yield from section("Gates", *_gates(episode, facts.safety, facts.task))
+        yield from section("Plan", *_plan(episode, facts))
     elif facts.signal is not None:
-        yield from ("", heading("Decision"), *_signal(episode, facts))
-    yield from ("", heading("What then happened"), *_happened(episode, facts), fields([("decision time", _time(episode, facts))]))
+        yield from section("Decision", *_signal(episode, facts))
+    yield from section("What then happened", *_happened(episode, facts), fields([("decision time", _time(episode, facts))]))
 
 
 def _headline(episode: Episode, facts: Decision) -> str:
@@ -95,7 +99,8 @@ def _action(facts: Decision) -> RenderableType:
 
 
 def _gates(episode: Episode, safety: Gate, task: Gate) -> list[RenderableType]:
-    rows, styles = [], []
+    rows: list[list[str]] = []
+    styles: list[str] = []
     for look, gate, symbol, limit in ((LOOKS[GATE_SAFETY], safety, "G^c", "τ_c"), (LOOKS[GATE_TASK], task, "ΔG", "τ_r")):
         value, threshold = beside(gate.value, gate.threshold)
         rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])

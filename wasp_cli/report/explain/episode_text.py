@@ -27,6 +27,7 @@ from wasp_cli.report.explain.layout import (
     notes,
     places,
     plain,
+    section,
     set_out,
     short,
     span,
@@ -60,13 +61,15 @@ def episode_lines(episode: Episode, width: int, command: str = "wasp explain CEL
 
 def _parts(episode: Episode, width: int) -> Iterator[RenderableType]:
     yield heading(f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}")
-    yield from (_headline(episode), "", fields([*cell_fields(episode), *_outcome(episode)]))
+    yield _headline(episode)
+    yield ""
+    yield fields([*cell_fields(episode), *_outcome(episode)])
     if episode.selective:
-        yield from ("", heading("Gates" if episode.gated else "Decisions"), *_gates(episode))
+        yield from section("Gates" if episode.gated else "Decisions", *_gates(episode))
     if strip := strip_lines(episode, width):
-        yield from ("", heading("Over the episode"), *strip)
+        yield from section("Over the episode", *strip)
     runs = merged_runs(episode, MOST_RUNS)
-    yield from ("", heading("Runs of decisions"), _runs(episode, runs, width), *notes(_legend(episode, runs)))
+    yield from section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs)))
 
 
 def _headline(episode: Episode) -> str:
@@ -139,28 +142,26 @@ def _gates(episode: Episode) -> Iterator[RenderableType]:
 
 def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
     tau_c, tau_r = episode.thresholds.tau_c, episode.thresholds.tau_r
-    columns: dict[str, list[str]] = {
-        "decisions": [span(run.first, run.last) for run in runs],
-        "gate": [_gate(run, episode.method) if episode.selective else "-" for run in runs],
-        "changed": [_changed(run) for run in runs],
-        "command → executed (means)": [_change(run) for run in runs],
-        f"G^c (τ_c {short(tau_c)})": [between(run.g_cost, tau_c) for run in runs],
-        f"ΔG (τ_r {short(tau_r)})": [between(run.delta_g, tau_r) for run in runs],
-        episode.signal.name: [between(run.signal, None) for run in runs],
-        "cost": [str(run.cost) if run.cost else "-" for run in runs],
-        "missed at": [places(run.missed) for run in runs],
-    }
-    changed, change, _, gain, signal = list(columns)[2:7]
-    sizes = {name: max(map(len, (name, *cells))) + BETWEEN for name, cells in columns.items() if set(cells) != {"-"}}
+    columns = [
+        ("decisions", [span(run.first, run.last) for run in runs]),
+        ("gate", [_gate(run, episode.method) if episode.selective else "-" for run in runs]),
+        ("changed", [_changed(run) for run in runs]),
+        ("command → executed (means)", [_change(run) for run in runs]),
+        (f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
+        (f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs]),
+        (episode.signal.name, [between(run.signal, None) for run in runs]),
+        ("cost", [str(run.cost) if run.cost else "-" for run in runs]),
+        ("missed at", [places(run.missed) for run in runs]),
+    ]
     # Where there is no room, what says least goes.
-    for name in (gain, signal, change, changed):
-        if INDENT + sum(sizes.values()) - BETWEEN > width:
-            sizes.pop(name, None)
-            columns.pop(name)
-    rows: list[list[str | Text]] = [list(row) for row in zip(*columns.values(), strict=True)]
+    for place in (5, 6, 3, 2):
+        sizes = [max(map(len, (title, *cells))) for title, cells in columns if set(cells) != {"-"}]
+        if INDENT + sum(sizes) + BETWEEN * (len(sizes) - 1) > width:
+            columns[place] = (columns[place][0], ["-"] * len(runs))
+    rows: list[list[str | Text]] = [list(row) for row in zip(*(cells for _, cells in columns), strict=True)]
     for row, run in zip(rows, runs, strict=True):
         row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
-    return table(list(columns), rows, [STYLES[run.gate] for run in runs])
+    return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
 
 
 def _gate(run: Run, method: str) -> str:
@@ -201,7 +202,8 @@ def strip_lines(episode: Episode, width: int) -> list[RenderableType]:
 
     Returns none where there is nothing to draw (no gate's value, no intervention).
     """
-    values, name, limit = episode.numbers["deviation"], "|a - a^H|", None
+    values, name = episode.numbers["deviation"], "|a - a^H|"
+    limit: float | None = None
     if episode.gated and np.isfinite(episode.numbers["g_cost"]).any():
         values, name, limit = episode.numbers["g_cost"], "G^c", episode.thresholds.tau_c
     # Half of the height is the threshold: what stands above the middle has fired, without any colour.

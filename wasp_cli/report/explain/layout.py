@@ -40,6 +40,11 @@ def heading(text: str, more: str = "") -> Text:
     return Text.assemble((text, "bold"), (f"  ({more})" if more else "", "dim"))
 
 
+def section(title: str, *parts: RenderableType) -> list[RenderableType]:
+    """Return parts below an empty line and a heading."""
+    return ["", heading(title), *parts]
+
+
 def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
     """Set names at the left and their values beside them."""
     grid = Table.grid(padding=(0, BETWEEN, 0, 0))
