@@ -133,7 +133,7 @@ def test_tables_are_those_of_the_report(results: Results) -> None:
 def test_trained_parts_have_their_numbers(results: Results) -> None:
     models = results.trained(kind="world_model")
     assert models["seed"].to_pylist() == [0, 1]
-    manifest = json.loads((Path(models["folder"][0].as_py()) / "manifest.json").read_text())
+    manifest = json.loads((Path(models["folder"][0].as_py()) / "_manifest.json").read_text())
     assert models["final_reward_loss"][0].as_py() == manifest["summary"]["final_reward_loss"]
     assert {"expert", "critics", "policies"} <= {*results.trained()["kind"].to_pylist()}
     assert {*results.trained(seed=1)["seed"].to_pylist()} == {1}

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_SAFETY, Plans, Trajectory, episode_metrics
-from wasp_cli.report.explain.collect import decision_facts, summarize
 from wasp_cli.report.explain.decision_text import decision_lines
 from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
@@ -119,8 +118,8 @@ def text_of(lines: list[Any]) -> str:
 
 
 def episode_text(episode: Episode, width: int = 120) -> str:
-    return text_of(episode_lines(summarize(episode), width))
+    return text_of(episode_lines(episode, width))
 
 
 def decision_text(episode: Episode, t: int, width: int = 400) -> str:
-    return text_of(decision_lines(decision_facts(episode, t), width))
+    return text_of(decision_lines(episode, t, width))

@@ -9,10 +9,9 @@ import pytest
 
 from tests.report.explained import NAN, Invented, decision_text, episode_text
 from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_SAFETY, episode_metrics
-from wasp_cli.report.explain.collect import summarize
-from wasp_cli.report.explain.facts import as_json
+from wasp_cli.report.explain.facts import episode_json, places_of
 from wasp_cli.report.explain.stored import Episode
-from wasp_cli.report.page.films import timeline
+from wasp_cli.report.explain.timeline import timeline
 from wasp_cli.store.tables import Thresholds
 
 
@@ -33,9 +32,8 @@ def test_late_is_not_missed(late: Episode) -> None:
     assert "1 missed, 1 although a gate fired, 2 while the assistant was late" in text
     assert "late no answer in time 3 37.5%" in text
     assert "no gate was asked" in text
-    totals = summarize(late).totals
-    assert (totals.missed, totals.late) == ((1,), (4, 6))
-    assert as_json(summarize(late))["totals"]["gate_share"]["late"] == 3 / 8
+    assert (places_of(late.missed), places_of(late.late)) == ((1,), (4, 6))
+    assert episode_json(late)["totals"]["gate_share"]["late"] == 3 / 8
 
 
 def test_a_late_decision_asked_no_gate(late: Episode) -> None:

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from tests.report.explained import NAN, PRINTED, WASP, Invented, text_of
 from wasp_cli.metrics.episode import Plans
-from wasp_cli.report.explain.collect import decision_facts, merge_runs, summarize
 from wasp_cli.report.explain.decision_text import decision_lines
 from wasp_cli.report.explain.episode_text import episode_lines
-from wasp_cli.report.explain.facts import as_json
+from wasp_cli.report.explain.facts import decision_json, episode_json, merged_runs, places_of, runs_of
 from wasp_cli.store.tables import Thresholds
 
 numbers = st.one_of(st.just(NAN), st.floats(-2, 2), st.sampled_from([0.0, 0.3, 1e6]))
@@ -60,19 +59,17 @@ def cells(draw: st.DrawFn) -> Invented:
 def test_every_cell_can_be_explained(made: Invented, manifest: bool, width: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         episode = made.read(Path(folder), manifest)
-    summary = summarize(episode)
-    text = text_of(episode_lines(summary, width))
-    json.dumps(as_json(summary), allow_nan=False)
+    text = text_of(episode_lines(episode, width))
+    json.dumps(episode_json(episode), allow_nan=False)
     assert "nan" not in text.split()
     for most in (1, 3):
-        pieces = merge_runs(summary.runs, most)
+        pieces = merged_runs(episode, most)
         assert len(pieces) <= most
         assert [run.first for run in pieces[1:]] == [run.last + 1 for run in pieces[:-1]]
         assert (pieces[0].first, pieces[-1].last) == (0, episode.decisions - 1)
         for name in ("cost", "intervened"):
-            assert sum(getattr(run, name) for run in pieces) == sum(getattr(run, name) for run in summary.runs)
-        assert tuple(t for run in pieces for t in run.missed) == summary.totals.missed
+            assert sum(getattr(run, name) for run in pieces) == sum(getattr(run, name) for run in runs_of(episode))
+        assert tuple(t for run in pieces for t in run.missed) == places_of(episode.missed)
     for t in range(episode.decisions):
-        facts = decision_facts(episode, t)
-        assert decision_lines(facts, width)
-        json.dumps(as_json(facts), allow_nan=False)
+        assert decision_lines(episode, t, width)
+        json.dumps(decision_json(episode, t), allow_nan=False)

@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.report.explained import PRINTED, Invented, decision_text, episode_text
 from wasp_cli.methods.wasp import search
 from wasp_cli.metrics.episode import GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain.collect import summarize
+from wasp_cli.report.explain.facts import places_of
 from wasp_cli.report.explain.stored import KEPT
 from wasp_cli.store.tables import Thresholds
 
@@ -27,7 +27,7 @@ def test_a_method_that_votes(tmp_path: Path) -> None:
     assert "The command was executed." in decision_text(episode, 4)
     summary = episode_text(episode)
     assert "  IDA   vote > 0.990          1  12.5%\n  none  -                     7  87.5%\n" in summary
-    assert summarize(episode).totals.missed == (4,)
+    assert places_of(episode.missed) == (4,)
     assert "  3          IDA   1 of 1, by 0.56  (+0.50, -0.25) → (+0.00, +0.00)   1.000     2          -" in summary
 
 
@@ -45,7 +45,7 @@ def test_a_filter_has_a_threshold_of_cost_and_none_of_the_gates(tmp_path: Path) 
     assert "  Safety filter  Q_c > 0.400          1  12.5%\n" in summary
     assert "safety gate" not in summary + decision_text(episode, 3)
     assert "looks one imagined step ahead" in summary
-    assert summarize(episode).totals.missed == (4,)
+    assert places_of(episode.missed) == (4,)
 
 
 def test_the_printed_wasp_probes_and_imagines_the_operator(tmp_path: Path) -> None:

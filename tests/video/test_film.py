@@ -85,20 +85,20 @@ def edged(frame: Any) -> bool:
 
 
 def test_a_film_shows_the_recorded_way_and_its_costs(driven: Driven) -> None:
-    found = film(*driven.arguments(), every=7, size=SIZE)
-    length = len(driven.a)
-    assert found.decisions == [*range(0, length, 7), length]
-    assert {frame.shape for frame in found.frames} == {(SIZE, SIZE, 3)}
-    np.testing.assert_array_equal(found.positions, driven.places)
-    since = [driven.cost[a:b].any() for a, b in zip([0, *found.decisions], found.decisions, strict=False)]
+    moments = list(film(*driven.arguments(), every=7, size=SIZE))
+    length, decisions = len(driven.a), [moment.decision for moment in moments]
+    assert decisions == [*range(0, length, 7), length]
+    assert {moment.frame.shape for moment in moments} == {(SIZE, SIZE, 3)}
+    np.testing.assert_array_equal(moments[-1].positions, driven.places)
+    since = [driven.cost[a:b].any() for a, b in zip([0, *decisions], decisions, strict=False)]
     assert driven.cost.any()
-    assert [edged(frame) for frame in found.frames] == since
+    assert [edged(moment.frame) for moment in moments] == since
 
 
 def test_what_was_executed_is_shown_where_it_is_not_the_command(driven: Driven) -> None:
-    changed = film(*driven.arguments(), every=5, size=SIZE).frames
-    same = film(driven.name, 4, driven.seed, driven.a, driven.a, driven.reward, every=5, size=SIZE).frames
-    apart = [np.abs(one.astype(int) - other).max() > 60 for one, other in zip(changed, same, strict=True)]
+    changed = film(*driven.arguments(), every=5, size=SIZE)
+    same = film(driven.name, 4, driven.seed, driven.a, driven.a, driven.reward, every=5, size=SIZE)
+    apart = [np.abs(one.frame.astype(int) - other.frame).max() > 60 for one, other in zip(changed, same, strict=True)]
     moved = [bool(np.abs(action).max() > 0.05) for action in driven.a[::5]]
     assert apart[: len(moved)] == moved
     assert not apart[-1] or len(apart) == len(moved), "after the last decision nothing is commanded"
@@ -116,7 +116,7 @@ def test_a_film_of_another_world_is_refused(driven: Driven, spoil: str) -> None:
     else:
         seed += 1
     with pytest.raises(ArtifactError, match="the same actions lead elsewhere") as caught:
-        film(driven.name, 4, seed, a, a, reward, every=50, size=16)
+        list(film(driven.name, 4, seed, a, a, reward, every=50, size=16))
     assert "other libraries" in str(caught.value.hint)
 
 
@@ -131,11 +131,11 @@ def test_rewards_count_as_stored(driven: Driven) -> None:
 def test_others_tasks_show_what_their_camera_sees() -> None:
     rewards = np.array([[1 + i, 2 + i] for i in range(0, 20, 2)], float).sum(1)
     actions = np.zeros((10, 2), np.float32)
-    found = film("FilmMeter-v0", 2, 0, actions, actions, rewards, every=3, size=32)
-    assert found.decisions == [0, 3, 6, 9, 10]
-    assert [int(frame[16, 16, 0]) for frame in found.frames] == [40 + t for t in found.decisions]
-    assert [edged(frame) for frame in found.frames] == [False, True, False, False, False]
-    assert np.isnan(found.positions).all()
+    moments = list(film("FilmMeter-v0", 2, 0, actions, actions, rewards, every=3, size=32))
+    assert [moment.decision for moment in moments] == [0, 3, 6, 9, 10]
+    assert [int(moment.frame[16, 16, 0]) for moment in moments] == [40 + moment.decision for moment in moments]
+    assert [edged(moment.frame) for moment in moments] == [False, True, False, False, False]
+    assert not len(moments[-1].positions)
 
 
 @pytest.mark.parametrize("name", ["goal1", "race1"])
@@ -195,15 +195,15 @@ def test_marks_lie_where_their_places_are() -> None:
 
 def test_a_sprite_sheet_holds_the_frames_in_order(driven: Driven) -> None:
     made = sprite_of(*driven.arguments(), every=7, size=SIZE, columns=4)
-    shown = film(*driven.arguments(), every=7, size=SIZE)
-    assert made.decisions == shown.decisions
+    moments = list(film(*driven.arguments(), every=7, size=SIZE))
+    assert made.decisions == [moment.decision for moment in moments]
     assert len(made.data) <= films.LIMIT
     sheet = np.asarray(Image.open(io.BytesIO(made.data)).convert("RGB")).astype(int)
-    assert sheet.shape == (-(-len(shown.frames) // 4) * SIZE, 4 * SIZE, 3)
+    assert sheet.shape == (-(-len(moments) // 4) * SIZE, 4 * SIZE, 3)
     assert made.mime == "image/webp"
-    for index, frame in enumerate(shown.frames):
+    for index, moment in enumerate(moments):
         y, x = index // 4 * SIZE, index % 4 * SIZE
-        assert np.abs(sheet[y : y + SIZE, x : x + SIZE] - frame).mean() < 6
+        assert np.abs(sheet[y : y + SIZE, x : x + SIZE] - moment.frame).mean() < 6
 
 
 def test_a_sheet_that_would_be_too_high_becomes_wider(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,10 @@ from tests.video.test_film import Meter
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
+from wasp_cli.report.explain.stored import Constants, Episode, read_episode
+from wasp_cli.report.explain.timeline import LOOKS
 from wasp_cli.report.figures.style import PALETTE
+from wasp_cli.store.find import FoundCell
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.video import encode as video_file
@@ -25,10 +29,11 @@ from wasp_cli.video.film import film
 from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, film_episode
 from wasp_cli.video.imagined import displacements
 from wasp_cli.video.map import COST, Pose, things_of
-from wasp_cli.video.timeline import GATE_COLOURS, EpisodeTrace, Timeline
+from wasp_cli.video.timeline import Timeline
 from wasp_cli.video.trace import PlayedEpisode, Source, play_episode
 
 EPISODE, HORIZON = 1, 4
+ROOT = Path(__file__).parents[2]
 assert Meter  # registers an environment without a map
 
 
@@ -44,19 +49,8 @@ def played(cell: Evaluated, shown: set[int], **changes: Any) -> PlayedEpisode:
     return play_episode(source, EPISODE, [None] * len(source.recorded.a[EPISODE]), shown, HORIZON, lambda share, text: None)
 
 
-def trace_of(cell: Evaluated, **changes: Any) -> EpisodeTrace:
-    recorded = Recorded(**read_recorded(cell.path))
-    length = len(recorded.a[EPISODE])
-    nothing, zero = np.full(length, np.nan), np.zeros(length)
-    values: dict[str, Any] = {
-        "title": "race1 s0 ida noisy=0.4, episode 1", "gate": np.zeros(length, int), "costly": np.zeros(length, bool),
-        "a_h": recorded.a_h[EPISODE].astype(float), "a": recorded.a[EPISODE].astype(float),
-        "deviation": np.linalg.norm(recorded.a[EPISODE] - recorded.a_h[EPISODE], axis=1), "reward": recorded.reward[EPISODE],
-        "cost_env": zero, "goals": zero, "g_cost": nothing, "delta_g": nothing, "signal": zero, "plan_cost": nothing,
-        "alone_cost": nothing, "gated": False, "tau_c": None, "tau_r": None, "signal_name": "vote", "signal_limit": 0.5,
-        "decision_seconds": 0.8,
-    }  # fmt: skip
-    return EpisodeTrace(**(values | changes))
+def stored_of(cell: Evaluated, episode: int = EPISODE) -> Episode:
+    return replace(read_episode(FoundCell(cell.path), episode), constants=Constants(decision_seconds=0.8))
 
 
 # -- what is gathered -----------------------------------------------------------------------------------------------------------
@@ -77,8 +71,9 @@ def test_what_is_shown_is_what_the_cameras_saw_and_where_the_robot_was(cell: Eva
             with torch.inference_mode():
                 np.testing.assert_array_equal(shown[t].decoded, found.model.decode(shown[t].start.latent)[0].numpy())
         seen = world.step(np.stack([actions[t] for actions in recorded.a])).observation
-    alone = film(cell.task, REPEAT, recorded.layouts[EPISODE], recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE], 99, 8)
-    np.testing.assert_array_equal(found.places, alone.positions[:-1])
+    a, a_h, reward = recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE]
+    *_, last = film(cell.task, REPEAT, recorded.layouts[EPISODE], a, a_h, reward, 99, 8)
+    np.testing.assert_array_equal(found.places, last.positions[:-1])
     pose = shown[3].pose
     assert pose is not None
     np.testing.assert_array_equal(pose[:2], found.places[3])
@@ -112,13 +107,13 @@ def test_another_episode_than_the_recorded_one_is_refused(cell: Evaluated) -> No
 
 
 def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: Evaluated, tmp_path: Path) -> None:
-    trace = trace_of(cell)
-    changed = [(trace.a[t] - trace.a_h[t])[None] if trace.deviation[t] > 0 else None for t in range(trace.length)]
+    stored = stored_of(cell)
+    changed = [(stored.a[t] - stored.a_h[t])[None] if stored.numbers["deviation"][t] > 0 else None for t in range(stored.decisions)]
     assert any(each is not None for each in changed)
     path = tmp_path / "a.gif"
     shares: list[float] = []
     made = film_episode(
-        source_of(cell), trace, EPISODE, Correction(changed, "executed", False), HORIZON, 9, path, lambda share, text: shares.append(share)
+        source_of(cell), stored, EPISODE, Correction(changed, "executed", False), HORIZON, 9, path, lambda share, text: shares.append(share)
     )
     video: Any = Image.open(path)
     assert (video.n_frames, made.frames) == (4, 4)  # decisions 0, 9, 18 and 24 of 25
@@ -149,34 +144,23 @@ def test_a_video_has_a_frame_for_every_so_many_decisions_and_for_the_last(cell: 
 
 def test_a_cell_of_one_episode_has_a_readout_of_its_own_parts(inputs: Mapping[str, Path], tmp_path: Path) -> None:
     cell = evaluated(inputs, tmp_path / "cell", episodes=1)
-    trace = trace_of_row(cell, 0)
-    nothing = Correction([None] * trace.length, "", False)
-    made = film_episode(source_of(cell), trace, 0, nothing, HORIZON, 30, tmp_path / "a.apng", lambda share, text: None)
+    stored = stored_of(cell, 0)
+    nothing = Correction([None] * stored.decisions, "", False)
+    made = film_episode(source_of(cell), stored, 0, nothing, HORIZON, 30, tmp_path / "a.apng", lambda share, text: None)
     assert made.r2 is not None
     assert made.frames == 2
 
 
-def trace_of_row(cell: Evaluated, row: int) -> EpisodeTrace:
-    recorded = Recorded(**read_recorded(cell.path))
-    moved = recorded._replace(**{name: [getattr(recorded, name)[row]] * 2 for name in ("a_h", "a", "reward")})
-    length = len(moved.a[0])
-    zero, nothing = np.zeros(length), np.full(length, np.nan)
-    return EpisodeTrace(
-        "one", np.zeros(length, int), np.zeros(length, bool), moved.a_h[0].astype(float), moved.a[0].astype(float), zero, zero, zero, zero,
-        nothing, nothing, nothing, nothing, nothing, False, None, None, "signal", None, 0.1,
-    )  # fmt: skip
-
-
 def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_path: Path) -> None:
     cell = evaluated(inputs, tmp_path / "cell", task="FilmMeter-v0", episodes=2)
-    trace = trace_of_row(cell, 1)
+    stored = stored_of(cell, 1)
     source = source_of(cell)
-    found = play_episode(source, 1, [None] * trace.length, {0}, HORIZON, lambda share, text: None)
+    found = play_episode(source, 1, [None] * stored.decisions, {0}, HORIZON, lambda share, text: None)
     assert found.decisions[0].scene is None
     assert (found.readout, found.appearance, found.cameras) == (None, None, 1)
-    nothing = Correction([None] * trace.length, "", False)
-    made = film_episode(source, trace, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
-    assert made.frames == trace.length
+    nothing = Correction([None] * stored.decisions, "", False)
+    made = film_episode(source, stored, 1, nothing, HORIZON, 1, tmp_path / "a.gif", lambda share, text: None)
+    assert made.frames == stored.decisions
 
 
 def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
@@ -184,11 +168,12 @@ def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:
     gate[4], gate[5], gate[20] = GATE_SAFETY, GATE_SAFETY, GATE_TASK
     costly = np.arange(25) == 12
     curve = np.linspace(0, 1, 25)
-    trace = trace_of(cell, gate=gate, costly=costly, gated=True, g_cost=curve, delta_g=curve, tau_c=0.5, tau_r=0.4)
-    timeline = Timeline(trace, 900, 180)
+    stored = stored_of(cell)
+    row, numbers = {**stored.row, "tau_c": 0.5, "tau_r": 0.4}, {**stored.numbers, "g_cost": curve, "delta_g": curve}
+    timeline = Timeline(replace(stored, gate=gate, costly=costly, row=row, numbers=numbers), 900, 180)
     picture = np.asarray(timeline.image).astype(int)
     assert picture.shape == (180, 900, 3)
-    marks = {GATE_COLOURS[GATE_SAFETY]: [4, 5], GATE_COLOURS[GATE_TASK]: [20], COST: [12]}
+    marks = {LOOKS[GATE_SAFETY].colour: [4, 5], LOOKS[GATE_TASK].colour: [20], COST: [12]}
     for colour, decisions in marks.items():
         # Above the legend, whose samples have the same colours.
         columns = (np.abs(picture[:-30] - ImageColor.getrgb(colour)) < 4).all(-1).sum(0) > 6
@@ -245,8 +230,12 @@ def test_colours_that_mean_something_stay_among_many_others() -> None:
         shown = Image.new("RGB", (4, 4), colour).quantize(palette=palette, dither=Image.Dither.NONE).convert("RGB")
         assert np.abs(np.asarray(shown).astype(int) - ImageColor.getrgb(colour)).max() <= 4
     greys = {colour for colour in MEANT if colour[1:3] == colour[3:5] == colour[5:]}  # nobody confuses these with a colour
-    assert set(PALETTE) | greys >= set(GATE_COLOURS.values()) | set(MEANT[:3])
-    assert greys & set(GATE_COLOURS.values()) == {GATE_COLOURS[GATE_LATE]}
+    gates = {look.colour for look in LOOKS.values()}
+    assert set(PALETTE) | greys >= gates | set(MEANT[:3])
+    assert greys & gates == {LOOKS[GATE_LATE].colour}
+    style = (ROOT / "wasp_cli" / "report" / "page" / "style.css").read_text(encoding="utf-8")
+    for look in LOOKS.values():
+        assert look.kind == "late" or f"--{look.kind}: {look.colour.lower()};" in style, "pages have the same colours"
 
 
 @pytest.mark.parametrize(

@@ -57,11 +57,11 @@ def test_a_film_is_that_of_video_a_frame_for_every_decision(layout: Layout) -> N
         50,
         SIZE,
     )
-    for frame, decision in zip(drawn.frames, drawn.decisions, strict=True):
-        found = films.frame(cell.key, 0, FILM, decision)
+    for moment in drawn:
+        found = films.frame(cell.key, 0, FILM, moment.decision)
         assert found is not None
         shown = np.asarray(Image.open(io.BytesIO(found[0])).convert("RGB"), float)[:SIZE, :SIZE]
-        assert np.abs(shown - frame).mean() < 6, "but for what compression costs"
+        assert np.abs(shown - moment.frame).mean() < 6, "but for what compression costs"
     before = {path: path.stat().st_mtime_ns for path in films.folder.rglob("*")}
     assert Films(layout).ask(cell.key, 0, FILM)["state"] == "done", "another server finds it"
     assert {path: path.stat().st_mtime_ns for path in films.folder.rglob("*")} == before

@@ -147,25 +147,22 @@ def explain(
     read.
     """
     from wasp_cli.plan.recorded import keys_of
-    from wasp_cli.report.explain.collect import decision_facts, summarize
     from wasp_cli.report.explain.decision_text import decision_lines
     from wasp_cli.report.explain.episode_text import episode_lines
-    from wasp_cli.report.explain.facts import EpisodeSummary, as_json
+    from wasp_cli.report.explain.facts import decision_json, episode_json
     from wasp_cli.report.explain.stored import read_episode
     from wasp_cli.store.find import find_cell
 
     layout = Layout(place.results)
     stored = read_episode(find_cell(layout, cell, keys_of(layout, place.run)), episode)
-    facts = summarize(stored) if step is None else decision_facts(stored, step)
     if json:
-        print_json(as_json(facts))
+        print_json(episode_json(stored) if step is None else decision_json(stored, step))
         return
     width = out().width if out().is_terminal else WIDTH
     again = "wasp explain " + shlex.quote(stored.cell.key[:8] if stored.cell.key else str(stored.cell.path))
     if place.results != RESULTS:
         again += f" --results {shlex.quote(str(place.results))}"
-    lines = episode_lines(facts, width, again) if isinstance(facts, EpisodeSummary) else decision_lines(facts, width)
-    say(*lines)
+    say(*(episode_lines(stored, width, again) if step is None else decision_lines(stored, step, width)))
     _say_address(place.results, stored.cell, episode, step)
 
 

@@ -162,8 +162,8 @@ def compare(
 
     What changed, and is it more than noise? The last run of each spec counts. Only stored rows are read; nothing is computed.
     """
-    from wasp_cli.compare.pairs import pairs
     from wasp_cli.compare.runs import compare as compared_runs
+    from wasp_cli.compare.runs import pairs
     from wasp_cli.compare.text import as_json, show, write
 
     if out is not None and out.exists() and not out.is_dir():

@@ -11,16 +11,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 from wasp_cli.compare.paired import LEVEL, MEASURES, Paired, corrected, paired_episodes
-from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.plan.node import Cell
 from wasp_cli.plan.reasons import changes_between, few
 from wasp_cli.report.node import mapping
+from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.stats.bootstrap import Estimate, difference_of
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, odd_tables_refused, read_frame
 from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.run.record import read_run, results_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout, is_key, is_name
@@ -39,6 +42,12 @@ class Side:
     spec: Spec
     cells: Sequence[tuple[Cell, str]]
     """Each with the key of its evaluation."""
+
+    @classmethod
+    def read(cls, layout: Layout, run_id: str) -> Side:
+        """Read a recorded run."""
+        run = read_run(layout, run_id)
+        return cls(layout, run.run_id, run.spec, run.cells)
 
 
 @dataclass(frozen=True)
@@ -103,6 +112,33 @@ class Compared:
     def causes(self) -> list[tuple[str, int]]:
         """What differs, and in how many cells."""
         return Counter(cause for cell in self.cells for cause in cell.causes).most_common()
+
+
+def pairs(
+    first: Path, second: Path, spec: str | None = None, spec_a: str | None = None, spec_b: str | None = None
+) -> list[tuple[Side, Side]]:
+    """Return the pairs of runs to compare: two named specs, or every spec that has run in both folders.
+
+    Raises:
+        UsageError: a folder has no readable results, or not this spec; or no spec has run in both.
+    """
+    if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):
+        what = "--spec-a and --spec-b need each other, and exclude --spec"
+        raise UsageError(what, "wasp compare A B --spec-a mine --spec-b other")
+    spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
+    try:
+        layouts = [results_of(folder) for folder in (first, second)]
+        runs = [last_runs(layout)[0] for layout in layouts]
+        for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
+            if name is not None and name not in known:
+                raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
+        names = [(spec_a, spec_b)] if spec_a is not None and spec_b is not None else [(name, name) for name in runs[0] if name in runs[1]]
+        if not names:
+            which = "; ".join(f"'{folder}' has {', '.join(known) or 'none'}" for folder, known in zip((first, second), runs, strict=True))
+            raise UsageError(f"no spec has run in both folders: {which}", "choose one of each with --spec-a and --spec-b")
+        return [(Side.read(layouts[0], runs[0][a]), Side.read(layouts[1], runs[1][b])) for a, b in names]
+    except (StoreError, ArtifactError) as error:
+        raise UsageError(error.message, error.hint) from error
 
 
 def compare(first: Side, second: Side) -> Compared:

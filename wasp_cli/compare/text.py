@@ -66,11 +66,11 @@ def cells_table(compared: Compared) -> Table | None:
 def summary_table(compared: Compared) -> Table | None:
     """Tabulate every assistant of which some cell differs, over all cells that both have; None where no cell differs."""
     rows = []
-    for each in compared.summary:
-        if each.differing:
-            name = title_of(Who(each.method, each.variant))
-            labels = (task_title(each.task), name, f"{each.differing} of {each.cells}")
-            rows.append(Row(labels, tuple(_value(each.estimates[column.key]) for column in COLUMNS)))
+    for assistant in compared.summary:
+        if assistant.differing:
+            name = title_of(Who(assistant.method, assistant.variant))
+            labels = (task_title(assistant.task), name, f"{assistant.differing} of {assistant.cells}")
+            rows.append(Row(labels, tuple(_value(assistant.estimates[column.key]) for column in COLUMNS)))
     meanings = (
         "Second minus first over all cells that both have, with a 95 % interval over trainings: of one over its worlds, of two or three "
         "no more than their range.",

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
+from wasp_cli.plan.node import cell_label
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys
-from wasp_cli.store.find import KIND
+from wasp_cli.store.find import KIND, begins, same_label
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import CellIdentity, cell_file
 
@@ -24,30 +25,21 @@ Numbers = float | Iterable[float] | None
 
 
 @dataclass(frozen=True)
-class ListedCell:
+class ListedCell(CellIdentity):
     """A cell as its spec names it; the names are those of `--select`."""
 
-    key: str
-    spec: str | None
+    key: str = ""
+    spec: str | None = None
     """None where the folder has no runs: of published results, or of copies"""
-    task: str
-    method: str
-    variant: str
-    """ablation of the method; `full` for the method itself"""
-    operator: str
-    severity: str | None
+    severity: str | None = None
     """the spec's name of the value"""
-    value: float | None
-    seed: int
     branches: str | None = None
     """key of its counterfactual branches, where they were asked for"""
 
     @property
     def label(self) -> str:
         """As `wasp run` prints it."""
-        variant = "" if self.variant == "full" else f"/{self.variant}"
-        operator = "unimpaired" if self.value is None else f"{self.operator}={self.value:g}"
-        return f"{self.task} s{self.seed} {self.method}{variant} {operator}"
+        return f"{self.task} s{self.seed} {cell_label(self.method, self.variant, self.operator, self.value)}"
 
     @property
     def identity(self) -> CellIdentity:
@@ -93,10 +85,10 @@ def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
 
 def _named(spec: str, entry: Mapping[str, Any]) -> ListedCell:
     """A cell of a plan, without keys."""
-    value = entry["value"]
-    task, method, variant, operator = (str(entry[name]) for name in ("task", "method", "assistant", "operator"))
+    value = None if entry["value"] is None else float(entry["value"])
     severity = None if entry["severity"] is None else str(entry["severity"])
-    return ListedCell("", spec, task, method, variant, operator, severity, None if value is None else float(value), int(entry["seed"]))
+    task, method, variant, operator = (str(entry[name]) for name in ("task", "method", "assistant", "operator"))
+    return ListedCell(task, method, variant, operator, value, int(entry["seed"]), spec=spec, severity=severity)
 
 
 def stored_cells(layout: Layout) -> list[ListedCell]:
@@ -105,7 +97,7 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
     for key in sorted(filter(is_key, stored_keys(layout, BRANCHES))):
         with suppress(ArtifactError, KeyError, TypeError, AttributeError):
             judged[str(read_manifest(layout, BRANCHES, key)["upstream"][KIND])] = key
-    found: list[ListedCell] = []
+    cells: list[ListedCell] = []
     for key in sorted(filter(is_key, stored_keys(layout, KIND))):
         with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
             manifest = read_manifest(layout, KIND, key)
@@ -113,8 +105,14 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
             value = None if axes["value"] is None else float(axes["value"])
             variant = str(axes["method_config"].get("variant", "full"))
             who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
-            found.append(ListedCell(key, None, *who, None, value, int(manifest["seed"]), judged.get(key)))
-    return found
+            cells.append(ListedCell(*who, value, int(manifest["seed"]), key=key, branches=judged.get(key)))
+    return cells
+
+
+def named(cells: Sequence[ListedCell], text: str) -> list[ListedCell]:
+    """Return the cells that the beginning of a key names, or else a label."""
+    typed = " ".join(text.split())
+    return [cell for cell in cells if begins(cell.key, typed)] or [cell for cell in cells if same_label(cell.label, typed)]
 
 
 def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:

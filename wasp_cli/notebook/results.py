@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import StoreError, UnknownName, UsageError
 from wasp_cli.notebook import rows
-from wasp_cli.notebook.cells import ListedCell, Names, Numbers, chosen, planned_cells, recorded_plans, stored_cells, table_of
-from wasp_cli.store.find import same_label
+from wasp_cli.notebook.cells import ListedCell, Names, Numbers, chosen, named, planned_cells, recorded_plans, stored_cells, table_of
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -167,15 +166,12 @@ class Results:
         """
         from wasp_cli.notebook.cell import StoredCell
 
-        wanted = " ".join(label.split())
-        found = {
-            cell.key: cell for cell in self.cells if same_label(cell.label, wanted) or (len(wanted) > 3 and cell.key.startswith(wanted))
-        }
-        if not found:
-            raise UnknownName("cell", wanted, [cell.label for cell in self.cells])
-        if len(found) > 1:
-            raise UsageError(f"'{wanted}' names {len(found)} cells: {', '.join(found)}", "give the first characters of one of these keys")
-        (cell,) = found.values()
+        cells = {cell.key: cell for cell in named(self.cells, label)}
+        if not cells:
+            raise UnknownName("cell", label, [cell.label for cell in self.cells])
+        if len(cells) > 1:
+            raise UsageError(f"'{label}' names {len(cells)} cells: {', '.join(cells)}", "give the first characters of one of these keys")
+        (cell,) = cells.values()
         if table_of(self._layout, cell) is None:
             raise UsageError(f"'{cell.label}' is not computed yet", "wasp status says why")
         return StoredCell(self._layout, cell)

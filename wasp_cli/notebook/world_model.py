@@ -96,19 +96,19 @@ class LoadedWorldModel:
         Raises:
             TaskError: the shapes do not fit.
         """
-        seen = np.asarray(images)
-        if seen.dtype != np.uint8 or seen.ndim != 4 or seen.shape[1:] != IMAGES or not len(seen):
-            raise TaskError(f"images should be uint8 [T, 6, 64, 64], not {seen.dtype} {list(seen.shape)}")
-        done = self._actions(actions)
-        if done.ndim != 2 or len(done) < len(seen) - 1:
-            raise TaskError(f"{len(seen)} images need {len(seen) - 1} actions [T - 1, {self.action_size}], not {list(done.shape)}")
+        frames = np.asarray(images)
+        if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[1:] != IMAGES or not len(frames):
+            raise TaskError(f"images should be uint8 [T, 6, 64, 64], not {frames.dtype} {list(frames.shape)}")
+        executed = self._actions(actions)
+        if executed.ndim != 2 or len(executed) < len(frames) - 1:
+            raise TaskError(f"{len(frames)} images need {len(frames) - 1} actions [T - 1, {self.action_size}], not {list(executed.shape)}")
         latent, action = self.module.initial(1), torch.zeros(1, self.action_size)
-        found: list[Latent] = []
-        for t, image in enumerate(seen):
+        latents: list[Latent] = []
+        for t, image in enumerate(frames):
             latent = self.module.filter(latent, action, torch.from_numpy(np.ascontiguousarray(image))[None], torch.tensor([float(t == 0)]))
-            found.append(latent)
-            action = done[t : t + 1]
-        return Latents(torch.cat([each.h for each in found]), torch.cat([each.z for each in found]))
+            latents.append(latent)
+            action = executed[t : t + 1]
+        return Latents(torch.cat([latent.h for latent in latents]), torch.cat([latent.z for latent in latents]))
 
     @torch.inference_mode()
     def imagine(self, latents: Latents, actions: ArrayLike, seed: int = 0) -> Latents:
@@ -122,23 +122,23 @@ class LoadedWorldModel:
         Raises:
             TaskError: the shapes do not fit.
         """
-        wanted = self._actions(actions)
-        if wanted.ndim < 2 or wanted.shape[-2] < 1:
-            raise TaskError(f"actions should be [..., K, {self.action_size}] with K of at least 1, not {list(wanted.shape)}")
+        plans = self._actions(actions)
+        if plans.ndim < 2 or plans.shape[-2] < 1:
+            raise TaskError(f"actions should be [..., K, {self.action_size}] with K of at least 1, not {list(plans.shape)}")
         try:
-            leading = torch.broadcast_shapes(latents.shape, wanted.shape[:-2])
+            leading = torch.broadcast_shapes(latents.shape, plans.shape[:-2])
         except RuntimeError as error:
-            raise TaskError(f"latents {list(latents.shape)} and actions {list(wanted.shape)} do not fit each other") from error
+            raise TaskError(f"latents {list(latents.shape)} and actions {list(plans.shape)} do not fit each other") from error
         h, z = (part.expand(*leading, -1).reshape(-1, part.shape[-1]) for part in (latents.h, latents.z))
-        steps = wanted.expand(*leading, *wanted.shape[-2:]).reshape(-1, *wanted.shape[-2:])
+        steps = plans.expand(*leading, *plans.shape[-2:]).reshape(-1, *plans.shape[-2:])
         draws = torch.Generator().manual_seed(seed)
         latent = Latent(h, z)
-        found: list[Latent] = []
+        imagined: list[Latent] = []
         for k in range(steps.shape[1]):
             uniform = torch.rand(len(steps), self.module.noise_size, generator=draws).clamp(1e-10, 1 - 1e-7)
             latent = self.module.imagine(latent, steps[:, k], -torch.log(-torch.log(uniform)))
-            found.append(latent)
-        parts = (torch.stack([each[i] for each in found], 1) for i in range(2))
+            imagined.append(latent)
+        parts = (torch.stack([latent[i] for latent in imagined], 1) for i in range(2))
         return Latents(*(part.unflatten(0, leading) if leading else part[0] for part in parts))
 
     @torch.inference_mode()

@@ -14,7 +14,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
 from wasp_cli.plan.closure import PACKAGE, closure_hash
 from wasp_cli.plan.keys import key_of, recipe_of
-from wasp_cli.plan.node import Cell, Node, Part, sort_of, with_upstream
+from wasp_cli.plan.node import Cell, Node, Part, driver_label, sort_of, with_upstream
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Stage
@@ -149,7 +149,7 @@ class _Builder:
         if cell.operator == CLONED:
             needs = {**needs, OPERATOR_CLONE: self.clone(cell.task, chain, cell.value)}
         roots = (module_of(info.target), *_roots(targets))
-        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, _cell_label(cell), cell.assistant)
+        return self._node("evaluate", cell.task, cell.seed, axes, needs, roots, cell.who, cell.assistant)
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
         """Return the node that branches the interventions of an evaluated cell."""
@@ -157,7 +157,7 @@ class _Builder:
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain) | {evaluation.kind: evaluation}
         if cell.operator in (CLONED, PERSON):  # a person cannot be asked again: in the branches the clone goes on
             needs[OPERATOR_CLONE] = self.clone(cell.task, chain, cell.value)
-        label = f"{COUNTERFACTUAL} {_cell_label(cell)}"
+        label = f"{COUNTERFACTUAL} {cell.who}"
         # The assistant is not asked again: its code is in the key through the evaluation alone.
         roots = _roots(_operator_targets([cell.operator]))
         return self._node(COUNTERFACTUAL, cell.task, cell.seed, evaluation.axes, needs, roots, label, cell.assistant)
@@ -189,7 +189,7 @@ class _Builder:
     def _clone(self, task: str, seed: int, value: float | None) -> Node:
         """The clone of a participant; it is made by `wasp clone`, not by a run."""
         axes, roots = {"operator": PERSON, "value": value}, (*_roots(_operator_targets([PERSON])), FITTING)
-        return self._node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), roots, f"{CLONE} {_driver(PERSON, value)}")
+        return self._node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), roots, f"{CLONE} {driver_label(PERSON, value)}")
 
     def _inputs(self, kind: str, task: str, seed: int, further: tuple[str, ...] = ()) -> dict[str, Node]:
         stage = stage_class(kind)
@@ -252,16 +252,6 @@ def _plugins(targets: Mapping[str, str]) -> dict[str, Any]:
 def _roots(targets: Mapping[str, str]) -> tuple[str, ...]:
     """Where the code of what import strings name begins."""
     return tuple(map(module_of, targets.values()))
-
-
-def _cell_label(cell: Cell) -> str:
-    """Who assists whom: `wasp/no-case2 laggy=0.7`."""
-    assistant = "" if cell.assistant == CALIBRATED_VARIANT else f"/{cell.assistant}"
-    return f"{cell.method}{assistant} {_driver(cell.operator, cell.value)}"
-
-
-def _driver(operator: str, value: float | None) -> str:
-    return "unimpaired" if value is None else f"{operator}={value:g}"
 
 
 def _known(needs: tuple[str, ...], whose: str) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.plan.keys import digest
 
 
@@ -27,9 +26,23 @@ class Cell:
     seed: int
 
     def __str__(self) -> str:
-        assistant = "" if self.assistant == "full" else f"/{self.assistant}"
-        operator = "unimpaired" if self.operator == UNIMPAIRED else f"{self.operator}={self.value:g}"
-        return f"{self.task} {self.method}{assistant} {operator} seed {self.seed}"
+        return f"{self.task} {self.who} seed {self.seed}"
+
+    @property
+    def who(self) -> str:
+        """Say who assists whom, as `cell_label` does."""
+        return cell_label(self.method, self.assistant, self.operator, self.value)
+
+
+def cell_label(method: str, variant: str, operator: str, value: float | None) -> str:
+    """Say who assists whom: `wasp/no-case2 laggy=0.7`."""
+    assistant = method if variant == "full" else f"{method}/{variant}"
+    return f"{assistant} {driver_label(operator, value)}"
+
+
+def driver_label(operator: str, value: float | None) -> str:
+    """Say who drives: `laggy=0.7`, or `unimpaired`."""
+    return "unimpaired" if value is None else f"{operator}={value:g}"
 
 
 @dataclass(frozen=True, order=True, slots=True)

@@ -10,8 +10,8 @@ import numpy as np
 from PIL import Image, ImageColor, features
 
 from wasp_cli.errors import UsageError, refusal
+from wasp_cli.report.explain.timeline import LOOKS
 from wasp_cli.video.map import COMMAND, COST, EXECUTED
-from wasp_cli.video.timeline import GATE_COLOURS
 
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}
 """Formats by file ending."""
@@ -20,7 +20,9 @@ STILL = (".png",)
 RARE, COMMON = 24, 72
 """Colours of the palette that all frames share (then a frame stores only what has changed): some that cover all that is seen, more for
 what there is most of. Beside them are those that mean something, which must not become others."""
-MEANT = (COMMAND, EXECUTED, COST, *GATE_COLOURS.values(), "#FFFFFF", "#F0D2E4", "#8F3F74", "#A0A0A0", "#D0D0D0", "#F2F2F2")
+MEANT = (
+    COMMAND, EXECUTED, COST, *(look.colour for look in LOOKS.values()), "#FFFFFF", "#F0D2E4", "#8F3F74", "#A0A0A0", "#D0D0D0", "#F2F2F2",
+)  # fmt: skip
 APART = 10
 """By how much of 255 a sampled colour differs from those at least; a nearer one would be taken in their place."""
 SAMPLES = 12

@@ -32,35 +32,24 @@ TOLERANCE = 1e-4
 """Of a reward, absolute and relative: a film that differs by less shows the same."""
 
 
-class Film(NamedTuple):
-    """Moments of an episode."""
-
-    frames: list[Pixels]
-    """uint8 [size, size, 3] each"""
-    decisions: list[int]
-    """how many decisions had been made at each frame: 0, every, 2 every, ..., T"""
-    positions: Floats
-    """[T + 1, 2] of the robot in m; NaN of a task that does not say where it is"""
-    things: tuple[tuple[str, str], ...]
-    """what its map shows, see `map.things_of`; nothing of a task without a map"""
-
-
 class Moment(NamedTuple):
     """A frame of a film."""
 
     frame: Pixels
     """uint8 [size, size, 3]"""
     decision: int
-    """how many decisions had been made"""
+    """how many decisions had been made: 0, every, 2 every, ..., T"""
     positions: Floats
     """[N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is"""
     things: tuple[tuple[str, str], ...]
-    """see `Film`"""
+    """what its map shows, see `map.things_of`; nothing of a task without a map"""
     seen: Pixels | None
     """[cameras, side, side, 3] what the robot's cameras see, where that was asked for"""
 
 
-def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int) -> Film:
+def film(
+    task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, *, cameras: bool = False
+) -> Iterator[Moment]:
     """Draw the map of an episode with trail, commands and costs; of a task without a map, what its front camera sees.
 
     A frame has an orange edge when cost was paid since the frame before. Arrows: see `map.stick`.
@@ -74,22 +63,13 @@ def film(task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, 
         reward: [T]
         every: decisions between two frames.
         size: side of a frame in px.
+        cameras: also return what the robot's cameras see.
 
     Raises:
         ArtifactError: the episode is not the recorded one here, or the actions are none of this task.
         UnknownName: no such task.
         TaskError: the module of the task does not import.
     """
-    found = list(moments(task, action_repeat, layout_seed, a, a_h, reward, every, size))
-    last = found[-1]
-    positions = last.positions if len(last.positions) else np.full((len(a) + 1, 2), np.nan)
-    return Film([each.frame for each in found], [each.decision for each in found], positions, last.things)
-
-
-def moments(
-    task: str, action_repeat: int, layout_seed: int, a: Array, a_h: Array, reward: Array, every: int, size: int, *, cameras: bool = False
-) -> Iterator[Moment]:
-    """Draw the frames of a film one after the other; `cameras` adds what the robot sees. See `film` for the rest."""
     made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",) if cameras else ())
     if not isinstance(made, HasScene):
         made = make_task(task, 1, action_repeat=action_repeat, observe=("pixels",))
@@ -175,7 +155,7 @@ def sprite_of(
 
     See `film` for the other arguments and the errors.
     """
-    found = film(task, action_repeat, layout_seed, a, a_h, reward, every, size)
-    columns = max(columns, -(-len(found.frames) // (LONGEST // size)))
-    data, mime = sprite(found.frames, columns)
-    return Sprite(data, mime, columns, size, found.decisions, found.things)
+    moments = list(film(task, action_repeat, layout_seed, a, a_h, reward, every, size))
+    columns = max(columns, -(-len(moments) // (LONGEST // size)))
+    data, mime = sprite([moment.frame for moment in moments], columns)
+    return Sprite(data, mime, columns, size, [moment.decision for moment in moments], moments[-1].things)

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from wasp_cli.report.explain.stored import Episode
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import Appearance
 from wasp_cli.video.encode import checked, write
 from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
-from wasp_cli.video.timeline import EpisodeTrace, Timeline, numbers
+from wasp_cli.video.timeline import Timeline, numbers
 from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
 
 WIDTH, HEIGHT = 976, 704
@@ -66,18 +67,24 @@ class WrittenVideo(NamedTuple):
 
 
 class Painter:
-    """Paints the frames of one episode."""
+    """Paints the frames of one episode, in any order."""
 
-    def __init__(self, played: PlayedEpisode, trace: EpisodeTrace, horizon: int, *, hold: bool, corrected: str) -> None:
-        """`corrected` names what the lower block imagines."""
-        self._played, self._trace, self._horizon, self._hold, self._corrected = played, trace, horizon, hold, corrected
+    def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, correction: Correction) -> None:
+        self._played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
-        self._timeline = Timeline(trace, WIDTH, TIMELINE)
-        self._view = None if played.appearance is None else MapView(played.appearance, MAP)
+        self._timeline = Timeline(stored, WIDTH, TIMELINE)
+        self._view, self._next = self._fresh_view(), 0
 
-    def frame(self, decision: PlayedDecision) -> Image.Image:
+    def _fresh_view(self) -> MapView | None:
+        return None if self._played.appearance is None else MapView(self._played.appearance, MAP)
+
+    def frame(self, index: int) -> Image.Image:
         """Draw one frame: RGB of WIDTH x HEIGHT px."""
-        imagined = imagine(self._played.model, decision.start, self._horizon, self.shown, hold=self._hold)
+        if index < self._next:
+            self._view = self._fresh_view()  # a map that follows its robot has to be painted from the first frame on
+        self._next = index + 1
+        decision = self._played.decisions[index]
+        imagined = imagine(self._played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
         t = decision.start.t
@@ -85,7 +92,7 @@ class Painter:
         self._overview(image, draw, decision, imagined)
         self._images(image, draw, decision, imagined)
         draw.multiline_text(
-            (_RIGHT, HEADER + 2 * TITLE + 2 * SIDE + BETWEEN + 22), "\n".join(numbers(self._trace, t)), _INK, font(12), spacing=5
+            (_RIGHT, HEADER + 2 * TITLE + 2 * SIDE + BETWEEN + 22), "\n".join(numbers(self._stored, t)), _INK, font(12), spacing=5
         )
         top = HEIGHT - TIMELINE
         image.paste(self._timeline.image, (0, top))
@@ -94,8 +101,8 @@ class Painter:
         return image
 
     def _head(self, draw: ImageDraw.ImageDraw, t: int) -> None:
-        draw.text((GAP, 9), self._trace.title, _INK, font(15, True))
-        time = f"decision {t} of {self._trace.length}    {t * self._trace.decision_seconds:.2f} s"
+        draw.text((GAP, 9), self._stored.title, _INK, font(15, True))
+        time = f"decision {t} of {self._stored.decisions}    {t * seconds_of(self._stored):.2f} s"
         draw.text((WIDTH - GAP - font(15).getlength(time), 9), time, _INK, font(15))
 
     # -- map --------------------------------------------------------------------------------------------------------------------
@@ -111,11 +118,11 @@ class Painter:
         t = decision.start.t
         picture = self._view.picture(decision.scene)
         picture.trail(self._played.places[: t + 1], 1.2)
-        picture.dots(self._played.places[: t + 1][self._trace.costly[: t + 1]], COST, 3.5)
+        picture.dots(self._played.places[: t + 1][self._stored.costly[: t + 1]], COST, 3.5)
         pose = Pose(self._played.appearance, decision.scene)
-        draw_actions(picture, self._played.world, pose, self._trace.a_h[t], self._trace.a[t], 4, ARROW)
+        draw_actions(picture, self._played.world, pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
         self._futures(picture, decision.pose, imagined)
-        if self._trace.costly[t]:
+        if self._stored.costly[t]:
             picture.edge(COST, 4)
         image.paste(picture.finished(), where)
         self._legend(draw)
@@ -166,7 +173,7 @@ class Painter:
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
             for row in rows:
                 image.paste(_camera(images, row, SIDE), (column, _TOPS[0] + row * (SIDE + BETWEEN)))
-        for block, (top, name, colour) in enumerate(zip(_TOPS, ("uncorrected", self._corrected), _SEQUENCES, strict=True)):
+        for block, (top, name, colour) in enumerate(zip(_TOPS, ("uncorrected", self._correction.name), _SEQUENCES, strict=True)):
             there = block < len(imagined.features)
             what = f"imagined: {name}" if there else "no correction at this decision"
             draw.rectangle((columns[2], top - 2 * TITLE + 4, columns[2] + 10, top - 2 * TITLE + 14), colour if there else _NOTHING)
@@ -210,14 +217,14 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def film_episode(
-    source: Source, trace: EpisodeTrace, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
+    source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
 ) -> WrittenVideo:
     """Play a cell again and write the video of an episode.
 
     Args:
         source: the cell.
-        trace: what its rows say of the episode.
-        episode: which one.
+        stored: what its rows say of the episode.
+        episode: its place among those that are played.
         correction: what is imagined beside the command uncorrected.
         horizon: imagined steps.
         every: decisions between two frames; the last one has a frame too.
@@ -230,49 +237,37 @@ def film_episode(
         TaskError: the task cannot be imported.
     """
     checked(out)
-    shown = decisions_shown(trace, every)
+    shown = decisions_shown(stored, every)
     played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
-    frames = _Frames(played, trace, horizon, correction)
+    painter = Painter(played, stored, horizon, correction)
 
     def painted(index: int) -> None:
         progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
 
-    times = [round(1000 * SLOWER * trace.decision_seconds * (after - t)) for t, after in pairwise(shown)]
+    times = [round(1000 * SLOWER * seconds_of(stored) * (after - t)) for t, after in pairwise(shown)]
     with threads_of_evaluations():
-        write(out, len(shown), frames.paint, [*times, LAST_MS], painted)
+        write(out, len(shown), painter.frame, [*times, LAST_MS], painted)
     names = ("forward", "left", "turn")
     r2 = None if played.readout is None else dict(zip(names, played.explained.tolist(), strict=True))
     return WrittenVideo(len(shown), r2)
 
 
-def decisions_shown(trace: EpisodeTrace, every: int) -> list[int]:
+def seconds_of(stored: Episode) -> float:
+    """Return the simulated time of a decision; where nothing says it, something that can be watched."""
+    return stored.constants.decision_seconds or 0.1
+
+
+def decisions_shown(stored: Episode, every: int) -> list[int]:
     """List the decisions that have a frame: each `every`-th, and the last one."""
-    return sorted({*range(0, trace.length, every), trace.length - 1})
+    return sorted({*range(0, stored.decisions, every), stored.decisions - 1})
 
 
-def frames_of(source: Source, trace: EpisodeTrace, episode: int, correction: Correction, horizon: int, every: int) -> Iterator[Pixels]:
+def frames_of(source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int) -> Iterator[Pixels]:
     """Play a cell again and draw the frames of an episode, uint8 [HEIGHT, WIDTH, 3] each; arguments and errors as in `film_episode`."""
-    shown = decisions_shown(trace, every)
+    shown = decisions_shown(stored, every)
     played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
-    frames = _Frames(played, trace, horizon, correction)
+    painter = Painter(played, stored, horizon, correction)
     for index in range(len(shown)):
         with threads_of_evaluations():
-            frame = np.asarray(frames.paint(index))
+            frame = np.asarray(painter.frame(index))
         yield frame
-
-
-class _Frames:
-    """Paints the frames in any order, though a map that follows its robot is to be painted from the first one on."""
-
-    def __init__(self, played: PlayedEpisode, trace: EpisodeTrace, horizon: int, correction: Correction) -> None:
-        self._played, self._trace, self._horizon, self._correction = played, trace, horizon, correction
-        self._painter, self._next = self._fresh(), 0
-
-    def _fresh(self) -> Painter:
-        return Painter(self._played, self._trace, self._horizon, hold=self._correction.hold, corrected=self._correction.name)
-
-    def paint(self, index: int) -> Image.Image:
-        if index < self._next:
-            self._painter = self._fresh()
-        self._next = index + 1
-        return self._painter.frame(self._played.decisions[index])

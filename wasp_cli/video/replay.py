@@ -15,20 +15,18 @@ from numpy.typing import NDArray
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.plan.grid import OPERATOR_CLONE
-from wasp_cli.report.explain.stored import Episode, imagines_expert, read_episode, signal_of
+from wasp_cli.report.explain.stored import Episode, imagines_expert, read_episode
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists
 from wasp_cli.store.bounds import require_size
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
-from wasp_cli.store.plain import printable
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.slim import without_steps
 
 if TYPE_CHECKING:
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.frame import Correction, WrittenVideo
-    from wasp_cli.video.timeline import EpisodeTrace
     from wasp_cli.video.trace import Source
 
 Progress = Callable[[float, str], None]
@@ -77,7 +75,7 @@ def replay(
     source = source_of(layout, cell, episode)
     made = film_episode(
         source,
-        episode_trace(stored),
+        stored,
         episode - source.first,
         correction(stored),
         stored.constants.horizon or HORIZON,
@@ -93,9 +91,8 @@ def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | No
     from wasp_cli.video.frame import frames_of
 
     stored, source = read_episode(cell, episode), source_of(layout, cell, episode)
-    trace, horizon = episode_trace(stored), stored.constants.horizon or HORIZON
-    every = every or -(-stored.decisions // FRAMES)
-    yield from frames_of(source, trace, episode - source.first, correction(stored), horizon, every)
+    horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
+    yield from frames_of(source, stored, episode - source.first, correction(stored), horizon, every)
 
 
 def default_name(stored: Episode, ending: str) -> Path:
@@ -104,12 +101,6 @@ def default_name(stored: Episode, ending: str) -> Path:
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["variant"] == "full" else f"-{row['variant']}"
     return Path(slug(f"{row['task']}_{row['method']}{variant}_{row['operator']}{value}_e{row['episode']}") + ending)
-
-
-def title_of(stored: Episode) -> str:
-    """Return the title on a picture of an episode."""
-    row = stored.row
-    return f"{printable(stored.cell.label or row['task'] + ' ' + row['method'])}, episode {row['episode']}"
 
 
 def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
@@ -188,22 +179,6 @@ def upstream_of(cell: FoundCell) -> dict[str, str]:
     if not isinstance(keys, dict) or not isinstance(kinds, dict):
         return {}
     return {str(kinds[role]): str(key) for role, key in keys.items() if role in kinds}
-
-
-def episode_trace(stored: Episode) -> EpisodeTrace:
-    """Gather what the rows say of an episode."""
-    from wasp_cli.video.timeline import EpisodeTrace
-
-    numbers, row = stored.numbers, stored.row
-    names = ("deviation", "reward", "cost_env", "goals", "g_cost", "delta_g", "signal", "plan_cost", "alone_cost")
-    return EpisodeTrace(
-        title=title_of(stored),
-        gate=stored.gate, costly=stored.costly, a_h=stored.a_h, a=stored.a, **{name: numbers[name] for name in names},
-        gated=stored.gated, tau_c=stored.thresholds.tau_c, tau_r=stored.thresholds.tau_r,
-        signal_name=signal_of(row["method"]).name,
-        signal_limit=stored.signal_limit,
-        decision_seconds=stored.constants.decision_seconds or 0.1,
-    )  # fmt: skip
 
 
 def correction(stored: Episode) -> Correction:

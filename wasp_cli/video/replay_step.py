@@ -23,7 +23,7 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import printable
 from wasp_cli.store.slim import without_steps
-from wasp_cli.video.replay import default_name, source_of, title_of, upstream_of
+from wasp_cli.video.replay import default_name, source_of, upstream_of
 
 Progress = Callable[[float, str], None]
 
@@ -121,7 +121,7 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
     source = source_of(layout, cell, episode)
     pair = BranchPair(source, episode - source.first, step, criterion.window, progress)
     verdict = judge(stored, step, criterion, {name: trace._asdict() for name, trace in pair.traces.items()})
-    pair.film(f"{title_of(stored)}, decision {step}", verdict.lines(), path)
+    pair.film(f"{stored.title}, decision {step}", verdict.lines(), path)
     return path, verdict
 
 

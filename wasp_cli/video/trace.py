@@ -166,6 +166,7 @@ class PlayedEpisode(NamedTuple):
     """[3] its R2 of the displacements of this episode: forward, left, turn"""
 
 
+@threads_of_evaluations()
 def play_episode(
     source: Source,
     episode: int,
@@ -189,13 +190,6 @@ def play_episode(
         TaskError: the task cannot be imported.
         UnknownName: there is no such task or operator.
     """
-    with threads_of_evaluations():
-        return _play_episode(source, episode, residuals, shown, horizon, progress)
-
-
-def _play_episode(
-    source: Source, episode: int, residuals: Sequence[NDArray[Any] | None], shown: Collection[int], horizon: int, progress: Progress
-) -> PlayedEpisode:
     world, model = source.world(), load_world_model(source.world_model)
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)

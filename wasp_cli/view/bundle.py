@@ -19,9 +19,8 @@ from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.store.find import KIND
 from wasp_cli.store.tables import cell_file
 from wasp_cli.view import pages, runs
-from wasp_cli.view.cells import problem_of
 from wasp_cli.view.episode import episode_page, load
-from wasp_cli.view.films import FILM, drawing, read_state
+from wasp_cli.view.films import FILM, drawing, problem_of, read_state
 from wasp_cli.view.server import FILES
 from wasp_cli.view.site import BundleLinks, Site
 
@@ -104,11 +103,7 @@ def _prepare(folder: Path) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         if not (folder / MARK).is_file():
             raise UsageError(f"'{folder}' holds something else", "name a new folder")
-        for path in folder.iterdir():
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+        shutil.rmtree(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / MARK).write_text(
         "Written by wasp view --bundle; index.html is where to begin. Everything here is replaced when it is written again.\n"

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from PIL import Image, features
 
 from wasp_cli.errors import UsageError, WaspError
@@ -21,13 +20,15 @@ from wasp_cli.report.explain.stored import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
-from wasp_cli.view.films import BRANCHES, REPLAY, write_state
+from wasp_cli.view.films import BRANCHES, REPLAY, problem_of, write_state
 
 SIZE, CAMERA, GAP = 420, 206, 8
 """In px: side of the map, of a camera image, and between them."""
 QUALITY = 72
 REPLAYED = 125
 """Frames at most of a film with imagined futures, which take long to draw."""
+Legend = tuple[tuple[str, str, str], ...]
+"""What a map shows: name, colour and meaning of each."""
 
 
 def require_drawable(stored: Episode) -> int:
@@ -45,16 +46,14 @@ def require_drawable(stored: Episode) -> int:
     return repeat
 
 
-def film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, tuple[tuple[str, str, str], ...]]]:
+def film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Legend]]:
     """Draw the map, and beside it what the robot's cameras see; each frame with the legend."""
-    from wasp_cli.video.film import moments
+    from wasp_cli.video.film import film
     from wasp_cli.video.map import legend_of
 
     repeat, row = require_drawable(stored), stored.row
-    found = moments(
-        str(row["task"]), repeat, int(row["episode_seed"]), stored.a, stored.a_h, stored.numbers["reward"], every, SIZE, cameras=True
-    )
-    for moment in found:
+    seed, rewards = int(row["episode_seed"]), stored.numbers["reward"]
+    for moment in film(str(row["task"]), repeat, seed, stored.a, stored.a_h, rewards, every, SIZE, cameras=True):
         image = Image.new("RGB", (SIZE + GAP + CAMERA, SIZE), (255, 255, 255))
         image.paste(Image.fromarray(moment.frame), (0, 0))
         for place, seen in enumerate((moment.seen if moment.seen is not None else ())[:2]):
@@ -71,41 +70,34 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
     """
     stored = read_episode(cell, episode)
     ending = "webp" if features.check("webp") else "png"
+    state: dict[str, Any] = {"state": "drawing", "ready": 0, "frames": 0, "every": every or 1, "ending": ending, "legend": []}
     if kind == BRANCHES:
         require_drawable(stored)
         from wasp_cli.video.replay_step import replay_step
 
-        replay_step(layout, cell, episode, step, folder / f"00000.{ending}", lambda share, text: _tell(folder, share, text))
-        return {"state": "done", "ready": 1, "frames": 1, "every": 1, "ending": ending, "legend": []}
-    legend: tuple[tuple[str, str, str], ...] = ()
+        def tell(share: float, text: str) -> None:
+            write_state(folder, {**state, "share": round(share, 3), "text": text})
+
+        replay_step(layout, cell, episode, step, folder / f"00000.{ending}", tell)
+        return {**state, "state": "done", "ready": 1, "frames": 1}
+    images: Iterator[tuple[Image.Image, Legend]]
     if kind == REPLAY:
         require_drawable(stored)
         from wasp_cli.video.replay import replay_frames
 
-        every = every or math.ceil(stored.decisions / REPLAYED)
-        count = math.ceil(stored.decisions / every)
-        images: Iterator[tuple[Image.Image, tuple[tuple[str, str, str], ...]]] = (
-            (Image.fromarray(np.asarray(frame)), ()) for frame in replay_frames(layout, cell, episode, every)
-        )
+        state["every"] = every or math.ceil(stored.decisions / REPLAYED)
+        state["frames"] = math.ceil(stored.decisions / state["every"])
+        images = ((Image.fromarray(frame), ()) for frame in replay_frames(layout, cell, episode, state["every"]))
     else:
-        every = every or 1
-        count = math.ceil(stored.decisions / every) + 1
-        images = film_frames(stored, every)
-    number = 0
-    for number, (image, legend) in enumerate(images, 1):
+        state["frames"] = math.ceil(stored.decisions / state["every"]) + 1
+        images = film_frames(stored, state["every"])
+    for number, (image, legend) in enumerate(images):
         part = folder / "frame.part"
         image.save(part, format=ending.upper(), **({"quality": QUALITY, "method": 2} if ending == "webp" else {}))
-        part.replace(folder / f"{number - 1:05d}.{ending}")
-        write_state(folder, _state("drawing", number, max(count, number), every, ending, legend))
-    return _state("done", number, number, every, ending, legend)
-
-
-def _state(state: str, ready: int, frames: int, every: int, ending: str, legend: tuple[tuple[str, str, str], ...]) -> dict[str, Any]:
-    return {"state": state, "ready": ready, "frames": frames, "every": every, "ending": ending, "legend": [list(each) for each in legend]}
-
-
-def _tell(folder: Path, share: float, text: str) -> None:
-    write_state(folder, {"state": "drawing", "ready": 0, "frames": 0, "share": round(share, 3), "text": text})
+        part.replace(folder / f"{number:05d}.{ending}")
+        state |= {"ready": number + 1, "legend": legend}
+        write_state(folder, state)
+    return {**state, "state": "done", "frames": state["ready"]}
 
 
 def main(arguments: list[str], say: Callable[[str], Any] = print) -> int:
@@ -115,14 +107,14 @@ def main(arguments: list[str], say: Callable[[str], Any] = print) -> int:
     os.nice(5)  # pages go first
     layout = Layout(Path(results))
     try:
-        write_state(folder, draw(layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(rest[0]) if rest else None))
+        state = draw(layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(rest[0]) if rest else None)
     except WaspError as error:
-        problem = error.message + (f" ({error.hint})" if error.hint else "")
-        write_state(folder, {"state": "failed", "ready": 0, "frames": 0, "problem": problem})
+        state = {"state": "failed", "ready": 0, "frames": 0, "problem": problem_of(error)}
     except Exception as error:
         say(traceback.format_exc())
         problem = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
-        write_state(folder, {"state": "failed", "ready": 0, "frames": 0, "problem": problem})
+        state = {"state": "failed", "ready": 0, "frames": 0, "problem": problem}
+    write_state(folder, state)
     return 0
 
 

@@ -5,29 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.console import Console
+from rich.style import Style
 from rich.text import Text
 
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.report.address import cell_address, open_command
-from wasp_cli.report.explain.collect import decision_facts, summarize
 from wasp_cli.report.explain.decision_text import decision_lines
 from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
-from wasp_cli.report.page.films import timeline
+from wasp_cli.report.explain.timeline import LOOKS, timeline
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.report.tables.table import Column
+from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
-from wasp_cli.video.replay_step import Criterion, judge
+from wasp_cli.video.replay_step import Criterion, Verdict, judge
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
 from wasp_cli.view.site import Site
 
@@ -44,24 +45,8 @@ COLUMNS = (
     Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
 )  # fmt: skip
 """What is shown of an episode in numbers."""
-CLASSES = {"bold": "b", "dim": "dim", "yellow": "safety", "cyan": "task", "magenta": "method", "red": "bad", "green": "good"}
-"""Of HTML, for what a terminal shows bold, dim or in the colours of gates."""
-
-
-class Branch(NamedTuple):
-    """One branch of a decision."""
-
-    name: str
-    cost: list[bool]
-    """[W]"""
-    reward: float
-
-
-class Branched(NamedTuple):
-    """Both branches of a decision, and what the intervention was worth."""
-
-    branches: list[Branch]
-    lines: list[str]
+COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad", "green": "good"}
+"""Classes of a page by the colours of a terminal."""
 
 
 def episode_page(site: Site, text: str, number: int, step: int | None = None, film: Mapping[str, Any] | None = None) -> str:
@@ -82,7 +67,7 @@ def episode_page(site: Site, text: str, number: int, step: int | None = None, fi
     whole = not without_steps(artifact.manifest)
     return site.render(
         "episode.html", f"{cell.label}, episode {number}", view=episode_view(site, cell, stored, step, film), cell=cell, number=number,
-        summary=as_html(episode_lines(summarize(stored), WIDTH, f"wasp explain {cell.key[:8]}")),
+        summary=as_html(episode_lines(stored, WIDTH, f"wasp explain {cell.key[:8]}")),
         notes=[note for note in site.notes() if note.key == cell.key and note.episode in (None, number)],
         command=open_command(site.name, cell_address(site.cells.ref(cell), number)),
         before=site.links.episode(cell, number - 1) if whole and number > 0 else "",
@@ -123,13 +108,13 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: i
     from markupsafe import Markup
 
     stored.require(step)
-    pair = None
+    verdict = None
     with suppress(StoreError):  # the page has said it
-        pair = both_branches(stored, branches_of(site.layout, cell), step)
-    drawn = pair is not None and site.links.live and not without_steps(stored.cell.manifest)
+        verdict = verdict_of(stored, branches_of(site.layout, cell), step)
+    drawn = verdict is not None and site.links.live and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
-    words = as_html(decision_lines(decision_facts(stored, step), min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
-    return Markup(site.render("step.html", "", words=words, pair=pair, film=film))
+    words = as_html(decision_lines(stored, step, min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
+    return Markup(site.render("step.html", "", words=words, verdict=verdict, film=film))
 
 
 def load(cell: FoundCell, number: int) -> Episode:
@@ -142,25 +127,12 @@ def load(cell: FoundCell, number: int) -> Episode:
         state = cell.path.stat()
     except OSError as error:
         raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed") from error
-    return _load(_Place(cell), number, (state.st_mtime_ns, state.st_size))
-
-
-class _Place:
-    """A cell as a key of a cache: by its path."""
-
-    def __init__(self, cell: FoundCell) -> None:
-        self.cell = cell
-
-    def __hash__(self) -> int:
-        return hash(self.cell.path)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Place) and other.cell.path == self.cell.path
+    return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
 
 
 @lru_cache(KEPT)
-def _load(place: _Place, number: int, stamp: tuple[int, int]) -> Episode:
-    return read_episode(place.cell, number)
+def _load(path: Path, key: str | None, number: int, stamp: tuple[int, int]) -> Episode:
+    return read_episode(FoundCell(path, key, read_record(path.with_name(MANIFEST)) or {}), number)
 
 
 def stops(stored: Episode) -> list[int]:
@@ -190,46 +162,32 @@ def _branches(path: Path, stamp: tuple[int, int]) -> Branches:
         return read_branches(path)
 
 
-def both_branches(stored: Episode, branches: Branches | None, step: int) -> Branched | None:
-    """Return both branches of a decision; None where it was not branched."""
+def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict | None:
+    """Return what both branches of a decision say; None where it was not branched."""
     if branches is None:
         return None
     (rows,) = np.nonzero((branches.episode == int(stored.row["episode"])) & (branches.t == step))
     if not len(rows):
         return None
-    row, names = int(rows[0]), {ASSISTED: "as executed", ALONE: "command alone"}
     traces: dict[str, dict[str, list[Any]]] = {
-        name: {"cost": (branches.cost[name][row] > 0).tolist(), "cost_env": [], "reward": branches.reward[name][row].tolist()}
-        for name in names
+        name: {"cost": (branches.cost[name][rows[0]] > 0).tolist(), "reward": branches.reward[name][rows[0]].tolist()}
+        for name in (ASSISTED, ALONE)
     }
     criterion = Criterion(branches.cell.window, branches.cell.tau_R, "the counterfactual branches of the cell")
-    lines = judge(stored, step, criterion, traces).lines()
-    return Branched([Branch(words, traces[name]["cost"], sum(traces[name]["reward"])) for name, words in names.items()], lines)
+    return judge(stored, step, criterion, traces)
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
     """Return lines that were written for a terminal as the content of a `<pre>`, everything escaped."""
     from markupsafe import Markup
 
-    span = Markup('<span class="{}">{}</span>')
-    marked = (Markup("").join(span.format(style, text) if style else text for text, style in _pieces(line)) for line in lines)
-    return Markup("\n").join(marked)
+    console, span = Console(), Markup('<span class="{}">{}</span>')
+    pieces = [[(_classes(piece.style), piece.text) for piece in line.render(console)] for line in lines]
+    return Markup("\n").join(Markup("").join(span.format(*piece) if piece[0] else piece[1] for piece in line) for line in pieces)
 
 
-def _pieces(line: Text) -> Iterable[tuple[str, str]]:
-    """Split a line where its style changes: texts, each with its classes."""
-    edges = sorted({0, len(line.plain), *(edge for span in line.spans for edge in (span.start, span.end) if 0 <= edge <= len(line.plain))})
-    for first, last in pairwise(edges):
-        words = str(line.style).split()
-        for span in line.spans:
-            if span.start <= first and last <= span.end:
-                words += str(span.style).split()
-        classes: list[str] = []
-        for place, word in enumerate(words):
-            name = CLASSES.get(word)
-            if name is None:
-                continue
-            classes = [kept for kept in classes if kept != name]
-            if place == 0 or words[place - 1] != "not":
-                classes.append(name)
-        yield line.plain[first:last], " ".join(classes)
+def _classes(style: Style | None) -> str:
+    if style is None:
+        return ""
+    colour = COLOURS.get(style.color.name, "") if style.color is not None else ""
+    return " ".join(filter(None, ("b" if style.bold else "", "dim" if style.dim else "", colour)))

@@ -14,12 +14,10 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.errors import StoreError, UsageError
+from wasp_cli.errors import StoreError, UsageError, WaspError
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import open_plain, parse, read_plain
 
@@ -36,13 +34,6 @@ LARGEST = 32 * 2**20
 MIME = {"webp": "image/webp", "png": "image/png"}
 
 
-@dataclass
-class _Drawing:
-    process: subprocess.Popen[bytes]
-    folder: Path
-    begun: float = field(default_factory=time.monotonic)
-
-
 class Films:
     """The films of a results folder."""
 
@@ -50,7 +41,7 @@ class Films:
         """Use a folder within the results, or one of our own where these cannot be written."""
         self._layout, self._room = layout, room
         self._lock = threading.Lock()
-        self._drawing: dict[str, _Drawing] = {}
+        self._drawing: dict[str, subprocess.Popen[bytes]] = {}
         self._own: tempfile.TemporaryDirectory[str] | None = None
         self.folder = layout.root / FOLDER / "films"
         try:
@@ -82,8 +73,7 @@ class Films:
             command = drawing(self._layout, key, episode, kind, step, folder)
             with (folder / "log").open("wb") as log:
                 environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-                process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
-            self._drawing[name] = _Drawing(process, folder)
+                self._drawing[name] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
             return {"state": "drawing", "ready": 0, "frames": 0}
 
     def state(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
@@ -110,10 +100,10 @@ class Films:
     def close(self) -> None:
         """Stop drawing."""
         with self._lock:
-            for drawing in self._drawing.values():
-                drawing.process.kill()
-                drawing.process.wait()
-                shutil.rmtree(drawing.folder, ignore_errors=True)
+            for name, process in self._drawing.items():
+                process.kill()
+                process.wait()
+                shutil.rmtree(self.folder / name, ignore_errors=True)
             self._drawing.clear()
         if self._own is not None:
             self._own.cleanup()
@@ -127,13 +117,14 @@ class Films:
         return record
 
     def _reap(self) -> None:
-        for name, drawing in list(self._drawing.items()):
-            if drawing.process.poll() is not None:
+        for name, process in list(self._drawing.items()):
+            if process.poll() is not None:
                 del self._drawing[name]
-                record = read_state(drawing.folder)
+                folder = self.folder / name
+                record = read_state(folder)
                 if record is None or record["state"] == "drawing":
-                    why = _last_line(drawing.folder / "log") or f"its process ended ({drawing.process.returncode})"
-                    write_state(drawing.folder, {"state": "failed", "ready": 0, "frames": 0, "problem": why})
+                    why = _last_line(folder / "log") or f"its process ended ({process.returncode})"
+                    write_state(folder, {"state": "failed", "ready": 0, "frames": 0, "problem": why})
 
     def _tidy(self) -> None:
         """Make room: the films that were written longest ago go first."""
@@ -154,19 +145,8 @@ class Films:
 def drawing(layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int | None = None) -> list[str]:
     """Return the command that draws a film into a folder (`view.draw`)."""
     # -P: the working directory may be the results themselves: their modules are not ours.
-    begins = [
-        sys.executable,
-        "-P",
-        "-m",
-        "wasp_cli.view.draw",
-        str(layout.root.absolute()),
-        key,
-        str(episode),
-        kind,
-        str(step),
-        str(folder),
-    ]
-    return begins if every is None else [*begins, str(every)]
+    places = (layout.root.absolute(), key, episode, kind, step, folder, *(() if every is None else (every,)))
+    return [sys.executable, "-P", "-m", "wasp_cli.view.draw", *map(str, places)]
 
 
 def read_state(folder: Path) -> dict[str, Any] | None:
@@ -197,3 +177,8 @@ def _last_line(path: Path) -> str:
     except (OSError, ValueError):
         return ""
     return lines[-1][:500] if lines else ""
+
+
+def problem_of(error: WaspError) -> str:
+    """Return an error and what to do about it in one text."""
+    return error.message + (f" ({error.hint})" if error.hint else "")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 from wasp_cli.compare.paired import MEASURES, paired_episodes
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
@@ -20,7 +20,8 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.view import episode
-from wasp_cli.view.cells import COLUMNS, Shown, problem_of, words
+from wasp_cli.view.cells import COLUMNS, words
+from wasp_cli.view.films import problem_of
 from wasp_cli.view.site import Site
 
 FIRST = 400
@@ -31,67 +32,29 @@ NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
 Pair = tuple[tuple[ListedCell, FoundCell], tuple[ListedCell, FoundCell]]
 
 
-class Row(NamedTuple):
-    """A line of the table of cells."""
-
-    key: str
-    href: str
-    words: tuple[str, ...]
-    """one for each of NAMES"""
-    episodes: str = ""
-    texts: Sequence[str] = ()
-    """one for each of COLUMNS; nothing while there are no numbers"""
-    state: str = ""
-    """what is odd about it"""
-
-
-class World(NamedTuple):
-    """The same world in two cells."""
-
-    seed: int
-    episodes: tuple[int, int]
-    numbers: tuple[tuple[float, float], tuple[float, float]]
-    """return and cost of each"""
-
-
 def cells_page(site: Site) -> str:
     """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
     site.cells.refresh()
     known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
-    marked = {key for key, _ in invalid(site.notes())}
-    rows = []
-    for cell in site.cells.listed():
-        row = Row(cell.key, site.links.cell(cell), tuple(words(cell)))
-        if (shown := known.get(cell.key)) is not None:
-            row = row._replace(episodes=str(shown.episodes or ""), texts=shown.texts, state=_oddity(shown, cell.key in marked))
-        rows.append(row)
-    choices = {name: sorted({row.words[place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
+    unread = [""] * (len(COLUMNS) + 2)
+    rows: list[dict[str, Any]] = [
+        {
+            "key": cell.key, "href": site.links.cell(cell), "words": words(cell),
+            "numbers": known[cell.key].row if cell.key in known else unread,
+        }
+        for cell in site.cells.listed()
+    ]  # fmt: skip
+    choices = {name: sorted({row["words"][place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
+    problems = site.cells.problems
     return site.render(
-        "cells.html",
-        "Cells",
-        rows=rows,
-        choices=choices,
-        columns=COLUMNS,
-        names=NAMES,
-        left=left,
-        problems=site.cells.problems,
-        first=FIRST,
+        "cells.html", "Cells", rows=rows, choices=choices, columns=COLUMNS, names=NAMES, left=left, problems=problems, first=FIRST
     )
 
 
 def numbers(site: Site, after: int = 0) -> dict[str, Any]:
     """Return the numbers of cells that are read by now, but for the first so many; how many are known, and how many are not."""
     known, left = site.cells.numbers()
-    marked = {key for key, _ in invalid(site.notes())}
-    texts = {
-        key: [str(shown.episodes or ""), *(shown.texts or [""] * len(COLUMNS)), _oddity(shown, key in marked)]
-        for key, shown in islice(known.items(), after, None)
-    }
-    return {"left": left, "known": len(known), "numbers": texts}
-
-
-def _oddity(shown: Shown, marked: bool) -> str:
-    return "damaged" if shown.damaged else shown.reason or ("has invalid episodes" if marked else "")
+    return {"left": left, "known": len(known), "numbers": {key: shown.row for key, shown in islice(known.items(), after, None)}}
 
 
 def cell_page(site: Site, text: str) -> str:
@@ -201,40 +164,31 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
             texts = [column.number(numbers.pooled[column.key]) for numbers in (first, second)]
             apart = column.number(differences[column.key].value, sign=True) if column.key in MEASURES else ""
             rows.append((column.heading, texts[0], texts[1], apart))
-    episodes, problems = _loaded(pair, worlds, world)
+    if world is not None and world not in worlds:
+        raise UsageError(f"not both cells met the world {world}")
+    met = () if world is None else worlds[world]
+    episodes: list[Episode] = []
+    problem = ""
+    try:
+        episodes = [episode.load(artifact, row["episode"]) for (_, artifact), row in zip(pair, met, strict=False)]
+    except WaspError as error:  # where one does not read, neither is shown
+        problem = problem_of(error)
     differs = first_difference(*episodes) if len(episodes) == 2 else None
     start = step if step is not None else differs
     return site.render(
         "beside.html", " and ".join(cell.label for cell, _ in pair), cells=[cell for cell, _ in pair], rows=rows, world=world,
         views=[episode.episode_view(site, cell, stored, start) for (cell, _), stored in zip(pair, episodes, strict=False)],
-        problem="; ".join(problems), differs=differs, worlds=[(met, site.links.beside(a, b, world=met.seed)) for met in worlds],
-        first=None if differs is None else site.links.beside(a, b, world=world, step=differs),
+        problem=problem, differs=differs, worlds=worlds, pair=(a, b),
     )  # fmt: skip
 
 
-def _worlds(pair: Pair) -> list[World]:
+def _worlds(pair: Pair) -> dict[int, tuple[dict[str, Any], dict[str, Any]]]:
+    """The episodes of both cells in each world that both met, by its seed."""
     tables = []
     for _, artifact in pair:
         with odd_tables_refused(artifact.path):
             tables.append({row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()})
-    rows = [(row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]]
-    return [World(a["episode_seed"], (a["episode"], b["episode"]), ((a["return"], a["cost"]), (b["return"], b["cost"]))) for a, b in rows]
-
-
-def _loaded(pair: Pair, worlds: list[World], seed: int | None) -> tuple[list[Episode], list[str]]:
-    """The episodes of both cells on a world; or why one does not read, and then neither is shown."""
-    if seed is None:
-        return [], []
-    world = next((met for met in worlds if met.seed == seed), None)
-    if world is None:
-        raise UsageError(f"not both cells met the world {seed}")
-    episodes, problems = [], []
-    for (_, artifact), number in zip(pair, world.episodes, strict=True):
-        try:
-            episodes.append(episode.load(artifact, number))
-        except WaspError as error:
-            problems.append(problem_of(error))
-    return ([] if problems else episodes), problems
+    return {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}
 
 
 def first_difference(a: Episode, b: Episode) -> int | None:

@@ -1,20 +1,21 @@
-"""The facts of an episode and of a decision; None is undefined.
+"""From the stored rows to facts, and from facts to JSON: an episode's totals and runs of decisions under one gate; one decision.
 
-Letters: T decisions of the episode, A actions, L residual steps, I iterations of the planner.
+None is undefined. Letters: A actions, L residual steps, I iterations of the planner.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wasp_cli.report.explain.stored import Constants
-from wasp_cli.store.tables import Thresholds
+from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
+from wasp_cli.report.explain.stored import GATES, PREDICTED, Bools, Episode, Floats, number
 
 State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"]
 """Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
@@ -23,53 +24,8 @@ State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "lat
 Range = tuple[float, float]
 """Least and greatest."""
 
-
-@dataclass(frozen=True)
-class Who:
-    """Which episode."""
-
-    key: str | None
-    label: str
-    path: str
-    task: str
-    method: str
-    variant: str
-    operator: str
-    value: float | None
-    seed: int
-    episode: int
-    episodes: int
-    """in the cell"""
-    episode_seed: int
-    """of the world"""
-    decisions: int
-
-
-@dataclass(frozen=True)
-class Totals:
-    """Of a whole episode."""
-
-    return_: float
-    cost: int
-    """env steps with cost"""
-    goals: int
-    success: bool
-    costly: tuple[int, ...]
-    """decisions with cost"""
-    missed: tuple[int, ...]
-    """decisions with cost and no gate"""
-    late: tuple[int, ...]
-    """decisions with cost while the assistant was late: no gate was asked"""
-    intervened: tuple[int, ...]
-    """decisions whose executed action is not the command"""
-    int_rate: float
-    mag_int: float | None
-    gate_share: Mapping[str, float]
-    """share of decisions, by name of the gate"""
-    case2: float | None
-    """share of Case II among the planner's iterations"""
-    decision_p50_ms: float | None
-    decision_p95_ms: float | None
+WINDOW = 15
+"""Decisions over which real costs are counted where no horizon H is known; the paper's H and W."""
 
 
 @dataclass(frozen=True)
@@ -108,26 +64,6 @@ class Run:
         return max(self.gates, key=self.gates.__getitem__)
 
 
-@dataclass(frozen=True, eq=False)
-class EpisodeSummary:
-    """An episode as facts."""
-
-    who: Who
-    thresholds: Thresholds
-    constants: Constants
-    gated: bool
-    """whether the method has WASP's gates"""
-    selective: bool
-    """whether it can miss a cost: it decides when to intervene"""
-    totals: Totals
-    runs: tuple[Run, ...]
-    """Of one gate each; where one gate holds throughout, stretches with and without cost."""
-    series: Mapping[str, NDArray[Any]]
-    """[T] each: `gate` (metrics.episode.GATE_*), `g_cost`, `deviation`, `cost_env`"""
-    signal_limit: float | None
-    """what the method's own signal must exceed for an intervention"""
-
-
 @dataclass(frozen=True)
 class Gate:
     """A gate at one decision."""
@@ -135,11 +71,6 @@ class Gate:
     state: State
     value: float | None
     threshold: float | None
-
-    @property
-    def above(self) -> bool:
-        """Tell whether the value exceeds the threshold."""
-        return exceeds(self.value, self.threshold)
 
 
 @dataclass(frozen=True)
@@ -187,18 +118,11 @@ class Happened:
     discounted: float | None
     """costly decisions, discounted by gamma_c as predictions are; None where gamma_c is not known"""
 
-    @property
-    def decisions(self) -> int:
-        """Return how many."""
-        return self.last - self.first + 1
-
 
 @dataclass(frozen=True)
-class DecisionFacts:
+class Decision:
     """One decision as facts."""
 
-    who: Who
-    constants: Constants
     t: int
     gate: str
     command: tuple[float, ...]
@@ -212,10 +136,6 @@ class DecisionFacts:
     task: Gate | None
     g_return: float | None
     signal: float | None
-    tau_q: float | None
-    tau_c: float | None
-    signal_limit: float | None
-    """what the signal must exceed for an intervention"""
     plan: Planned | None
     now: Happened
     """this decision"""
@@ -226,15 +146,187 @@ class DecisionFacts:
     """decision time divided by the episodes that were decided side by side"""
 
 
+def runs_of(episode: Episode) -> tuple[Run, ...]:
+    """Return the runs of one gate each; where one gate holds throughout, stretches with and without cost."""
+    marks = episode.gate if len(set(episode.gate.tolist())) > 1 else episode.costly.astype(np.int64)
+    bounds = [0, *(np.flatnonzero(np.diff(marks)) + 1).tolist(), episode.decisions]
+    return tuple(_run(episode, first, end) for first, end in pairwise(bounds))
+
+
+def _run(episode: Episode, first: int, end: int) -> Run:
+    """The decisions `first` ... `end - 1`."""
+    part, numbers = slice(first, end), episode.numbers
+    return Run(
+        first=first,
+        last=end - 1,
+        gates=dict(Counter(GATES[value] for value in episode.gate[part].tolist())),
+        command=_tuple(episode.a_h[part].mean(0)),
+        executed=_tuple(episode.a[part].mean(0)),
+        deviation=float(numbers["deviation"][part].mean()),
+        intervened=int(episode.intervened[part].sum()),
+        g_cost=_range(numbers["g_cost"][part]),
+        delta_g=_range(numbers["delta_g"][part]),
+        signal=_range(numbers["signal"][part]),
+        cost=int(numbers["cost_env"][part].sum()),
+        costly=tuple(first + t for t in places_of(episode.costly[part])),
+        missed=tuple(first + t for t in places_of(episode.missed[part])),
+    )
+
+
+def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
+    """Return the runs of an episode, merged into at most `most`: short quiet ones join their neighbours first."""
+    pieces = list(runs_of(episode))
+    while len(pieces) > max(most, 1):
+        # A quiet decision between two of a gate says less than the gate: it goes before the others do.
+        i = min(range(len(pieces)), key=lambda k: (pieces[k].decisions * (1 if pieces[k].gate == "none" else 3), k))
+        left, right = max(i - 1, 0), min(i + 1, len(pieces) - 1)
+        if left < i < right and pieces[left].gate != pieces[right].gate:
+            left, right = (i, right) if pieces[right].decisions <= pieces[left].decisions else (left, i)
+        pieces[left : right + 1] = [_run(episode, pieces[left].first, pieces[right].last + 1)]
+    return tuple(pieces)
+
+
+def decision_of(episode: Episode, t: int) -> Decision:
+    """Collect the facts of one decision.
+
+    Raises:
+        UsageError: the episode has no such decision.
+    """
+    episode.require(t)
+    horizon = episode.constants.horizon
+    window = WINDOW if horizon is None or horizon == 1 else horizon  # `no-rollout` sees one step, but costs take longer to come
+    return Decision(
+        t=t,
+        gate=GATES[int(episode.gate[t])],
+        command=_tuple(episode.a_h[t]),
+        executed=_tuple(episode.a[t]),
+        deviation=float(episode.numbers["deviation"][t]),
+        intervened=bool(episode.intervened[t]),
+        safety=_safety(episode, t) if episode.gated else None,
+        task=_task(episode, t) if episode.gated else None,
+        g_return=episode.at("g_return", t),
+        signal=episode.at("signal", t),
+        plan=_plan(episode, t),
+        now=_happened(episode, t, 1),
+        ahead=_happened(episode, t, window),
+        window=window,
+        ms=number(float(episode.ms[t])) if t < len(episode.ms) else None,
+    )
+
+
+def _safety(episode: Episode, t: int) -> Gate:
+    value = episode.at("g_cost", t)
+    state: State = "silent"
+    if episode.gate[t] == GATE_SAFETY:
+        state = "fired"
+    elif episode.variant == "task-only":
+        state = "off"
+    elif episode.gate[t] == GATE_LATE:
+        state = "late"
+    elif value is None:
+        state = "unknown"
+    return Gate(state, value, episode.thresholds.tau_c)
+
+
+def _task(episode: Episode, t: int) -> Gate:
+    value = episode.at("delta_g", t)
+    state: State = "silent"
+    if episode.gate[t] == GATE_TASK:
+        state = "fired"
+    elif episode.variant == "safety-only" or (episode.constants.takeover and episode.thresholds.tau_r is None):
+        state = "off"
+    elif episode.gate[t] == GATE_LATE:
+        state = "late"
+    elif episode.gate[t] == GATE_SAFETY:
+        state = "not asked"
+    elif episode.constants.takeover and exceeds(value, episode.thresholds.tau_r):
+        state = "withheld"
+    elif value is None:  # where a cost return is known the decision has been recorded, and so would be a gain
+        state = "unknown" if episode.gate[t] == GATE_METHOD or episode.at("g_cost", t) is None else "no candidate"
+    return Gate(state, value, episode.thresholds.tau_r)
+
+
+def _plan(episode: Episode, t: int) -> Planned | None:
+    plan = episode.plan[t]
+    if plan is None:
+        return None
+    actions = episode.a.shape[1]
+    residuals = tuple(plan[k : k + actions] for k in range(0, len(plan), actions))
+    return Planned(episode.safe[t] or (), episode.case2[t] or (), residuals, *(episode.at(name, t) for name in PREDICTED))
+
+
+def _happened(episode: Episode, t: int, window: int) -> Happened:
+    """In the decisions from t on, `window` of them or as many as are left."""
+    end = min(t + window, episode.decisions)
+    part, gamma = slice(t, end), episode.constants.gamma_c
+    costly = episode.costly[part]
+    return Happened(
+        first=t,
+        last=end - 1,
+        reward=float(episode.numbers["reward"][part].sum()),
+        cost=int(episode.numbers["cost_env"][part].sum()),
+        costly=int(costly.sum()),
+        goals=int(episode.numbers["goals"][part].sum()),
+        intervened=int(episode.intervened[part].sum()),
+        discounted=None if gamma is None else float((gamma ** np.arange(len(costly)))[costly].sum()),
+    )
+
+
 def exceeds(value: float | None, limit: float | None) -> bool:
     """Tell whether a stored value is above a threshold. Gates compare in single precision, and rows hold it."""
     return value is not None and limit is not None and bool(np.float32(value) > np.float32(limit))
 
 
-def as_json(facts: EpisodeSummary | DecisionFacts) -> dict[str, Any]:
-    """Convert facts to JSON values; what is undefined is null."""
-    plain: dict[str, Any] = plain_values(asdict(facts))
-    return plain
+def places_of(marks: Bools) -> tuple[int, ...]:
+    """Return the decisions at which something holds."""
+    return tuple(np.flatnonzero(marks).tolist())
+
+
+def _tuple(values: Floats) -> tuple[float, ...]:
+    return tuple(values.tolist())
+
+
+def _range(values: Floats) -> Range | None:
+    defined = values[np.isfinite(values)]
+    return (float(defined.min()), float(defined.max())) if len(defined) else None
+
+
+def episode_json(episode: Episode) -> dict[str, Any]:
+    """Return an episode as JSON values: its totals, its runs, and what the gates saw of every decision; what is undefined is null."""
+    row, names = episode.row, ("g_cost", "deviation", "cost_env")
+    shares = {name: float((episode.gate == value).mean()) for value, name in GATES.items() if (episode.gate == value).any()}
+    totals = {name: row[name] for name in ("return", "cost", "goals", "success")}
+    totals |= {name: places_of(getattr(episode, name)) for name in ("costly", "missed", "late", "intervened")}
+    totals |= {"int_rate": row["int_rate"], "mag_int": row["mag_int"], "gate_share": shares}
+    totals |= {name: row[name] for name in ("case2", "decision_p50_ms", "decision_p95_ms")}
+    facts = {
+        "who": _who(episode), "thresholds": asdict(episode.thresholds), "constants": asdict(episode.constants),
+        "gated": episode.gated, "selective": episode.selective, "totals": totals, "runs": [asdict(run) for run in runs_of(episode)],
+        "series": {"gate": episode.gate, **{name: episode.numbers[name] for name in names}}, "signal_limit": episode.signal_limit,
+    }  # fmt: skip
+    values: dict[str, Any] = plain_values(facts)
+    return values
+
+
+def decision_json(episode: Episode, t: int) -> dict[str, Any]:
+    """Return one decision as JSON values; what is undefined is null.
+
+    Raises:
+        UsageError: the episode has no such decision.
+    """
+    limits = {"tau_q": episode.thresholds.tau_q, "tau_c": episode.thresholds.tau_c, "signal_limit": episode.signal_limit}
+    facts = {"who": _who(episode), "constants": asdict(episode.constants), **asdict(decision_of(episode, t)), **limits}
+    values: dict[str, Any] = plain_values(facts)
+    return values
+
+
+def _who(episode: Episode) -> dict[str, Any]:
+    """Which episode it is."""
+    names = ("task", "method", "variant", "operator", "value", "seed", "episode")
+    return {
+        "key": episode.cell.key, "label": episode.label, "path": str(episode.cell.path), **{name: episode.row[name] for name in names},
+        "episodes": episode.episodes, "episode_seed": episode.row["episode_seed"], "decisions": episode.decisions,
+    }  # fmt: skip
 
 
 def plain_values(value: Any) -> Any:

@@ -2,105 +2,98 @@
 
 from __future__ import annotations
 
+import io
 import re
-import textwrap
 from collections.abc import Iterable, Sequence
 
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.segment import Segment
+from rich.table import Table
 from rich.text import Text
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain.facts import Range, Who
-from wasp_cli.report.explain.stored import Constants
+from wasp_cli.report.explain.facts import Range
+from wasp_cli.report.explain.stored import Constants, Episode
 from wasp_cli.report.tables.titles import who_title
 from wasp_cli.tasks.registry import TASKS
 
-INDENT = 2
+INDENT, BETWEEN = 2, 2
+"""Columns before a table, and between two of its columns."""
 NUMBER = re.compile(r"[-+.…%\d]*")
-STYLES = {"safety": "yellow", "task": "cyan", "method": "magenta", "late": "red", "none": "dim"}
-"""By name of the gate."""
+
+
+def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
+    """Set parts below each other, in lines of at most `width` columns."""
+    console = Console(file=io.StringIO(), markup=False, emoji=False, highlight=False)
+    lines = []
+    for segments in console.render_lines(Group(*parts), console.options.update(width=width), pad=False):
+        line = Text.assemble(*((segment.text, segment.style or "") for segment in Segment.simplify(segments)))
+        line.rstrip()
+        lines.append(line)
+    return lines
 
 
 def heading(text: str, more: str = "") -> Text:
     """Return a heading."""
-    return Text(text, "bold").append(f"  ({more})" if more else "", "dim not bold")
+    return Text.assemble((text, "bold"), (f"  ({more})" if more else "", "dim"))
 
 
-def sentence(text: str, width: int) -> list[Text]:
-    """Set a sentence below a heading."""
-    return [Text(line) for line in _wrapped(text, width, 0)]
+def section(title: str, *parts: RenderableType) -> list[RenderableType]:
+    """Return parts below an empty line and a heading."""
+    return ["", heading(title), *parts]
 
 
-def fields(entries: Iterable[tuple[str, str]], width: int) -> list[Text]:
-    """Set names at the left and their values beside them, wrapped."""
-    entries = list(entries)
-    indent = INDENT + max((len(name) for name, _ in entries), default=0) + 2
-    lines = []
-    for name, value in entries:
-        first, *more = _wrapped(value, width, indent) or [""]
-        lines.append(Text(" " * INDENT + name.ljust(indent - INDENT), "dim").append(first[indent:], "not dim"))
-        lines += map(Text, more)
-    return lines
+def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
+    """Set names at the left and their values beside them."""
+    grid = Table.grid(padding=(0, BETWEEN, 0, 0))
+    grid.add_column(style="dim", no_wrap=True)
+    for entry in entries:
+        grid.add_row(*entry)
+    return _indented(grid)
 
 
-def table(
-    titles: Sequence[str], rows: Sequence[Sequence[str]], width: int, styles: Sequence[str] = (), drop: Sequence[str] = ()
-) -> list[Text]:
+def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()) -> RenderableType:
     """Set rows in columns: numbers at the right, words at the left. A column of `-` alone is left out.
 
     Args:
         titles: one for each column.
         rows: the cells of each row; `-` where there is nothing to say.
-        width: columns of the terminal.
         styles: one for each row.
-        drop: titles of the columns that are left out where there is no room, the first one first.
     """
-    columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if set(cells) != {"-"}]
-    sizes = {title: max(map(len, (title, *cells))) for title, cells in columns}
-    for title in drop:
-        if title in sizes and INDENT + sum(size + 2 for size in sizes.values()) - 2 > width:
-            del sizes[title]
-    lines = [" " * INDENT] * (len(rows) + 1)
-    for i, (title, cells) in enumerate(column for column in columns if column[0] in sizes):
-        right = i > 0 and all(NUMBER.fullmatch(cell) for cell in cells)
-        for k, text in enumerate((title, *cells)):
-            lines[k] += "  " * (i > 0) + (text.rjust(sizes[title]) if right else text.ljust(sizes[title]))
-    return [Text(line.rstrip(), style) for line, style in zip(lines, ("bold", *styles, *[""] * len(rows)), strict=False)]
+    columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
+    drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
+    for i, (title, cells) in enumerate(columns):
+        drawn.add_column(title, justify="right" if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells) else "left")
+    for i, cells in enumerate(zip(*(cells for _, cells in columns), strict=True)):
+        drawn.add_row(*cells, style=styles[i] if styles else "")
+    return _indented(drawn)
 
 
-def notes(width: int, *texts: str) -> list[Text]:
+def notes(*texts: str) -> list[RenderableType]:
     """Set notes below a table, each from a line of its own; empty ones are left out."""
-    return [Text(line, "dim") for text in texts for line in _wrapped(text, width, INDENT)]
+    return [_indented(Text(text, "dim")) for text in texts if text]
 
 
-def _wrapped(text: str, width: int, indent: int) -> list[str]:
-    space = " " * indent
-    filler = textwrap.TextWrapper(max(width, indent + 20), space, space, break_long_words=False, break_on_hyphens=False)
-    whole = text.replace("Eq. ", "Eq.\u00a0")  # a number stays with its name
-    return [line.replace("\u00a0", " ") for line in filler.wrap(whole)]
+def _indented(part: RenderableType) -> Padding:
+    return Padding(part, (0, 0, 0, INDENT), expand=False)
 
 
-def cell_fields(who: Who) -> list[tuple[str, str]]:
+def cell_fields(episode: Episode) -> list[tuple[str, str]]:
     """Return the fields that say which cell it is, and how its method decides."""
-    task = TASKS[who.task].title if who.task in TASKS else who.task
-    rule = METHODS[who.method].rule if who.method in METHODS else ""
+    row, method = episode.row, episode.method
+    task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
+    rule = METHODS[method].rule if method in METHODS else ""
+    operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
+    if operator in OPERATORS:
+        operator, severity = OPERATORS[operator].title.lower(), f"{severity} ({OPERATORS[operator].unit})"
     return [
-        ("cell", f"{task}, {who_title(who.method, who.variant)}, seed {who.seed}, world {who.episode_seed}"),
-        ("operator", _operator(who)),
-        ("method", rule or f"not described: see the documentation of '{who.method}'"),
-        ("key", who.key or f"none; read from {who.path}"),
+        ("cell", f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world {row['episode_seed']}"),
+        ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
+        ("method", rule or f"not described: see the documentation of '{method}'"),
+        ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
     ]
-
-
-def _operator(who: Who) -> str:
-    """Return the operator with the meaning of its severity."""
-    if who.operator == UNIMPAIRED:
-        return "unimpaired"
-    value = "" if who.value is None else f" {who.value:g}"
-    if who.operator not in OPERATORS:
-        return who.operator + value
-    info = OPERATORS[who.operator]
-    return f"{info.title.lower()}{value} ({info.unit})"
 
 
 def decider(method: str) -> str:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.methods.registry import METHODS, Signal
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK, INTERVENED
+from wasp_cli.plan.node import cell_label
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.plain import printable
@@ -100,6 +101,28 @@ class Episode:
         """Return T."""
         return len(self.gate)
 
+    @property
+    def method(self) -> str:
+        """Return who assists."""
+        return str(self.row["method"])
+
+    @property
+    def variant(self) -> str:
+        """Return the ablation of the method; `full` for the method itself."""
+        return str(self.row["variant"])
+
+    @property
+    def label(self) -> str:
+        """Return the label of the cell, as its run printed it."""
+        row = self.row
+        who = cell_label(self.method, self.variant, row["operator"], row["value"])
+        return printable(self.cell.label or f"{row['task']} s{row['seed']} {who}")
+
+    @property
+    def title(self) -> str:
+        """Return the title on a picture of the episode."""
+        return f"{self.label}, episode {self.row['episode']}"
+
     def require(self, t: int) -> None:
         """Check that there is a decision t.
 
@@ -115,9 +138,14 @@ class Episode:
         return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
 
     @property
+    def signal(self) -> Signal:
+        """Return what the method decides by; of one that no registry knows, a signal without a meaning."""
+        return signal_of(self.method)
+
+    @property
     def signal_limit(self) -> float | None:
         """Return the value above which the method's own signal calls for a correction; None where there is no such value."""
-        limit = signal_of(str(self.row["method"])).limit
+        limit = self.signal.limit
         if limit in THRESHOLDS:
             return number(self.row[limit])
         stated = self.cell.setting("axes", "method_config", limit) if limit else None
