@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.node import cell_label
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys
-from wasp_cli.store.find import KIND, begins, same_label
+from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import CellIdentity, cell_file
 
@@ -107,12 +107,6 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
             who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
             cells.append(ListedCell(*who, value, int(manifest["seed"]), key=key, branches=judged.get(key)))
     return cells
-
-
-def named(cells: Sequence[ListedCell], text: str) -> list[ListedCell]:
-    """Return the cells that the beginning of a key names, or else a label."""
-    typed = " ".join(text.split())
-    return [cell for cell in cells if begins(cell.key, typed)] or [cell for cell in cells if same_label(cell.label, typed)]
 
 
 def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import StoreError, UnknownName, UsageError
 from wasp_cli.notebook import rows
-from wasp_cli.notebook.cells import ListedCell, Names, Numbers, chosen, named, planned_cells, recorded_plans, stored_cells, table_of
+from wasp_cli.notebook.cells import ListedCell, Names, Numbers, chosen, planned_cells, recorded_plans, stored_cells, table_of
+from wasp_cli.store.find import matching
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ class Results:
         """
         from wasp_cli.notebook.cell import StoredCell
 
-        cells = {cell.key: cell for cell in named(self.cells, label)}
+        cells = {cell.key: cell for cell in matching(self.cells, label)}
         if not cells:
             raise UnknownName("cell", label, [cell.label for cell in self.cells])
         if len(cells) > 1:

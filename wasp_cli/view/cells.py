@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
-from wasp_cli.notebook.cells import ListedCell, named, planned_cells, recorded_plans, stored_cells
+from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, read_frame
 from wasp_cli.report.stats.invalid import without_episodes
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.report.tables.titles import who_title
 from wasp_cli.store.artifact import read_manifest, stored_keys
-from wasp_cli.store.find import KIND, FoundCell, find_cell
+from wasp_cli.store.find import KIND, FoundCell, find_cell, matching
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import cell_file
 
@@ -157,7 +157,7 @@ class Cells:
         Raises:
             WaspError: there is none, or its manifest is damaged.
         """
-        cells = named(self.listed(), text)
+        cells = matching(self.listed(), text)
         if len(cells) > 1:
             # Of several versions of one cell the one of the newest run of its spec is meant; the page names the others.
             planned = [cell for cell in cells if cell.spec is not None]

@@ -66,8 +66,8 @@ def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: S
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
         drawn.add_column(title, justify="right" if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells) else "left")
-    for i, cells in enumerate(zip(*(cells for _, cells in columns), strict=True)):
-        drawn.add_row(*cells, style=styles[i] if styles else "")
+    for i, row in enumerate(zip(*(cells for _, cells in columns), strict=True)):
+        drawn.add_row(*row, style=styles[i] if styles else "")
     return _indented(drawn)
 
 
