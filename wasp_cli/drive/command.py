@@ -264,8 +264,6 @@ def withdrawn(wanted: Wanted) -> int:
             shutil.rmtree(folder)
             gone += 1
             say(f"{folder.name}: an unfinished session, deleted")
-    # Reports of large grids keep the rows of episodes.
-    layout.rows(spec.name).unlink(missing_ok=True)
     say(
         f"participant {number} has withdrawn: {gone} result{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers"
     )

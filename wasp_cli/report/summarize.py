@@ -65,7 +65,7 @@ def report_run(
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = stored = replace(with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted), absent=tuple(absent))
+    frame = stored = replace(with_branches(read_frame(wanted), wanted), absent=tuple(absent))
     keys = {identity_of(cell): key for cell, key in cells}
     notes = [note for note in notes_of(layout) if note.key in keys.values()]
     frame, left_out = without_invalid(frame, keys, invalid(notes))
@@ -139,14 +139,6 @@ def _severity_check(spec: Spec, frame: Frame) -> Table | None:
         return None
     checks = checks_of(spec, frame)
     return judged(check_table(checks, frame), checks)
-
-
-def _kept(layout: Layout, spec: str) -> Path | None:
-    """Where the rows of large grids are kept; None where that would be somewhere else."""
-    try:
-        return layout.within(layout.rows(spec))
-    except StoreError:
-        return None
 
 
 def wanted_cells(
