@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -121,7 +120,7 @@ def show(node: NodeArgument, place: Whereabouts, json: JsonOption = False) -> No
     layout = results_of(place.results)
     facts = node_facts(layout, find_node(layout, node, keys_of(layout, place.run)))
     if json:
-        print_json(asdict(facts))
+        print_json(facts)
     else:
         say(*node_lines(facts))
 

@@ -149,9 +149,8 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
     from wasp_cli.plan.plan import cells_with_keys
     from wasp_cli.report.render.files import make_own, write_pages
     from wasp_cli.report.render.text import terminal
-    from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
     from wasp_cli.report.summarize import wanted_cells
-    from wasp_cli.report.tables.severity_check import as_json, check_table, judged
+    from wasp_cli.report.tables.severity_check import as_json, check_table, judged, read_checks, require_accepted, verdict_lines
     from wasp_cli.run.record import reported
     from wasp_cli.run.session import planned, restricted, run_spec
     from wasp_cli.spec.derived import operators_alone

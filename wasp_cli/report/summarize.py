@@ -19,14 +19,12 @@ from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assum
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.stats.invalid import without_invalid
-from wasp_cli.report.stats.people import read_people
-from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.necessity import necessity_table
-from wasp_cli.report.tables.people import late_facts, people_fact, people_tables
-from wasp_cli.report.tables.severity_check import check_table, judged
+from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
+from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
 from wasp_cli.report.trained.pages import with_warnings

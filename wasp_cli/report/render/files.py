@@ -18,6 +18,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +48,13 @@ def rendered(template: str, /, **values: Any) -> Markup:
     from markupsafe import Markup
 
     return Markup(_environment().get_template(template).render(values))  # every value in it has been escaped
+
+
+def trusted(name: str) -> Markup:
+    """Return a file of the page that is put into it as it is."""
+    from markupsafe import Markup
+
+    return Markup((files("wasp_cli.report.page") / name).read_text(encoding="utf-8"))
 
 
 @cache
