@@ -20,7 +20,7 @@ import pyarrow as pa
 from tests.report.invented import invent
 from wasp_cli.metrics.episode import WEIGHTS, episode_metrics
 from wasp_cli.report.document import draw_figures
-from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats.frame import Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables

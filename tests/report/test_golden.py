@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import BEST, comparison_table

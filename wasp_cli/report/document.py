@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from wasp_cli.report.address import cell_address
 from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
@@ -18,11 +19,9 @@ from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.notes import Note, lines_of
 from wasp_cli.report.page.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
-from wasp_cli.report.render.files import RENDERERS, make_own, rendered, trusted, write_pages
-from wasp_cli.report.render.text import markdown, markdown_text, terminal
+from wasp_cli.report.render import RENDERERS, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats.frame import Frame, Missing
-from wasp_cli.report.tables.table import Table
-from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.artifacts import Trained, duration, numbers_text, trained_markdown
 from wasp_cli.report.trained.figures import learning_figure, reliability_figure
 from wasp_cli.store.layout import Layout
@@ -161,6 +160,7 @@ class Report:
             style=trusted("style.css"),
             script=trusted("sort.js") + trusted("script.js"),
             task_title=task_title,
+            cell_address=cell_address,
             duration=duration,
             numbers_text=numbers_text,
             as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),

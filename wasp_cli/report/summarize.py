@@ -14,11 +14,10 @@ from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.claims.text import numbers_table
 from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
-from wasp_cli.report.notes import invalid, notes_of
+from wasp_cli.report.notes import invalid, notes_of, without_invalid
 from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
-from wasp_cli.report.stats.invalid import without_invalid
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table

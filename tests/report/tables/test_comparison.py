@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wasp_cli.report.render.text import csv_text
+from wasp_cli.report.render import csv_text
 from wasp_cli.report.stats.bootstrap import difference_of, improvement_over, iqm_of
 from wasp_cli.report.stats.frame import Frame, Wanted, groups, read_frame
 from wasp_cli.report.stats.summary import Value

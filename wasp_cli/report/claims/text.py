@@ -12,15 +12,12 @@ from rich.text import Text
 
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin, stood_for
-from wasp_cli.report.render.files import rendered
-from wasp_cli.report.render.text import markdown_row
-from wasp_cli.report.stats.bootstrap import Estimate
-from wasp_cli.report.stats.hierarchical import Limits
+from wasp_cli.report.render import markdown_row, rendered
+from wasp_cli.report.stats.bootstrap import Estimate, Limits
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.report.tables.necessity import MEANS as NECESSITY
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import task_title, who_title
+from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
 from wasp_cli.spec.paper import Printed, Who
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ from wasp_cli.report.stats.frame import Frame, Group, groups
 from wasp_cli.report.stats.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables.by_axis import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column
-from wasp_cli.report.tables.titles import is_row, task_title, who_title
+from wasp_cli.report.tables.table import Column, is_row, task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ from wasp_cli.report.figures.style import LINES, drawn, figure_files, legend, pl
 from wasp_cli.report.stats.frame import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.stats.summary import summarise
 from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups, row_title
-from wasp_cli.report.tables.table import Column
-from wasp_cli.report.tables.titles import assistant_title, is_row, task_title
+from wasp_cli.report.tables.table import Column, assistant_title, is_row, task_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

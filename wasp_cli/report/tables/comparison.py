@@ -12,8 +12,7 @@ from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, 
 from wasp_cli.report.stats.frame import Frame, Group
 from wasp_cli.report.stats.summary import UNDEFINED, Value, distinct_resamples
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, missing_notes, part_of
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import assistant_title, task_title
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
 
 HUMAN = "human"
 OURS = "wasp"

@@ -13,8 +13,7 @@ from wasp_cli.report.stats.frame import Frame, Group, groups, row_of
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.comparison import limit_notes
 from wasp_cli.report.tables.main import part_of
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import assistant_title, task_title
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
 
 INTERVENTIONS = Column("interventions", "Int. steps", digits=0, spread=False)
 BRANCHED = Column("branched", "Branched", digits=0, spread=False)

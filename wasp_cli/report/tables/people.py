@@ -17,12 +17,11 @@ import pyarrow as pa
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.report.stats.bootstrap import COVERAGE, RESAMPLES, drawn
+from wasp_cli.report.stats.bootstrap import RESAMPLES, drawn, limits_of
 from wasp_cli.report.stats.frame import CellNumbers, Frame, Wanted, row_of
 from wasp_cli.report.stats.summary import UNDEFINED, Interval, Value
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import task_title, who_title
+from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
 from wasp_cli.spec.study import QUESTIONS
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
@@ -122,8 +121,8 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
     count = len(means)
     if count == 1:
         return Value(float(means[0]), n=1, ranked=False)
-    low, high = np.quantile(drawn(count) @ means / count, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    interval = Interval(round(float(low), 12) + 0.0, round(float(high), 12) + 0.0, "participant", count)
+    limits = limits_of(drawn(count) @ means / count)
+    interval = None if limits is None else Interval(*limits, "participant", count)
     return Value(float(means.mean()), float(means.std(ddof=1)), count, ranked=False, interval=interval)
 
 

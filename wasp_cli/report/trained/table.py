@@ -10,8 +10,7 @@ from typing import Any
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.stats.summary import Value, over_seeds
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.tables.table import Column, Row, Table, task_title
 from wasp_cli.report.trained.artifacts import Trained
 
 COLUMNS = (
