@@ -188,11 +188,7 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
     """Write every figure that has something to show, as PNG and SVG; returns the files."""
-    files = cost_return_figure(frame, folder)
-    files += necessity_figure(frame, folder)
-    files += severity_figure(frame, folder)
-    files += profile_figure(frame, folder)
-    files += latency_figure(frame, folder)
-    files += learning_figure(layout, trained, folder)
-    files += reliability_figure(layout, trained, folder)
-    return files
+    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
+    of_parts = (learning_figure, reliability_figure)
+    drawn = [path for draw in of_cells for path in draw(frame, folder)]
+    return drawn + [path for draw in of_parts for path in draw(layout, trained, folder)]

@@ -51,7 +51,7 @@ def node_facts(layout: Layout, node: FoundNode) -> Facts:
         "settings": mapping(node.setting("settings")),
         "upstream": list(_upstream(layout, node)),
         "files": list(_files(layout, node)),
-        "pictures": list(_pictures(layout, node)),
+        "pictures": sorted(printable(str(path)) for path in layout.root.glob(f"reports/*/trained/*-{node.key[:8]}")) if node.key else [],
         "provenance": provenance,
         "failure": node.failure,
     }
@@ -100,11 +100,6 @@ def _files(layout: Layout, node: FoundNode) -> Iterator[Facts]:
         size = mapping(known).get("size")
         state = _file_state(layout, node, name, mapping(known).get("sha256"))
         yield {"name": name, "size": size if isinstance(size, int) else None, "state": state}
-
-
-def _pictures(layout: Layout, node: FoundNode) -> Iterator[str]:
-    if node.key is not None and is_key(node.key):
-        yield from sorted(printable(str(path)) for path in (layout.root / "reports").glob(f"*/trained/*-{node.key[:8]}"))
 
 
 def _file_state(layout: Layout, node: FoundNode, name: str, digest: Any) -> str:

@@ -16,7 +16,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -60,11 +60,9 @@ def mark_of(text: str) -> Mark:
     Raises:
         UsageError: there is no such mark.
     """
-    marks: tuple[Mark, ...] = ("", "invalid", "valid")
-    for mark in marks:
-        if text == mark:
-            return mark
-    raise UsageError(f"'{text}' is no mark", "invalid, valid, or none")
+    if text not in get_args(Mark):
+        raise UsageError(f"'{text}' is no mark", "invalid, valid, or none")
+    return cast(Mark, text)
 
 
 def one_line(note: Note, *, past: bool = False) -> str:

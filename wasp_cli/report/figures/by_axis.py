@@ -60,11 +60,7 @@ class Curve:
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `severity.png` and `.svg`: intervention rate, cost and return under every operator and severity; a row for each task.
-
-    Returns:
-        The written files; none where fewer than two conditions have been computed.
-    """
+    """Write `severity.png` and `.svg`: intervention rate, cost and return under every operator and severity; by task. Returns the files."""
     found = [group for group in groups(frame) if is_row(group) and METHODS[group.method].impaired and group.cells]
     conditions = _conditions(frame)
     tasks = list(dict.fromkeys(group.task for group in found))

@@ -40,21 +40,13 @@ class _Line(NamedTuple):
     """mean and interquartile mean"""
 
 
-def comparison_table(frame: Frame, reference: str = HUMAN) -> Table | None:
-    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it.
+def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
+    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it, with intervals.
 
     Args:
         frame: the cells; ablations are left out.
-        reference: a method, or BEST.
-
-    Returns:
-        All with intervals (`report.stats.bootstrap`); None without any readable cell.
+        references: methods, or BEST; a table for each, and none without any readable cell.
     """
-    return next(iter(comparison_tables(frame, (reference,))), None)
-
-
-def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
-    """Make `comparison_table` for several references, without computing twice what they share; empty without any readable cell."""
     if not frame.cells:
         return []
     lines = [
