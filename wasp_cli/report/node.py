@@ -38,6 +38,7 @@ def node_facts(layout: Layout, node: FoundNode) -> Facts:
     """
     provenance = mapping(node.setting("provenance"))
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
+    drawn = layout.root.glob(f"reports/*/trained/*-{node.key[:8]}") if node.key is not None and is_key(node.key) else ()
     return {
         "key": node.key or "",
         "kind": node.kind,
@@ -51,7 +52,7 @@ def node_facts(layout: Layout, node: FoundNode) -> Facts:
         "settings": mapping(node.setting("settings")),
         "upstream": list(_upstream(layout, node)),
         "files": list(_files(layout, node)),
-        "pictures": sorted(printable(str(path)) for path in layout.root.glob(f"reports/*/trained/*-{node.key[:8]}")) if node.key else [],
+        "pictures": sorted(printable(str(path)) for path in drawn),
         "provenance": provenance,
         "failure": node.failure,
     }
