@@ -44,7 +44,7 @@ def values_of(footer: pq.FileMetaData) -> int:
     Of row groups as a whole: asked for a column whose type a flipped bit has changed, pyarrow ends the process.
     """
     sizes = sum(footer.row_group(i).total_byte_size for i in range(footer.num_row_groups))
-    return max(footer.num_rows * footer.num_columns, sizes // 8)
+    return int(max(footer.num_rows * footer.num_columns, sizes // 8))
 
 
 def _require(path: Path, most_rows: int | None) -> None:

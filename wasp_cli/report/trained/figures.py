@@ -128,7 +128,8 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
                     for i in [names.index(curve.name)]
                 ]
                 losses = {"xlabel": "thousand updates", "yscale": "log"} if quantity == "loss" else {"xlabel": "thousand decision steps"}
-                draw_lines(panel, lines, title=f"{task_title(task)}: {QUANTITIES[quantity]}", **losses)
+                draw_lines(panel, lines, **losses)
+                panel.set_title(f"{task_title(task)}: {QUANTITIES[quantity]}", loc="left")
                 limits = {curve.limit for curve in own if curve.task == task and curve.limit is not None}
                 for limit in sorted(limits) if quantity == "cost_per_1000" else ():
                     panel.axhline(limit, color=GREY, linestyle="--", linewidth=1.0, label=f"limit {limit:g}")
