@@ -12,7 +12,7 @@ from wasp_cli.errors import UsageError
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
-    from wasp_cli.report.notes import Mark, Note, add_note, one_line
+    from wasp_cli.report.notes import Mark
 
 
 @command(
@@ -74,6 +74,7 @@ def note(
     invalid, and name it.
     """
     from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.report.notes import Note, add_note, one_line
     from wasp_cli.store.bounds import require_size
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.tables import read_episodes

@@ -82,7 +82,7 @@ def test_the_diagnostics_have_a_section_for_each_set_and_say_what_is_undefined()
 
 def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:
     page = quality_markdown(QUALITY)
-    assert sum(line.startswith("| ") for line in page.splitlines()) == 1 + 4
+    assert sum(line.startswith("| ") for line in page.splitlines()) == 2 + 4
     assert "| recorded | 0.4 | 0.250 | 0.300 |" in page
 
 
