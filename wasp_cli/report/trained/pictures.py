@@ -84,8 +84,12 @@ def _strip(window: Window, word: str) -> Image.Image:
     """True front, the model's front, true rear, the model's rear, one below the other; a red edge marks a real cost."""
     strip = Image.new("RGB", (LABEL + len(window.cost) * PITCH + GAP, GAP + 4 * PITCH), PAPER)
     draw, font = ImageDraw.Draw(strip), ImageFont.load_default(11)
-    cameras = [(f"{name} {camera}", images, at) for camera, at in (("front", 0), ("rear", 3)) for name, images in _pair(window, word)]
-    for row, (name, images, channel) in enumerate(cameras):
+    rows = [
+        (f"{name} {camera}", images, channel)
+        for camera, channel in (("front", 0), ("rear", 3))
+        for name, images in (("true", window.true), (word, window.model))
+    ]
+    for row, (name, images, channel) in enumerate(rows):
         y = GAP + row * PITCH
         draw.text((GAP, y + SIDE // 2 - 6), name, INK, font)
         for column, image in enumerate(images):
@@ -94,10 +98,6 @@ def _strip(window: Window, word: str) -> Image.Image:
             if window.cost[column] > 0:
                 draw.rectangle((x - 2, y - 2, x + SIDE + 1, y + SIDE + 1), outline=RED, width=2)
     return strip
-
-
-def _pair(window: Window, word: str) -> tuple[tuple[str, Images], tuple[str, Images]]:
-    return ("true", window.true), (word, window.model)
 
 
 def draw_reconstructions(layout: Layout, artifact: Trained, path: Path) -> None:
