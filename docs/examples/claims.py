@@ -11,7 +11,7 @@ from pathlib import Path
 
 from wasp_cli.report.claims.text import PLAIN, sentence
 from wasp_cli.report.claims.verdict import Answer, Judged, VerdictReport, any_of, judge
-from wasp_cli.report.render.text import markdown_row
+from wasp_cli.report.render import markdown_row
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.spec.load import load

@@ -1,6 +1,6 @@
 """A grid of 5,000 cells with a million episodes, and all tables and figures of it.
 
-python -m tests.benchmarks.many FOLDER [KEPT]   what wasp takes for them; KEPT: a file for the rows of all cells, as `wasp report` has one
+python -m tests.benchmarks.many FOLDER          what wasp takes for them
 python -m tests.benchmarks.many FOLDER duckdb   what DuckDB takes to pool the same columns of the same files
 """
 
@@ -20,7 +20,7 @@ import pyarrow as pa
 from tests.report.invented import invent
 from wasp_cli.metrics.episode import WEIGHTS, episode_metrics
 from wasp_cli.report.document import draw_figures
-from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats.frame import Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
@@ -107,10 +107,10 @@ def peer(folder: Path) -> None:
     print(json.dumps({"read": time.perf_counter() - begun, "cpu": time.process_time(), "cells": len(rows), "return": mean, "peak": peak()}))
 
 
-def main(folder: Path, kept: Path | None = None) -> None:
+def main(folder: Path) -> None:
     """Print as JSON: seconds to read, to make and render every table and to draw every figure, cells, episodes, bytes held at most."""
     begun = time.perf_counter()
-    frame = read_frame(wanted(folder), kept)
+    frame = read_frame(wanted(folder))
     read = time.perf_counter() - begun
     makers = (main_table, ablation_table, operator_table, detail_table, threshold_table, severity_table, latency_table)
     tables = [*(make(frame) for make in makers), *comparison_tables(frame)]
@@ -130,4 +130,4 @@ if __name__ == "__main__":
     if how == ["duckdb"]:
         peer(place)
     else:
-        main(place, Path(how[0]) if how else None)
+        main(place)

@@ -10,7 +10,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.compare.two_runs import episodes, write_results
-from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render import RENDERERS
 
 
 @pytest.fixture(scope="module")

@@ -304,7 +304,7 @@ def test_the_stage_leaves_its_numbers_and_images_and_the_same_again(root: Path, 
     wanted |= {f"unseen_auprc@{k}" for k in SHOWN} | {"auprc_any", "unseen_auprc_any", "image_over_copy@15"}
     assert set(summaries[0]) == wanted
     page = open_loop_markdown(found)
-    assert page.count("\n## ") == 2
+    assert page.count("\n# ") == 2
     assert "hazards" in page
     assert page.count("| read from | all | motion | goal | way | walls | things |") == page.count("| imagined, step 5 |") == 2
     assert "nan" not in page

@@ -8,18 +8,22 @@ from pathlib import Path
 
 import pytest
 
-from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
-from wasp_cli.report.tables.comparison import BEST, comparison_table
+from wasp_cli.report.tables.comparison import BEST, HUMAN, comparison_tables
 from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.table import Table
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 
 
-def best_table(frame: Frame) -> Table | None:
-    return comparison_table(frame, BEST)
+def comparison_table(frame: Frame) -> Table:
+    return comparison_tables(frame, (HUMAN,))[0]
+
+
+def best_table(frame: Frame) -> Table:
+    return comparison_tables(frame, (BEST,))[0]
 
 
 TABLES: tuple[Callable[[Frame], Table | None], ...] = (

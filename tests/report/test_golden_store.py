@@ -16,7 +16,7 @@ from tests.commands import run_here
 from tests.report.golden_store import STORE
 from wasp_cli.report.document import Report
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.summarize import report_run
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import load_paper

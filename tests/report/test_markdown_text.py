@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wasp_cli.report.render.text import markdown_text
+from wasp_cli.report.render import markdown_text
 
 
 @pytest.mark.parametrize(

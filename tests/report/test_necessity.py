@@ -13,7 +13,7 @@ from tests.report.branched import with_invented_branches
 from tests.report.invented import write_grid
 from tests.report.test_golden import golden
 from wasp_cli.report.figures.methods import necessity_figure
-from wasp_cli.report.render.files import RENDERERS
+from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
 from wasp_cli.report.tables.necessity import necessity_table

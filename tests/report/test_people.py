@@ -13,8 +13,16 @@ import pytest
 
 from wasp_cli.report.stats.bootstrap import RESAMPLES, drawn
 from wasp_cli.report.stats.frame import CellNumbers, Frame, Wanted
-from wasp_cli.report.stats.people import WORKLOAD, Sitting, compared, deviations, over_participants, read_people
-from wasp_cli.report.tables.people import people_fact, people_tables
+from wasp_cli.report.tables.people import (
+    WORKLOAD,
+    Sitting,
+    compared,
+    deviations,
+    over_participants,
+    people_fact,
+    people_tables,
+    read_people,
+)
 from wasp_cli.report.tables.table import Table
 from wasp_cli.spec.study import QUESTIONS, balanced_order
 from wasp_cli.store.parquet import write_table

@@ -234,9 +234,9 @@ def test_files_of_an_earlier_report_go_and_others_stay(spec: Spec, cells: Cells,
     (out / "table2.csv").write_text("of an earlier report")
     (out / "notes.txt").write_text("of a person")
     files = report_run(tmp_path, spec, cells).write(out)
-    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt", ".figures.json"}
+    assert {path.name for path in out.iterdir()} == {path.name for path in files} | {"notes.txt"}
     empty = report_run(tmp_path / "elsewhere", spec, cells)
-    assert {path.name for path in empty.write(out)} | {"notes.txt", ".figures.json"} == {path.name for path in out.iterdir()}
+    assert {path.name for path in empty.write(out)} | {"notes.txt"} == {path.name for path in out.iterdir()}
     assert not (out / "cost_return.png").exists()
 
 

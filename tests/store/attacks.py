@@ -218,23 +218,6 @@ def a_linked_spec(it: UntrustedStore, outside: Path) -> None:
 
 
 @attack
-def linked_rows(it: UntrustedStore, outside: Path) -> None:
-    it.layout.rows("tiny").parent.mkdir()
-    link(it.layout.rows("tiny"), outside / EPISODES_FILE)
-
-
-@attack
-def a_linked_folder_of_rows(it: UntrustedStore, outside: Path) -> None:
-    link(it.layout.rows("tiny").parent, outside)
-
-
-@attack
-def a_pipe_for_rows(it: UntrustedStore, outside: Path) -> None:
-    it.layout.rows("tiny").parent.mkdir()
-    os.mkfifo(it.layout.rows("tiny"))
-
-
-@attack
 def a_linked_report(it: UntrustedStore, outside: Path) -> None:
     link(it.layout.root / "reports", outside)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -124,7 +123,7 @@ def show(node: NodeArgument, place: Whereabouts, json: JsonOption = False) -> No
     layout = results_of(place.results)
     facts = node_facts(layout, find_node(layout, node, keys_of(layout, place.run)))
     if json:
-        print_json(asdict(facts))
+        print_json(facts)
     else:
         say(*node_lines(facts))
 

@@ -92,7 +92,7 @@ def report(
 def _changed(layout: Layout, recorded: Recorded) -> list[str]:
     """Which artifacts of a run have other bytes than their manifests say; the number of those that were read is told."""
     from wasp_cli.plan.grid import COUNTERFACTUAL
-    from wasp_cli.report.verify import altered
+    from wasp_cli.report.provenance import altered
     from wasp_cli.store.find import KIND
 
     artifacts = [(KIND, key) for _, key in recorded.cells] + [(COUNTERFACTUAL, key) for _, key in recorded.branched]

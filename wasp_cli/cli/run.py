@@ -148,11 +148,9 @@ def severities(asked: SizedSpec, work: Work, reuse: ReuseOption = None, json: Js
     at least a quarter of the expert's return. Missing cells are computed; `wasp run` with the same spec uses them.
     """
     from wasp_cli.plan.plan import with_keys
-    from wasp_cli.report.render.files import make_own, write_pages
-    from wasp_cli.report.render.text import terminal
-    from wasp_cli.report.stats.severity_check import read_checks, require_accepted, verdict_lines
+    from wasp_cli.report.render import make_own, terminal, write_pages
     from wasp_cli.report.summarize import wanted_cells
-    from wasp_cli.report.tables.severity_check import as_json, check_table, judged
+    from wasp_cli.report.tables.severity_check import as_json, check_table, judged, read_checks, require_accepted, verdict_lines
     from wasp_cli.run.record import reported
     from wasp_cli.run.session import planned, run_spec
     from wasp_cli.spec.derived import operators_alone, restricted

@@ -14,13 +14,11 @@ from wasp_cli.compare.paired import LEVEL, MEASURES
 from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
 from wasp_cli.report.claims.text import title_of
 from wasp_cli.report.explain.facts import plain_values
-from wasp_cli.report.render.files import RENDERERS
-from wasp_cli.report.render.text import markdown, terminal
+from wasp_cli.report.render import RENDERERS, markdown, terminal
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Row, Table
-from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.tables.table import Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
 SHOWN = 12

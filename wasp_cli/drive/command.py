@@ -25,7 +25,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.report.tables.titles import who_title
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, cores
 from wasp_cli.spec.derived import sized
@@ -243,8 +243,6 @@ def withdrawn(wanted: Wanted) -> int:
             shutil.rmtree(folder)
             gone += 1
             say(f"{folder.name}: an unfinished session, deleted")
-    # Reports of large grids keep the rows of episodes.
-    layout.rows(spec.name).unlink(missing_ok=True)
     say(
         f"participant {number} has withdrawn: {gone} result{'' if gone == 1 else 's'} deleted; reports made before still hold their numbers"
     )

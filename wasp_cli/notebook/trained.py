@@ -10,7 +10,7 @@ import pyarrow as pa
 from wasp_cli.errors import UnknownName
 from wasp_cli.notebook.cells import chosen
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.report.render.text import data_columns
+from wasp_cli.report.render import data_columns
 from wasp_cli.report.summarize import report_run
 from wasp_cli.report.trained.artifacts import NOT_TRAINED, Trained, scalars, trained_artifacts
 from wasp_cli.run.record import read_run

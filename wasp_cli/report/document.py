@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,21 +10,19 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from wasp_cli.report.address import cell_address
 from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_terminal
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
-from wasp_cli.report.figures.kept import drawn_before, keep, mark_of
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure, profile_figure
 from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
 from wasp_cli.report.notes import Note, lines_of
-from wasp_cli.report.page.build import build_page
-from wasp_cli.report.page.films import Draw, TaskFilms, films_of
+from wasp_cli.report.page.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
-from wasp_cli.report.render.files import RENDERERS, make_own, write_pages
-from wasp_cli.report.render.text import markdown, markdown_text, terminal
+from wasp_cli.report.render import RENDERERS, make_own, markdown, markdown_text, rendered, terminal, trusted, write_pages
 from wasp_cli.report.stats.frame import Frame, Missing
-from wasp_cli.report.tables.table import Table
-from wasp_cli.report.trained.artifacts import Trained, trained_markdown
+from wasp_cli.report.tables.table import Table, task_title
+from wasp_cli.report.trained.artifacts import Trained, duration, numbers_text, trained_markdown
 from wasp_cli.report.trained.figures import learning_figure, reliability_figure
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
@@ -42,6 +41,8 @@ KNOWN = frozenset(
     }
 )
 """Every file that a report can write."""
+TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
+"""Tables and figures that stand on the page of what was trained."""
 
 
 @dataclass(frozen=True)
@@ -140,14 +141,31 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
-        """Render the whole report as one self-contained HTML page."""
-        verdict = None if self.verdict is None else verdict_html(self.verdict)
-        return build_page(
-            name=self.name, facts=self.facts, verdict=verdict, tables=self.tables[: self.shown], further=self.tables[self.shown :],
-            figures=figures, gaps=missing_words(self.frame) if self.missing else None, missing=self.missing, trained=self.trained,
-            assumptions=self.assumptions, films=films, cells=cell_sources(self.layout, self.frame.cells, self.keys),
+        """Render the whole report as one HTML page (`page/templates/page.html`) that needs no other file and no network."""
+        svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
+        shown = [{"name": stem, "data": svgs[stem].read_bytes(), "caption": caption} for stem, caption in CAPTIONS.items() if stem in svgs]
+        page = rendered(
+            "page.html",
+            report=self,
+            verdict=None if self.verdict is None else verdict_html(self.verdict),
+            gaps=missing_words(self.frame) if self.missing else None,
+            tables=[table for table in self.tables[: self.shown] if table.name not in TRAINING],
+            further=self.tables[self.shown :],
+            figures=[figure for figure in shown if figure["name"] not in TRAINING],
+            films=[{"task": each.task, "title": task_title(each.task), "content": film_page(each)} for each in films],
+            training_tables=[table for table in self.tables[: self.shown] if table.name in TRAINING],
+            training_figures=[figure for figure in shown if figure["name"] in TRAINING],
+            cells=cell_sources(self.layout, self.frame.cells, self.keys),
             notes=lines_of(self.notes),
-        )  # fmt: skip
+            style=trusted("style.css"),
+            script=trusted("sort.js") + trusted("script.js"),
+            task_title=task_title,
+            cell_address=cell_address,
+            duration=duration,
+            numbers_text=numbers_text,
+            as_json=lambda value: json.dumps(value, default=str, ensure_ascii=False),
+        )
+        return str(page)
 
 
 def missing_words(frame: Frame) -> str:
@@ -169,17 +187,8 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 
 
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    """Write every figure that has something to show, as PNG and SVG, unless they are there as they would be drawn; returns the files."""
-    mark = mark_of(frame, [layout.artifact(part.kind, part.key) for part in trained])
-    before = drawn_before(folder, mark)
-    if before is not None:
-        return before
-    files = cost_return_figure(frame, folder)
-    files += necessity_figure(frame, folder)
-    files += severity_figure(frame, folder)
-    files += profile_figure(frame, folder)
-    files += latency_figure(frame, folder)
-    files += learning_figure(layout, trained, folder)
-    files += reliability_figure(layout, trained, folder)
-    keep(folder, mark, files)
-    return files
+    """Write every figure that has something to show, as PNG and SVG; returns the files."""
+    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
+    of_parts = (learning_figure, reliability_figure)
+    drawn = [path for draw in of_cells for path in draw(frame, folder)]
+    return drawn + [path for draw in of_parts for path in draw(layout, trained, folder)]

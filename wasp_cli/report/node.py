@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from rich.text import Text
 
@@ -26,91 +25,40 @@ from wasp_cli.store.published import FROM_PUBLISHED
 HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
 """Provenance that is told in lines of its own."""
 
-FileState = Literal["whole", "changed", "gone", "not of the artifact"]
+Facts = dict[str, Any]
+"""As `wasp show --json` prints them."""
 
 
-@dataclass(frozen=True)
-class Setting:
-    """A value that is not the default."""
+def node_facts(layout: Layout, node: FoundNode) -> Facts:
+    """Collect what is known of a node; of one that has only failed its label, kind and failure.
 
-    name: str
-    value: Any
-    default: Any = None
-    """None where this version has no default for it."""
-
-
-@dataclass(frozen=True)
-class Upstream:
-    """An input of the node."""
-
-    name: str
-    """The name under which the node reads it."""
-    kind: str
-    key: str
-    label: str
-    state: Literal["present", "damaged", "gone", "not brought in"]
-    """The last: the node was published, and nothing here needed what it was computed from."""
-
-
-@dataclass(frozen=True)
-class StoredFile:
-    """A file of the artifact."""
-
-    name: str
-    size: int | None
-    state: FileState
-    """Whether it still has the SHA-256 that it was published with."""
-
-
-@dataclass(frozen=True)
-class NodeFacts:
-    """What is known of a node; of one that has only failed, its label, kind and failure."""
-
-    key: str
-    kind: str
-    label: str
-    folder: str
-    started_at: str
-    seconds: float | None
-    attempt: int | None
-    summary: Mapping[str, Any] = field(default_factory=dict)
-    changed: tuple[Setting, ...] = ()
-    """The configuration, as far as it is not the default."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Settings that stages share."""
-    upstream: tuple[Upstream, ...] = ()
-    files: tuple[StoredFile, ...] = ()
-    pictures: tuple[str, ...] = ()
-    """Folders of reports with pictures and pages of it (see `trained.evidence`)."""
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    failure: Mapping[str, Any] = field(default_factory=dict)
-    """Why it failed last; empty when it succeeded since."""
-
-
-def node_facts(layout: Layout, node: FoundNode) -> NodeFacts:
-    """Collect what the manifest of a node says; its files are read and their SHA-256 compared."""
+    Its files are read: `state` says whether they still have the SHA-256 that they were published with. An input that is `not brought in`
+    is one of a published node: nothing here needed it. `changed` is the configuration as far as it is not the default; a default is None
+    where this version has none. `pictures` are the folders of reports with pictures of the node (see `trained.evidence`).
+    """
     provenance = mapping(node.setting("provenance"))
     seconds, attempt = provenance.get("seconds"), provenance.get("attempt", node.failure.get("attempt"))
-    return NodeFacts(
-        key=node.key or "",
-        kind=node.kind,
-        label=node.label or "",
-        folder=str(node.path),
-        started_at=node.started_at,
-        seconds=float(seconds) if isinstance(seconds, int | float) else None,
-        attempt=attempt if isinstance(attempt, int) else None,
-        summary=mapping(node.setting("summary")),
-        changed=tuple(_changed(node)),
-        settings=mapping(node.setting("settings")),
-        upstream=tuple(_upstream(layout, node)),
-        files=tuple(_files(layout, node)),
-        pictures=tuple(_pictures(layout, node)),
-        provenance=provenance,
-        failure=node.failure,
-    )
+    drawn = layout.root.glob(f"reports/*/trained/*-{node.key[:8]}") if node.key is not None and is_key(node.key) else ()
+    return {
+        "key": node.key or "",
+        "kind": node.kind,
+        "label": node.label or "",
+        "folder": str(node.path),
+        "started_at": node.started_at,
+        "seconds": float(seconds) if isinstance(seconds, int | float) else None,
+        "attempt": attempt if isinstance(attempt, int) else None,
+        "summary": mapping(node.setting("summary")),
+        "changed": list(_changed(node)),
+        "settings": mapping(node.setting("settings")),
+        "upstream": list(_upstream(layout, node)),
+        "files": list(_files(layout, node)),
+        "pictures": sorted(printable(str(path)) for path in drawn),
+        "provenance": provenance,
+        "failure": node.failure,
+    }
 
 
-def _changed(node: FoundNode) -> Iterator[Setting]:
+def _changed(node: FoundNode) -> Iterator[Facts]:
     """What of the stage's section and of the method's differs from the defaults; all of it, where this version has no such stage."""
     section = stage_class(node.kind).config if node.kind in STAGES else None
     yield from _differences("", mapping(node.setting("config")), _defaults(section))
@@ -124,16 +72,16 @@ def _defaults(section: type[Config] | None) -> dict[str, Any]:
     return {} if section is None else section().model_dump(mode="json")
 
 
-def _differences(prefix: str, values: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[Setting]:
+def _differences(prefix: str, values: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[Facts]:
     for name, value in values.items():
         default = defaults.get(name)
         if isinstance(value, dict) and isinstance(default, dict):
             yield from _differences(f"{prefix}{name}.", value, default)
         elif name not in defaults or value != default:
-            yield Setting(f"{prefix}{name}", value, default)
+            yield {"name": f"{prefix}{name}", "value": value, "default": default}
 
 
-def _upstream(layout: Layout, node: FoundNode) -> Iterator[Upstream]:
+def _upstream(layout: Layout, node: FoundNode) -> Iterator[Facts]:
     kinds = mapping(node.setting("upstream_kinds"))
     for name, key in mapping(node.setting("upstream")).items():
         kind = kinds.get(name, name)  # older manifests name artifacts by kind
@@ -141,32 +89,26 @@ def _upstream(layout: Layout, node: FoundNode) -> Iterator[Upstream]:
             continue
         try:
             label = str(read_manifest(layout, kind, key).get("label", ""))
+            state = "present" if damage(layout, kind, key) is None else "damaged"
         except ArtifactError:
-            there = layout.artifact(kind, key).exists()
-            absent: Literal["gone", "not brought in"] = "not brought in" if node.setting("provenance", FROM_PUBLISHED) else "gone"
-            yield Upstream(name, kind, key, "", "damaged" if there else absent)
-        else:
-            yield Upstream(name, kind, key, label, "present" if damage(layout, kind, key) is None else "damaged")
+            absent = "not brought in" if node.setting("provenance", FROM_PUBLISHED) else "gone"
+            label, state = "", "damaged" if layout.artifact(kind, key).exists() else absent
+        yield {"name": name, "kind": kind, "key": key, "label": label, "state": state}
 
 
-def _files(layout: Layout, node: FoundNode) -> Iterator[StoredFile]:
+def _files(layout: Layout, node: FoundNode) -> Iterator[Facts]:
     for name, known in mapping(node.setting("files")).items():
-        known = mapping(known)
-        size = known.get("size")
-        yield StoredFile(name, size if isinstance(size, int) else None, _file_state(layout, node, name, known))
+        size = mapping(known).get("size")
+        state = _file_state(layout, node, name, mapping(known).get("sha256"))
+        yield {"name": name, "size": size if isinstance(size, int) else None, "state": state}
 
 
-def _pictures(layout: Layout, node: FoundNode) -> Iterator[str]:
-    if node.key is not None and is_key(node.key):
-        yield from sorted(printable(str(path)) for path in (layout.root / "reports").glob(f"*/trained/*-{node.key[:8]}"))
-
-
-def _file_state(layout: Layout, node: FoundNode, name: str, known: Mapping[str, Any]) -> FileState:
+def _file_state(layout: Layout, node: FoundNode, name: str, digest: Any) -> str:
     if not is_file_name(name):
         return "not of the artifact"
     try:
         with open_plain(layout.within(node.path / name)) as file:
-            return "whole" if hashlib.file_digest(file, "sha256").hexdigest() == known.get("sha256") else "changed"
+            return "whole" if hashlib.file_digest(file, "sha256").hexdigest() == digest else "changed"
     except FileNotFoundError:
         return "gone"
     except (OSError, StoreError):  # a link, a pipe, a folder
@@ -178,34 +120,32 @@ def mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def node_lines(node: NodeFacts) -> Iterator[Text]:
+def node_lines(facts: Facts) -> Iterator[Text]:
     """Yield the lines of a node, one section after the other; what is not known is left out."""
-    yield Text(node.label, style="bold")
-    yield _entry("kind", node.kind)
-    yield _entry("key", node.key)
-    if node.started_at:
-        took = f" in {duration(node.seconds)}" if node.seconds is not None else ""
-        yield _entry("computed", f"{node.started_at[:16].replace('T', ' ')} UTC{took}")
-    if node.attempt is not None:
-        yield _entry("attempt", str(node.attempt))
-    yield _entry("folder", node.folder)
-    yield from _failure(node.failure)
-    yield from _section("Numbers", [(name, short(value)) for name, value in scalars(node.summary)])
-    changes = [(each.name, _change(each)) for each in node.changed]
-    yield from _section("Configuration (without defaults)", changes)
-    yield from _section("Shared settings", [(name, short(value)) for name, value in scalars(node.settings)])
-    yield from _section(
-        "Inputs", [(each.name, f"{each.key[:8]}  {each.label}  {_unless('present', each.state)}") for each in node.upstream]
-    )
-    files = [(each.name, f"{size(each.size)}  {_unless('whole', each.state)}") for each in node.files]
+    yield Text(facts["label"], style="bold")
+    yield _entry("kind", facts["kind"])
+    yield _entry("key", facts["key"])
+    if facts["started_at"]:
+        took = f" in {duration(facts['seconds'])}" if facts["seconds"] is not None else ""
+        yield _entry("computed", f"{facts['started_at'][:16].replace('T', ' ')} UTC{took}")
+    if facts["attempt"] is not None:
+        yield _entry("attempt", str(facts["attempt"]))
+    yield _entry("folder", facts["folder"])
+    yield from _failure(facts["failure"])
+    yield from _section("Numbers", [(name, short(value)) for name, value in scalars(facts["summary"])])
+    yield from _section("Configuration (without defaults)", [(one["name"], _change(one)) for one in facts["changed"]])
+    yield from _section("Shared settings", [(name, short(value)) for name, value in scalars(facts["settings"])])
+    inputs = [(one["name"], f"{one['key'][:8]}  {one['label']}  {_unless('present', one['state'])}") for one in facts["upstream"]]
+    yield from _section("Inputs", inputs)
+    files = [(one["name"], f"{size(one['size'])}  {_unless('whole', one['state'])}") for one in facts["files"]]
     yield from _section("Files (SHA-256 checked)", files)
-    yield from _section("Drawn by wasp report", [("in", folder) for folder in node.pictures])
-    yield from _section("Provenance", list(_provenance(node.provenance)))
+    yield from _section("Drawn by wasp report", [("in", folder) for folder in facts["pictures"]])
+    yield from _section("Provenance", list(_provenance(facts["provenance"])))
 
 
-def _change(setting: Setting) -> str:
-    default = f"  (default {_value(setting.default)})" if setting.default is not None else ""
-    return _value(setting.value) + default
+def _change(setting: Facts) -> str:
+    default = f"  (default {_value(setting['default'])})" if setting["default"] is not None else ""
+    return _value(setting["value"]) + default
 
 
 def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:

@@ -1,7 +1,7 @@
 """What stands behind the numbers of a report, said from the store alone.
 
 The runs that it is about, the published results among its cells and how far the code has moved on since, and the values in force that
-the paper does not state.
+the paper does not state; and whether the files are those that were stored.
 """
 
 from __future__ import annotations
@@ -13,19 +13,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wasp_cli.config import DIFFERS, assumptions
-from wasp_cli.errors import ArtifactError
+from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.closure import changed_since
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.plan.recorded import run_ids
-from wasp_cli.report.address import cell_address
-from wasp_cli.report.render.text import markdown_row
+from wasp_cli.report.render import markdown_row
 from wasp_cli.report.stats.frame import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import read_manifest, read_record
+from wasp_cli.store.artifact import corruption, read_manifest, read_record
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
@@ -165,31 +164,11 @@ MOST_CELLS = 500
 """A page lists as many cells at most: in a grid of thousands nobody reads them, and `wasp_cli.results` finds any."""
 
 
-@dataclass(frozen=True)
-class CellSource:
-    """Where the numbers of a cell come from, and how to look into it."""
+def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]) -> list[tuple[str, int, str, str, str]]:
+    """Read label, episodes, day, commit and key of each cell of a report; none of them where there are too many to list.
 
-    label: str
-    key: str
-    episodes: int
-    day: str
-    """On which it was computed; empty when unknown."""
-    commit: str
-    """That computed it, shortened; empty when unknown."""
-
-    @property
-    def command(self) -> str:
-        """What shows its first episode."""
-        return f'wasp explain "{self.label}" --episode 0'
-
-    @property
-    def place(self) -> str:
-        """Where `wasp view` shows it."""
-        return cell_address(self.label)
-
-
-def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]) -> list[CellSource]:
-    """Read where each cell of a report comes from; none of them where there are too many to list."""
+    Day and commit are empty where they are unknown.
+    """
     known = [(cell, keys[cell.identity]) for cell in cells if cell.identity in keys]
     found = []
     for cell, key in known if len(known) <= MOST_CELLS else ():
@@ -202,7 +181,7 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
         sha = git.get("sha") if isinstance(git, Mapping) else None
         texts = (each if isinstance(each, str) else "" for each in (label, day, sha))
         shown, when, commit = map(printable, texts)
-        found.append(CellSource(shown, key, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH]))
+        found.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
     return found
 
 
@@ -297,3 +276,29 @@ def assumptions_markdown(found: Sequence[Assumption]) -> str:
         shown = json.dumps(value, default=str, ensure_ascii=False)
         lines.append(markdown_row((f"`{name}`", f"`{shown}`", why)))
     return "\n".join(lines) + "\n"
+
+
+def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, list[str]]:
+    """Compare the SHA-256 of every file of some artifacts with their manifests.
+
+    Args:
+        layout: the results folder.
+        artifacts: kind and key of each; those that are not there are left out, as the report names them.
+
+    Returns:
+        How many were read, and what is wrong with each that differs.
+    """
+    read, wrong = 0, []
+    for kind, key in dict.fromkeys(artifacts):
+        try:
+            if not layout.within(layout.manifest(kind, key)).is_file():
+                continue
+            found = corruption(layout, kind, key)
+        except (ArtifactError, StoreError) as error:
+            found = error.message
+        except (OSError, AttributeError) as error:  # it changes now, or names no digests
+            found = f"'{layout.artifact(kind, key)}': {error}"
+        read += 1
+        if found is not None:
+            wrong.append(found)
+    return read, wrong

@@ -14,19 +14,16 @@ from wasp_cli.plan.recorded import last_plan, upstream_first
 from wasp_cli.report.claims.text import numbers_table
 from wasp_cli.report.claims.verdict import judge
 from wasp_cli.report.document import Report
-from wasp_cli.report.notes import invalid, notes_of
+from wasp_cli.report.notes import invalid, notes_of, without_invalid
 from wasp_cli.report.provenance import Origins, absent_fact, absent_parts, assumptions_in_force
 from wasp_cli.report.stats.branches import with_branches
 from wasp_cli.report.stats.frame import Frame, Wanted, read_frame
-from wasp_cli.report.stats.invalid import without_invalid
-from wasp_cli.report.stats.people import read_people
-from wasp_cli.report.stats.severity_check import checks_of
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, autonomy_table, detail_table, latency_table, main_table, threshold_table
 from wasp_cli.report.tables.necessity import necessity_table
-from wasp_cli.report.tables.people import late_facts, people_fact, people_tables
-from wasp_cli.report.tables.severity_check import check_table, judged
+from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
+from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
 from wasp_cli.report.trained.pages import with_warnings
@@ -65,7 +62,7 @@ def report_run(
     layout = Layout(results)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = stored = replace(with_branches(read_frame(wanted, _kept(layout, spec.name)), wanted), absent=tuple(absent))
+    frame = stored = replace(with_branches(read_frame(wanted), wanted), absent=tuple(absent))
     keys = {identity_of(cell): key for cell, key in cells}
     notes = [note for note in notes_of(layout) if note.key in keys.values()]
     frame, left_out = without_invalid(frame, keys, invalid(notes))
@@ -139,14 +136,6 @@ def _severity_check(spec: Spec, frame: Frame) -> Table | None:
         return None
     checks = checks_of(spec, frame)
     return judged(check_table(checks, frame), checks)
-
-
-def _kept(layout: Layout, spec: str) -> Path | None:
-    """Where the rows of large grids are kept; None where that would be somewhere else."""
-    try:
-        return layout.within(layout.rows(spec))
-    except StoreError:
-        return None
 
 
 def wanted_cells(

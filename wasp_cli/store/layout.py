@@ -8,7 +8,6 @@ results/
   tmp/                     artifacts being written; on the same file system, so that publishing is one rename
   runs/<run>/              spec.yaml spec.json plan.json order journal.jsonl running/ logs/
   reports/<spec>/          tables and figures
-  rows/<spec>.parquet      what reports know of the cells of large grids; can be removed
   published/               results that lie in git: store/ and reports/ as above, and nothing else
 """
 
@@ -146,10 +145,6 @@ class Layout:
     def reports(self, spec: str) -> Path:
         """Return the folder of a spec's tables and figures."""
         return self.root / "reports" / _name(spec)
-
-    def rows(self, spec: str) -> Path:
-        """Return what reports of a spec know of its cells."""
-        return self.root / "rows" / f"{_name(spec)}.parquet"
 
     def needed(self) -> tuple[Path, ...]:
         """Return the folders that every run writes to."""

@@ -13,11 +13,10 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
-from wasp_cli.report.notes import invalid, notes_of
+from wasp_cli.report.notes import invalid, notes_of, without_episodes
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, read_frame
-from wasp_cli.report.stats.invalid import without_episodes
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.titles import who_title
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.store.artifact import read_manifest, stored_keys
 from wasp_cli.store.find import KIND, FoundCell, find_cell, matching
 from wasp_cli.store.layout import Layout, is_key

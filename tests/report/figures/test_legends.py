@@ -14,7 +14,7 @@ from tests.report.swept import NUMBERS, invent_sweep
 from wasp_cli.report.figures import by_axis, methods
 from wasp_cli.report.figures.style import Line, draw_lines, drawn, legend
 from wasp_cli.report.stats.frame import Frame
-from wasp_cli.report.tables.titles import who_title
+from wasp_cli.report.tables.table import who_title
 
 ROWS = [
     ("human", "full"), ("wasp", "full"), ("filter", "full"), ("ida", "full"), ("diffusion", "full"), ("saferl", "full"),

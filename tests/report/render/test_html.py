@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jinja2 import UndefinedError
 
-from wasp_cli.report.render.files import data_uri, html, rendered
+from wasp_cli.report.render import data_uri, html, rendered
 from wasp_cli.report.stats.frame import Frame
 from wasp_cli.report.stats.summary import Interval, Value
 from wasp_cli.report.tables.main import main_table

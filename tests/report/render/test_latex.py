@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wasp_cli.report.render.latex import ACCENTS, SPECIAL, escaped, latex
+from wasp_cli.report.render import ACCENTS, SPECIAL, escaped, latex
 from wasp_cli.report.stats.frame import Frame
 from wasp_cli.report.stats.summary import Value
 from wasp_cli.report.tables.by_axis import operator_table

@@ -6,16 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wasp_cli.report.render.text import csv_text
+from wasp_cli.report.render import csv_text
 from wasp_cli.report.stats.bootstrap import difference_of, improvement_over, iqm_of
 from wasp_cli.report.stats.frame import Frame, Wanted, groups, read_frame
 from wasp_cli.report.stats.summary import Value
 from wasp_cli.report.tables.by_axis import severity_table
-from wasp_cli.report.tables.comparison import BEST, MEASURES, comparison_table
+from wasp_cli.report.tables.comparison import BEST, HUMAN, MEASURES, comparison_tables
 from wasp_cli.report.tables.main import latency_table, main_table
 from wasp_cli.report.tables.table import Row, Table
 
 Grid = Callable[..., list[Wanted]]
+
+
+def comparison_table(frame: Frame, reference: str = HUMAN) -> Table:
+    (table,) = comparison_tables(frame, (reference,))
+    return table
 
 
 def found(table: Table | None) -> Table:
@@ -32,7 +37,7 @@ def value(table: Table, key: str, *labels: str) -> Value:
 
 
 def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) -> None:
-    table, main = found(comparison_table(frame)), main_table(frame)
+    table, main = comparison_table(frame), main_table(frame)
     by_method = {group.method: group.cells for group in groups(frame) if group.variant == "full"}
     wasp, human = by_method["wasp"], by_method["human"]
     for measure in MEASURES:
@@ -47,7 +52,7 @@ def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) 
 
 
 def test_rows_print_in_the_unit_of_their_measure(frame: Frame) -> None:
-    table = found(comparison_table(frame))
+    table = comparison_table(frame)
     wasp = {row.labels[1]: [table.text(r, c) for c in range(4)] for r, row in enumerate(table.rows) if row.labels[2] == "WASP"}
     assert wasp["Return ↑"][0].startswith("12.50 [")
     assert wasp["Succ. (%) ↑"][0] == "100.0 [100.0, 100.0]"
@@ -58,20 +63,20 @@ def test_rows_print_in_the_unit_of_their_measure(frame: Frame) -> None:
 
 
 def test_data_files_name_the_column_and_not_its_unit(frame: Frame) -> None:
-    lines = csv_text(found(comparison_table(frame))).splitlines()
+    lines = csv_text(comparison_table(frame)).splitlines()
     assert lines[0].split(",")[:6] == ["task", "measure", "method", "mean", "mean_low", "mean_high"]
     assert "Goal1,success,Human-only,0.083333333333,0.0625,0.125," in "".join(lines)
 
 
 def test_a_reference_has_no_difference_to_itself_and_the_expert_no_pairs(frame: Frame) -> None:
-    table = found(comparison_table(frame))
+    table = comparison_table(frame)
     for name in ("Human-only", "Expert"):
         values = row(table, "Goal1", "Return ↑", name).values
         assert [each.mean is None for each in values] == [False, False, True, True]
 
 
 def test_the_best_other_method_is_one_per_measure(frame: Frame) -> None:
-    table = found(comparison_table(frame, BEST))
+    table = comparison_table(frame, BEST)
     assert table.name == "statistics_best"
     assert "Best other methods on Goal1: Return Diffusion, Succ. (%) Diffusion, Cost SafeRL-Res, Viol. SafeRL-Res." in table.notes
     assert value(table, "difference", "Goal1", "Cost ↓", "SafeRL-Res").mean is None
@@ -79,35 +84,35 @@ def test_the_best_other_method_is_one_per_measure(frame: Frame) -> None:
 
 
 def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
-    three = found(comparison_table(frame)).notes
+    three = comparison_table(frame).notes
     assert (
         "[low, high]: range of three trainings, by a bootstrap with 2000 resamples of the trainings, each with its models and worlds; "
         "10 resamples differ, so they are coarse."
     ) in three
     assert not any("95 %" in note for note in three)
     assert "These are 80 intervals; of so many some miss even where nothing differs. Decide beforehand which comparison counts." in three
-    one = found(comparison_table(read_frame(grid(seeds=(0,))))).notes
+    one = comparison_table(read_frame(grid(seeds=(0,)))).notes
     assert any(note.startswith("[low, high]: 95 % interval over 4 worlds, ") and "not retraining" in note for note in one)
     together = read_frame([replace(cell, chain_seed=7) for cell in grid()])
-    (note,) = [note for note in found(comparison_table(together)).notes if "[low, high]" in note]
+    (note,) = [note for note in comparison_table(together).notes if "[low, high]" in note]
     assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")  # every invented seed has the same four
-    single = found(comparison_table(read_frame(grid(seeds=(0,), episodes=1))))
+    single = comparison_table(read_frame(grid(seeds=(0,), episodes=1)))
     assert "No intervals: there is a single world to resample." in single.notes
     assert all(each.interval is None for row in single.rows for each in row.values)
 
 
 def test_gaps(grid: Grid) -> None:
-    assert comparison_table(Frame(())) is None
+    assert comparison_tables(Frame(())) == []
     wanted = grid(seeds=(0, 1))
     for cell in wanted:
         if cell.identity.method == "human" or (cell.identity.method, cell.identity.seed) == ("saferl", 0):
             cell.path.unlink()
     frame = read_frame(wanted)
-    table = found(comparison_table(frame))
+    table = comparison_table(frame)
     assert "The reference has no cells here, so that nothing is compared with it." in table.notes
     assert any(note.startswith("INCOMPLETE: 12 of 42") for note in table.notes)
     assert row(table, "Goal1", "Cost ↓", "SafeRL-Res [4 of 8 cells]").values[0].interval is not None  # worlds of its only seed
-    assert "Cost IDA" in " ".join(found(comparison_table(frame, BEST)).notes)  # an incomplete method is no reference
+    assert "Cost IDA" in " ".join(comparison_table(frame, BEST).notes)  # an incomplete method is no reference
 
 
 def test_severities_are_columns(frame: Frame) -> None:

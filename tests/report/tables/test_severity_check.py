@@ -13,11 +13,9 @@ from rich.console import Console
 
 from tests.report.invented_check import write_returns
 from wasp_cli.plan.grid import cells_of
-from wasp_cli.report.render.files import write_pages
-from wasp_cli.report.render.text import csv_text, markdown, terminal
+from wasp_cli.report.render import csv_text, markdown, terminal, write_pages
 from wasp_cli.report.stats.frame import Frame, Wanted
-from wasp_cli.report.stats.severity_check import SeverityCheck, judge, read_checks
-from wasp_cli.report.tables.severity_check import as_json, check_table, judged
+from wasp_cli.report.tables.severity_check import SeverityCheck, as_json, check_table, judge, judged, read_checks
 from wasp_cli.spec.model import Spec, validate
 
 RETURNS = {None: 12.0, 0.5: 10.0, 0.7: 8.0, 0.1: 5.0, 0.6: 6.0}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from wasp_cli.report.render.text import csv_text, markdown, terminal
+from wasp_cli.report.render import csv_text, markdown, terminal
 from wasp_cli.report.stats.summary import Interval, Value
 from wasp_cli.report.tables.table import Column, Row, Table
 

@@ -26,7 +26,7 @@ from wasp_cli.store.layout import Layout
 
 def test_a_dataset_has_a_row_for_each_behaviour() -> None:
     page = contents_markdown(contents(recording(), SOURCES))
-    assert "| noisy | 1 (33%) | 8 |" in page
+    assert "| noisy | 1 | 33 | 8 |" in page
     assert SOURCES[1] in page
 
 
@@ -62,17 +62,17 @@ def test_the_report_names_what_is_wrong_with_a_dataset(tmp_path: Path) -> None:
         assert with_warnings(layout, [one]) == (one,)
 
 
-def test_the_diagnostics_have_a_section_for_each_set_and_a_dash_for_what_is_undefined() -> None:
+def test_the_diagnostics_have_a_section_for_each_set_and_say_what_is_undefined() -> None:
     page = open_loop_markdown(diagnosed())
-    assert page.count("\n## ") == 2
+    assert page.count("\n# ") == 2
     assert "4 episodes (expert 3, noisy 1), imagined 6 steps ahead from 40 moments." in page
-    assert "| 2 | 0.10 | 0.10 |" in page
-    assert "| 6 | - | - |" in page
+    assert "| 2 | 0.100 | 0.100 |" in page
+    assert "| 6 | n/a | n/a |" in page
     assert "Share of the costs of each source that were foreseen" in page
-    rows = ("filtered latent | 0.50 | 0.75 | -", "embedding of the image | 0.50 | -0.25 | -", "imagined, step 5 | 0.50 | 0.75 | -")
+    rows = ("filtered latent | 0.50 | 0.75 | n/a", "embedding of the image | 0.50 | -0.25 | n/a", "imagined, step 5 | 0.50 | 0.75 | n/a")
     assert "\n".join(["| read from | all | motion | things |", "| --- | ---: | ---: | ---: |", *(f"| {row} |" for row in rows)]) in page
     assert "Episodes that end there by the task's own rule" in page
-    assert "discounted by\n0.95 a step, were above 0.5" in page
+    assert "discounted by 0.95 a step, were above 0.5" in page
     assert "None" not in page
     assert "Share of the costs of each source" not in open_loop_markdown(diagnosed(("hazards",)))
     earlier = {name: {key: value for key, value in table.items() if key != "readout"} for name, table in diagnosed().items()}
@@ -82,7 +82,7 @@ def test_the_diagnostics_have_a_section_for_each_set_and_a_dash_for_what_is_unde
 
 def test_a_denoiser_has_a_row_for_each_kind_of_command_and_ratio() -> None:
     page = quality_markdown(QUALITY)
-    assert page.count("\n") == 2 + 4
+    assert sum(line.startswith("| ") for line in page.splitlines()) == 2 + 4
     assert "| recorded | 0.4 | 0.250 | 0.300 |" in page
 
 

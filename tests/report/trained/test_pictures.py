@@ -11,8 +11,7 @@ from PIL import Image
 
 from tests.learning.recordings import recording
 from tests.report.trained.parts import HORIZON, artifact
-from wasp_cli.report.trained import contact_sheet as sheets
-from wasp_cli.report.trained import images as pictures
+from wasp_cli.report.trained import pictures
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.store.layout import Layout
 
@@ -78,20 +77,21 @@ def test_the_film_has_a_frame_for_each_step(layout: Layout, diagnostics: Trained
 
 def test_the_sheet_shows_the_frames_and_marks_the_costly_ones(layout: Layout, tmp_path: Path) -> None:
     data = recording()
-    sheets.draw_contact_sheet(layout, artifact(layout, "dataset"), tmp_path / "sheet.png")
-    sheet, size = read(tmp_path / "sheet.png"), sheets.FRAME
-    pitch = size + 2 * sheets.EDGE + sheets.GAP
-    assert sheet.shape[1] == sheets.GAP + 2 * sheets.FRAMES * pitch
+    pictures.draw_contact_sheet(layout, artifact(layout, "dataset"), tmp_path / "sheet.png")
+    sheet, size = read(tmp_path / "sheet.png"), pictures.FRAME
+    pitch = size + 2 * pictures.EDGE + pictures.GAP
+    assert sheet.shape[1] == pictures.GAP + 2 * pictures.FRAMES * pitch
 
     def frame(column: int, camera: int) -> Array:
-        top = sheets.GAP + sheets.TITLE + sheets.EDGE + camera * (size + sheets.EDGE)
-        left = sheets.GAP + column * pitch + sheets.EDGE
+        top = pictures.GAP + pictures.TEXT + pictures.EDGE + camera * (size + pictures.EDGE)
+        left = pictures.GAP + column * pitch + pictures.EDGE
         return sheet[top : top + size : 2, left : left + size : 2]
 
     # The first behaviour by name is the expert, with rows 0-11 and 21-35: four frames ever later in their episodes, then the costly ones
     # from both sources.
-    for column, row in ((0, 1), (1, 4), (2, 30), (3, 34), (sheets.FRAMES, 4), (sheets.FRAMES + 1, 30)):
+    for column, row in ((0, 1), (1, 4), (2, 30), (3, 34), (pictures.FRAMES, 4), (pictures.FRAMES + 1, 30)):
         for camera in range(2):
             np.testing.assert_array_equal(frame(column, camera), data.pixels[row, 3 * camera : 3 * camera + 3].transpose(1, 2, 0))
-    edges = [tuple(sheet[sheets.GAP + sheets.TITLE + 1, sheets.GAP + column * pitch + 1].tolist()) for column in range(sheets.FRAMES + 3)]
-    assert [edge == sheets.COSTLY for edge in edges] == [False, True, True, False, True, True, False]
+    top = pictures.GAP + pictures.TEXT + 1
+    edges = [tuple(sheet[top, pictures.GAP + column * pitch + 1].tolist()) for column in range(pictures.FRAMES + 3)]
+    assert [edge == pictures.RED for edge in edges] == [False, True, True, False, True, True, False]

@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 from wasp_cli.plan.node import Part
-from wasp_cli.report.render.text import csv_text, markdown
+from wasp_cli.report.render import csv_text, markdown
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.table import training_tables

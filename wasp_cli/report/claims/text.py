@@ -12,15 +12,12 @@ from rich.text import Text
 
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin, stood_for
-from wasp_cli.report.render.files import rendered
-from wasp_cli.report.render.text import markdown_row
-from wasp_cli.report.stats.bootstrap import Estimate
-from wasp_cli.report.stats.hierarchical import Limits
+from wasp_cli.report.render import markdown_row, rendered
+from wasp_cli.report.stats.bootstrap import Estimate, Limits
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.report.tables.necessity import MEANS as NECESSITY
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import task_title, who_title
+from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
 from wasp_cli.spec.paper import Printed, Who
 
 if TYPE_CHECKING:
@@ -39,16 +36,11 @@ Cell = tuple[str, float | None]
 """A text, and the number that it prints without rounding."""
 
 
-def outcome_words(verdict: VerdictReport, outcome: Outcome) -> str:
-    """Return an outcome, with what it is about."""
-    return PLAIN[outcome] + _about(verdict, outcome)
-
-
 def label(verdict: VerdictReport, judged: Judged) -> str:
     """Return the outcome of a claim; of one that is tested in part, the outcome of that part."""
     if judged.outcome != "untested" or judged.part == "untested":
-        return outcome_words(verdict, judged.outcome)
-    return f"in part: {outcome_words(verdict, judged.part)}"
+        return PLAIN[judged.outcome] + _about(verdict, judged.outcome)
+    return f"in part: {PLAIN[judged.part]}{_about(verdict, judged.part)}"
 
 
 def headline(verdict: VerdictReport) -> str:
@@ -78,7 +70,7 @@ def second_headlines(verdict: VerdictReport) -> list[str]:
     return [text for text in sentences if text]
 
 
-def second_label(verdict: VerdictReport, judged: Judged, i: int) -> str:
+def _second_label(verdict: VerdictReport, judged: Judged, i: int) -> str:
     """Return the outcome of a claim by a further row of its method; empty where that row cannot answer it."""
     other = judged.others[i]
     return "" if other is None or other.part == "untested" else label(verdict, other)
@@ -103,14 +95,13 @@ def untested(verdict: VerdictReport) -> str:
     untested = [judged for judged in verdict.claims if judged.outcome == judged.part == "untested"]
     if not untested:
         return ""
-    reasons = few(lacking(untested))
+    reasons = few(_lacking(untested))
     what = "1 claim is" if len(untested) == 1 else f"{len(untested)} claims are"
     claims = "; ".join(f'"{shorten(judged.claim.says, SAID, placeholder=" ...")}"' for judged in untested)
     return f"{what} not tested by this spec{f' ({reasons})' if reasons else ''}: {claims}."
 
 
-def lacking(claims: Sequence[Judged]) -> list[str]:
-    """List what is not there for some claims to be tested."""
+def _lacking(claims: Sequence[Judged]) -> list[str]:
     return list(dict.fromkeys(answer.reason for judged in claims for answers in judged.answers for answer in answers if answer.reason))
 
 
@@ -121,19 +112,18 @@ def sentence(answer: Answer) -> str:
     what = f"{task_title(asked.task)} {column.title}"
     if asked.right is not None:
         sides.append(f"{title_of(asked.right)} {column.number(answer.right)}")
-    t = f"; t {limits}" if (limits := t_text(answer)) else ""
-    return f"{what}: {', '.join(sides)}; {contrast_text(answer)}{t}, needed: {needed(answer)}"
+    t = f"; t {limits}" if (limits := _t_text(answer)) else ""
+    return f"{what}: {', '.join(sides)}; {_contrast_text(answer)}{t}, needed: {needed(answer)}"
 
 
-def contrast_text(answer: Answer) -> str:
-    """Print the contrast, with its interval in brackets."""
+def _contrast_text(answer: Answer) -> str:
     if answer.contrast is None:
         return ""
     value = COLUMN_OF[answer.asked.column].number(answer.contrast.value, True)
     return f"{value} ({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
 
 
-def t_text(answer: Answer) -> str:
+def _t_text(answer: Answer) -> str:
     """Print the t interval of the trainings; empty with one training."""
     return _limits(answer, answer.contrast.t if answer.contrast else None)
 
@@ -150,8 +140,7 @@ def needed(answer: Answer) -> str:
     return f"left - {other}{margin} {SIDES[asked.relation]} 0"
 
 
-def answered(answer: Answer) -> str:
-    """Put a tested comparison into words, with its outcome and what the paper prints of it."""
+def _answered(answer: Answer) -> str:
     theirs = printed(answer)
     return f"{sentence(answer)}: {PLAIN[answer.outcome]}{f' (paper: {theirs})' if theirs else ''}"
 
@@ -194,7 +183,7 @@ def _second_table(verdict: VerdictReport) -> Iterator[str]:
         yield from (*told, "", markdown_row(("Claim", "Verdict", *titles)), markdown_row(["---"] * (2 + len(titles))))
         for judged in verdict.claims:
             if judged.part != "untested":
-                seconds = (second_label(verdict, judged, i) for i in range(len(verdict.others)))
+                seconds = (_second_label(verdict, judged, i) for i in range(len(verdict.others)))
                 yield markdown_row((f"`{judged.claim.id}`", label(verdict, judged), *seconds))
         yield ""
 
@@ -207,8 +196,8 @@ def _claim(verdict: VerdictReport, judged: Judged) -> Iterator[str]:
     for answers in judged.answers:
         asked = [answer for answer in answers if answer.outcome != "untested"]
         if asked:
-            yield f"  - {'one is enough: ' * (len(answers) > 1)}{'; or '.join(map(answered, asked))}"
-    for text in (f"Not tested: {few(lacking([judged]))}." if lacking([judged]) else "", beyond_print(judged)):
+            yield f"  - {'one is enough: ' * (len(answers) > 1)}{'; or '.join(map(_answered, asked))}"
+    for text in (f"Not tested: {few(_lacking([judged]))}." if _lacking([judged]) else "", beyond_print(judged)):
         if text:
             yield f"  - {text}"
 
@@ -222,7 +211,7 @@ def verdict_html(verdict: VerdictReport) -> Markup:
 
 
 def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
-    claim, absent = judged.claim, few(lacking([judged]))
+    claim, absent = judged.claim, few(_lacking([judged]))
     remarks = (
         ("reading", claim.reading and f"Read as: {claim.reading}"),
         ("beyond", beyond_print(judged)),
@@ -230,7 +219,7 @@ def _claim_html(verdict: VerdictReport, judged: Judged) -> dict[str, Any]:
     )
     shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
     facts = {"id": claim.id, "shade": shade, "label": label(verdict, judged), "says": claim.says, "section": claim.section}
-    seconds = [(title_of(who), text) for i, who in enumerate(verdict.others) if (text := second_label(verdict, judged, i))]
+    seconds = [(title_of(who), text) for i, who in enumerate(verdict.others) if (text := _second_label(verdict, judged, i))]
     return {**facts, "seconds": seconds, "remarks": remarks, "rows": list(_rows(judged))}
 
 
@@ -248,7 +237,7 @@ def _second(answer: Answer) -> str:
     """Put a comparison of a further row into a cell: its outcome, and the contrast behind it."""
     if answer.outcome == "untested":
         return ""
-    return f"{PLAIN[answer.outcome]}: {contrast_text(answer)}"
+    return f"{PLAIN[answer.outcome]}: {_contrast_text(answer)}"
 
 
 def _cells(answer: Answer, before: str) -> list[Cell]:
@@ -258,8 +247,8 @@ def _cells(answer: Answer, before: str) -> list[Cell]:
         (column.title, None),
         (f"{title_of(asked.left)} {column.number(answer.left)}", answer.left),
         ("" if asked.right is None else f"{title_of(asked.right)} {column.number(answer.right)}", answer.right),
-        (contrast_text(answer), answer.contrast.value if answer.contrast else None),
-        (t_text(answer), None),
+        (_contrast_text(answer), answer.contrast.value if answer.contrast else None),
+        (_t_text(answer), None),
         (needed(answer), None),
         (PLAIN[answer.outcome], None),
         (printed(answer), None),

@@ -26,10 +26,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.stats.bootstrap import Estimate, mean_of
+from wasp_cli.report.stats.bootstrap import Estimate, Limits, mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups
-from wasp_cli.report.stats.hierarchical import Contrast, Limits, contrast_of
-from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.stats.hierarchical import Contrast, contrast_of
+from wasp_cli.report.tables.table import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
 

@@ -16,7 +16,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.explain.facts import Range
 from wasp_cli.report.explain.stored import Constants, Episode
-from wasp_cli.report.tables.titles import who_title
+from wasp_cli.report.tables.table import who_title
 from wasp_cli.tasks.registry import TASKS
 
 INDENT, BETWEEN = 2, 2

@@ -19,8 +19,7 @@ from wasp_cli.report.stats.frame import Frame, Group, groups
 from wasp_cli.report.stats.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables.by_axis import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column
-from wasp_cli.report.tables.titles import is_row, task_title, who_title
+from wasp_cli.report.tables.table import Column, is_row, task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:
@@ -61,11 +60,7 @@ class Curve:
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `severity.png` and `.svg`: intervention rate, cost and return under every operator and severity; a row for each task.
-
-    Returns:
-        The written files; none where fewer than two conditions have been computed.
-    """
+    """Write `severity.png` and `.svg`: intervention rate, cost and return under every operator and severity; by task. Returns the files."""
     found = [group for group in groups(frame) if is_row(group) and METHODS[group.method].impaired and group.cells]
     conditions = _conditions(frame)
     tasks = list(dict.fromkeys(group.task for group in found))

@@ -1,4 +1,7 @@
-"""Figures with a mark for each method: cost against return, what interventions were worth (Figure 3), decision times."""
+"""Figures with a mark for each method: cost against return, what interventions were worth (Figure 3), decision times.
+
+A figure that has nothing to show writes no file.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,7 @@ from wasp_cli.report.figures.style import LINES, drawn, figure_files, legend, pl
 from wasp_cli.report.stats.frame import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.stats.summary import summarise
 from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups, row_title
-from wasp_cli.report.tables.table import Column
-from wasp_cli.report.tables.titles import assistant_title, is_row, task_title
+from wasp_cli.report.tables.table import Column, assistant_title, is_row, task_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,11 +34,7 @@ def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
 
 
 def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `cost_return.png` and `.svg`: large marks are a method's mean, small ones its operator variants.
-
-    Returns:
-        The written files; none when no cell has been computed.
-    """
+    """Write `cost_return.png` and `.svg`: large marks are a method's mean, small ones its operator variants. Returns the files."""
     tasks = rows_by_task(frame)
     if not tasks:
         return []
@@ -54,11 +52,7 @@ def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def latency_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `latency.png` and `.svg`: median and 95th percentile of the time of a decision, a panel for each task.
-
-    Returns:
-        The written files; none when no cell has been computed.
-    """
+    """Write `latency.png` and `.svg`: median and 95th percentile of the time of a decision, a panel for each task. Returns the files."""
     tasks = rows_by_task(frame)
     if not tasks:
         return []
@@ -77,11 +71,7 @@ def latency_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def profile_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and of cost, a column for each task.
-
-    Returns:
-        The written files; none when no cell has been computed.
-    """
+    """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and cost. Returns the files."""
     tasks = rows_by_task(frame)
     if not tasks:
         return []
@@ -132,7 +122,6 @@ def _draw(panel: Axes, group: Group) -> None:
 
 
 def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
-    """Mean cost and mean return."""
     cost, reward = summarise(cells, "cost").mean, summarise(cells, "return").mean
     return (math.nan if cost is None else cost, math.nan if reward is None else reward)
 
@@ -157,15 +146,7 @@ PANELS = {
 
 
 def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `figure3.png` and `.svg`: the risk at interventions, UIR, Delta C and Delta R of every method, with intervals.
-
-    Args:
-        frame: with branches (`report.stats.branches.with_branches`).
-        folder: where the files go.
-
-    Returns:
-        The written files; none where no intervention was branched.
-    """
+    """Write `figure3.png` and `.svg`: the risk at interventions, UIR, ΔC and ΔR of every method. Returns the files."""
     drawable = [group for group in judged_groups(frame) if _risks(frame, group).size]
     if not drawable:
         return []
@@ -191,7 +172,6 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def _risks(frame: Frame, group: Group) -> Floats:
-    """rho of every branched intervention of a row."""
     return np.concatenate([frame.judged[cell.identity].worth.rho for cell in group.cells]) if group.cells else np.empty(0)
 
 

@@ -71,24 +71,20 @@ def drawn(size: tuple[float, float]) -> Iterator[Figure]:
 
 def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers give the same bytes."""
-    from matplotlib import rc_context
-
     png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
-    with rc_context(LOOK):
-        save_png(figure, png)
-        figure.set_layout_engine("none")  # what has been laid out stays where it is: doing it again takes as long as drawing
-        _save(figure, svg, {"Date": None, "Creator": None})
+    save(figure, png)
+    figure.set_layout_engine("none")  # what has been laid out stays where it is: doing it again takes as long as drawing
+    save(figure, svg)
     return [png, svg]
 
 
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG: whole, or not at all where the process is killed meanwhile."""
-    _save(figure, path, {"Software": None})
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure: whole, or not at all where the process is killed meanwhile."""
+    from matplotlib import rc_context
 
-
-def _save(figure: Figure, path: Path, metadata: dict[str, None]) -> None:
-    drawing = BytesIO()
-    figure.savefig(drawing, format=path.suffix[1:], metadata=metadata)
+    drawing, dated = BytesIO(), ("Software",) if path.suffix == ".png" else ("Date", "Creator")
+    with rc_context(LOOK):
+        figure.savefig(drawing, format=path.suffix[1:], metadata=dict.fromkeys(dated))
     replace_file(path, drawing.getvalue())
 
 

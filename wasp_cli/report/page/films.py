@@ -19,10 +19,10 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.explain.stored import Episode, Floats, read_episode
 from wasp_cli.report.explain.timeline import timeline
-from wasp_cli.report.render.files import rendered
+from wasp_cli.report.render import rendered
 from wasp_cli.report.stats.frame import CellNumbers, Frame
-from wasp_cli.report.stats.severity_check import MODERATE
-from wasp_cli.report.tables.titles import operator_title
+from wasp_cli.report.tables.severity_check import MODERATE
+from wasp_cli.report.tables.table import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout

@@ -28,6 +28,7 @@ from wasp_cli.report.stats.frame import CellNumbers, Floats
 from wasp_cli.report.stats.summary import Interval, condition, paired_difference, summarise
 
 Places = NDArray[np.intp]
+Limits = tuple[float, float]
 
 RESAMPLES = 2000
 SEED = 20211105
@@ -72,17 +73,22 @@ class _Clusters:
         """A number with the interval of `statistic`: how often each cluster was drawn [R, K] -> [R], NaN where it is undefined."""
         if len(self.names) < 2:
             return Estimate(value, None)
-        found = statistic(drawn(len(self.names)))
-        found = found[~np.isnan(found)]
-        if not len(found):
-            return Estimate(value, None)
-        # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
-        low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(found, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
-        return Estimate(value, Interval(low, high, self.unit, len(self.names)))
+        limits = limits_of(statistic(drawn(len(self.names))))
+        return Estimate(value, None if limits is None else Interval(*limits, self.unit, len(self.names)))
 
     def found(self, statistic: Callable[[Floats], Floats]) -> Estimate:
         """`statistic` with every cluster drawn once, and its interval."""
         return self.estimate(float(statistic(np.ones((1, len(self.names))))[0]), statistic)
+
+
+def limits_of(resampled: Floats) -> Limits | None:
+    """Return the percentiles within which COVERAGE of the resamples lie, of those that are defined; None without any."""
+    resampled = resampled[~np.isnan(resampled)]
+    if not len(resampled):
+        return None
+    # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
+    low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(resampled, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
+    return low, high
 
 
 @lru_cache(maxsize=8)

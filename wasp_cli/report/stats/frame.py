@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import WEIGHTS, pool
 from wasp_cli.metrics.necessity import Necessity
-from wasp_cli.report.stats.kept import Kept, place_of, read_kept, stamp_of, write_kept
 from wasp_cli.store.bounds import require_size
 from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.parquet import AGAIN
@@ -38,9 +37,6 @@ THREADS = 4
 """That read cells side by side: a disk answers several, and unpacking a column holds up no other thread."""
 TOGETHER = 50
 """Cells that a thread reads in one go: handing them over one by one would cost half as much as reading them."""
-
-LEAST_GAIN = 50
-"""Cells that have to be read anew before their rows are kept."""
 
 JUDGED = ("uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, in the cells that have one (`report.stats.branches`)."""
@@ -187,26 +183,18 @@ def row_of(identity: CellIdentity) -> tuple[str, str, str]:
     return identity.task, identity.method, identity.variant
 
 
-def read_frame(wanted: Iterable[Wanted], kept: Path | None = None) -> Frame:
-    """Read the cells that exist; name those that do not, or that cannot be read.
-
-    Args:
-        wanted: the cells.
-        kept: a file for their rows (`stats.kept`): what it has of them is not read again, and it is written where that spares enough.
-    """
+def read_frame(wanted: Iterable[Wanted]) -> Frame:
+    """Read the cells that exist; name those that do not, or that cannot be read."""
     wanted = tuple(wanted)
     parts = [wanted[i : i + TOGETHER] for i in range(0, len(wanted), TOGETHER)]
-    known = {} if kept is None else read_kept(kept, COLUMNS)
     with ThreadPoolExecutor(THREADS) as threads:
-        found = [each for part in threads.map(lambda part: [_read(cell, known) for cell in part], parts) for each in part]
+        found = [each for part in threads.map(lambda part: list(map(_read, part)), parts) for each in part]
     read = [(cell, each) for cell, each in zip(wanted, found, strict=True) if not isinstance(each, Missing)]
     missing = tuple(each for each in found if isinstance(each, Missing))
-    if kept is not None and sum(known.get(each.place) is not each for _, each in read) >= LEAST_GAIN:
-        write_kept(kept, [each for _, each in read])
-    return Frame(tuple(pool_cells([(cell, each.numbers) for cell, each in read])), missing, tuple(cell.identity for cell in wanted))
+    return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
 
 
-def _read(cell: Wanted, known: Mapping[str, Kept]) -> Kept | Missing:
+def _read(cell: Wanted) -> Numbers | Missing:
     """The rows of a cell, or why there are none."""
     if cell.refused is not None:
         return Missing(cell.identity, cell.label, cell.refused)
@@ -214,10 +202,6 @@ def _read(cell: Wanted, known: Mapping[str, Kept]) -> Kept | Missing:
         return Missing(cell.identity, cell.label, absence(cell), cell.path.parent.name)
     try:
         with odd_tables_refused(cell.path, sizes=False):
-            place, stamp = place_of(cell.path), stamp_of(cell.path)
-            before = known.get(place)
-            if before is not None and before.stamp == stamp and before.numbers.identity == cell.identity:
-                return before
             numbers = read_numbers(cell.path, COLUMNS) or _read_closely(cell.path)
             if numbers.identity != cell.identity:
                 raise StoreError(f"{cell.path} holds another cell: {numbers.identity}")
@@ -226,7 +210,7 @@ def _read(cell: Wanted, known: Mapping[str, Kept]) -> Kept | Missing:
         # A report names a damaged cell and goes on; it never averages without it in silence.
         reason = error.message + (f" ({error.hint})" if error.hint else "")
         return Missing(cell.identity, cell.label, reason, cell.path.parent.name, damaged=True)
-    return Kept(place, stamp, numbers)
+    return numbers
 
 
 def _read_closely(path: Path) -> Numbers:

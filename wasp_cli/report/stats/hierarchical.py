@@ -17,11 +17,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from wasp_cli.report.stats.bootstrap import COVERAGE, RESAMPLES, SEED
+from wasp_cli.report.stats.bootstrap import COVERAGE, RESAMPLES, SEED, Limits, limits_of
 from wasp_cli.report.stats.frame import CellNumbers, Floats
 from wasp_cli.report.stats.summary import condition
-
-Limits = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ def contrast_of(cells: Sequence[CellNumbers], reference: Sequence[CellNumbers] |
     pairs = [[(own[place], other[place]) for place in shared if own[place].training == seed] for seed in seeds]
     trainings = [_Training(each, key, margin) for each in pairs]
     values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
-    limits = _percentiles(_resampled(trainings))
+    limits = limits_of(_resampled(trainings))
     return Contrast(float(np.mean(values)), tuple(values), limits if len(seeds) > 1 or trainings[0].worlds > 1 else None, t_limits(values))
 
 
@@ -111,15 +109,6 @@ def _below(draws: np.random.PCG64, bound: int, columns: int) -> np.ndarray[tuple
     bits = draws.random_raw(RESAMPLES * columns).reshape(RESAMPLES, columns) >> np.uint64(32)
     found = (bits * np.uint64(bound)) >> np.uint64(32)
     return found.astype(np.intp)
-
-
-def _percentiles(found: Floats) -> Limits | None:
-    found = found[~np.isnan(found)]
-    if not len(found):
-        return None
-    # The last bits of a sum differ between machines, and would decide whether an interval has 0 in it.
-    low, high = (round(float(limit), 12) + 0.0 for limit in np.quantile(found, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2]))
-    return low, high
 
 
 def t_limits(values: Sequence[float]) -> Limits | None:

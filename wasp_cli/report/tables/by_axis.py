@@ -22,8 +22,7 @@ from wasp_cli.report.tables.main import (
     part_of,
     values,
 )
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import assistant_title, operator_title, task_title
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, operator_title, task_title
 from wasp_cli.store.tables import CellIdentity
 
 SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for column in PAPER_COLUMNS if column.key == key)

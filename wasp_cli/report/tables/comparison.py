@@ -12,8 +12,7 @@ from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, 
 from wasp_cli.report.stats.frame import Frame, Group
 from wasp_cli.report.stats.summary import UNDEFINED, Value, distinct_resamples
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, missing_notes, part_of
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import assistant_title, task_title
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
 
 HUMAN = "human"
 OURS = "wasp"
@@ -41,21 +40,13 @@ class _Line(NamedTuple):
     """mean and interquartile mean"""
 
 
-def comparison_table(frame: Frame, reference: str = HUMAN) -> Table | None:
-    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it.
+def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
+    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it, with intervals.
 
     Args:
         frame: the cells; ablations are left out.
-        reference: a method, or BEST.
-
-    Returns:
-        All with intervals (`report.stats.bootstrap`); None without any readable cell.
+        references: methods, or BEST; a table for each, and none without any readable cell.
     """
-    return next(iter(comparison_tables(frame, (reference,))), None)
-
-
-def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
-    """Make `comparison_table` for several references, without computing twice what they share; empty without any readable cell."""
     if not frame.cells:
         return []
     lines = [

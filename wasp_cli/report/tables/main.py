@@ -24,8 +24,7 @@ from wasp_cli.report.stats.summary import (
     spread_note,
     summarise,
 )
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import assistant_title, is_row, task_title
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, is_row, task_title
 
 PAPER_COLUMNS = (
     Column("return", "Return", "up"),

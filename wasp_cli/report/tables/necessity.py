@@ -13,8 +13,7 @@ from wasp_cli.report.stats.frame import Frame, Group, groups, row_of
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.comparison import limit_notes
 from wasp_cli.report.tables.main import part_of
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import assistant_title, task_title
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
 
 INTERVENTIONS = Column("interventions", "Int. steps", digits=0, spread=False)
 BRANCHED = Column("branched", "Branched", digits=0, spread=False)
@@ -97,7 +96,10 @@ def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
         yield from limit_notes(rows)
         if any(identity.operator == PERSON for identity in frame.judged):
             yield "Of people's sessions: from a branch on the participant's clone drives, since nobody can be asked again."
-        few = [METHODS[name].title for name, count in _branched(frame).items() if count < FEW]
+        branched: Counter[str] = Counter()
+        for identity, judged in frame.judged.items():
+            branched[identity.method] += len(judged.episode)
+        few = [METHODS[name].title for name, count in branched.items() if count < FEW]
         if few:
             yield f"Fewer than {FEW} interventions were branched of {', '.join(few)}: too few to interpret."
     if frame.unbranched:
@@ -117,11 +119,3 @@ def _thresholds(frame: Frame) -> str:
     spans = {task: (f"{min(values):.3f}", f"{max(values):.3f}") for task, values in gains.items()}
     named = (f"{low if low == high else f'{low} to {high}'} on {task_title(task)}" for task, (low, high) in spans.items())
     return f"W = {windows} decisions, τ_R = {', '.join(named)}"
-
-
-def _branched(frame: Frame) -> Counter[str]:
-    """Branched interventions by method."""
-    counts: Counter[str] = Counter()
-    for identity, judged in frame.judged.items():
-        counts[identity.method] += len(judged.episode)
-    return counts

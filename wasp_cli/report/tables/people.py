@@ -1,21 +1,152 @@
-"""Tables of what people did: measures and answers by condition, the effect of the order, and how well decisions were in time."""
+"""What people did in the cells that they drove: measures and answers by condition, the effect of the order, whether decisions were in time.
+
+The unit of every spread is the participant: episodes of one person are not independent.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from wasp_cli.report.stats.bootstrap import RESAMPLES
-from wasp_cli.report.stats.people import WORKLOAD, Sitting, compared, condition_of, deviations, measured, over_participants
-from wasp_cli.report.stats.summary import UNDEFINED, Value
+from wasp_cli.errors import ArtifactError, StoreError
+from wasp_cli.operators.registry import PERSON
+from wasp_cli.report.stats.bootstrap import RESAMPLES, drawn, limits_of
+from wasp_cli.report.stats.frame import CellNumbers, Frame, Wanted, row_of
+from wasp_cli.report.stats.summary import UNDEFINED, Interval, Value
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import task_title, who_title
+from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
 from wasp_cli.spec.study import QUESTIONS
-from wasp_cli.store.people import timing_summary
+from wasp_cli.store.artifact import read_record
+from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
+
+TLX = "tlx"
+WORKLOAD = "raw_tlx"
+"""Mean of the six scales of NASA's task load index, without weights."""
+
+
+Condition = tuple[str, str, str]
+"""Task, method and ablation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sitting:
+    """One cell that a participant drove."""
+
+    cell: CellNumbers
+    place: int | None
+    """of its block in the participant's order, from 0"""
+    answers: Mapping[str, float]
+    """by scale; with RAW TLX, where all six were answered"""
+    beats: pa.Table
+    """a row per decision (`store.people.BEAT`)"""
+    simulated: bool
+    """a script drove"""
+    cut: int
+    """episodes that were given up"""
+    pauses: int
+    lost: int
+    """lost connections"""
+
+    @property
+    def participant(self) -> int:
+        """Return the number."""
+        return int(self.cell.identity.value or 0)
+
+    @property
+    def condition(self) -> Condition:
+        """Return task, method and ablation."""
+        return row_of(self.cell.identity)
+
+
+def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], list[str]]:
+    """Read what lies beside the rows of the cells that people drove.
+
+    Returns:
+        one for each cell, in the order of the frame, and what of it cannot be read.
+    """
+    folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON}
+    found, damaged = [], []
+    for cell in frame.cells:
+        if cell.identity in folders:
+            try:
+                found.append(_sitting(cell, folders[cell.identity]))
+            except (StoreError, ArtifactError) as error:
+                damaged.append(error.message)
+            except (AttributeError, LookupError, TypeError, ValueError) as error:
+                damaged.append(f"{folders[cell.identity] / SESSION_FILE} is not as wasp writes it: {error}")
+    return found, damaged
+
+
+def _sitting(cell: CellNumbers, folder: Path) -> Sitting:
+    session = read_record(folder / SESSION_FILE)
+    if session is None:
+        raise StoreError(f"{folder / SESSION_FILE} is missing")
+    place = session.get("block")
+    return Sitting(
+        cell, None if place is None else int(place), _answers(session.get("answers", {})), read_timing(folder / TIMING_FILE),
+        bool(session.get("simulated", False)), len(session["cut"]), sum(int(each.get("pauses", 0)) for each in session["sittings"]),
+        int(session.get("lost_connection", 0)),
+    )  # fmt: skip
+
+
+def _answers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """By scale, with the mean of the six of the task load index where all of them were answered."""
+    found = {scale: float(value) for scales in given.values() for scale, value in scales.items()}
+    tlx = [float(value) for value in given.get(TLX, {}).values()]
+    return ({WORKLOAD: float(np.mean(tlx))} if len(tlx) == 6 else {}) | found
+
+
+def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
+    """Return the mean over participants of their means, its standard deviation over them, and an interval.
+
+    The interval is one of percentiles: of bootstrap means over participants (`stats.bootstrap`).
+
+    Args:
+        numbers: (participant, number); NaN does not count.
+    """
+    own: dict[int, list[float]] = {}
+    for participant, number in numbers:
+        if not math.isnan(number):
+            own.setdefault(participant, []).append(number)
+    if not own:
+        return UNDEFINED
+    means = np.array([np.mean(own[participant]) for participant in sorted(own)])
+    count = len(means)
+    if count == 1:
+        return Value(float(means[0]), n=1, ranked=False)
+    limits = limits_of(drawn(count) @ means / count)
+    interval = None if limits is None else Interval(*limits, "participant", count)
+    return Value(float(means.mean()), float(means.std(ddof=1)), count, ranked=False, interval=interval)
+
+
+def measured(sitting: Sitting, key: str) -> float:
+    """Return a pooled column of a cell, or an answer; NaN where there is none."""
+    return float(sitting.answers[key]) if key in sitting.answers else float(sitting.cell.pooled.get(key, math.nan))
+
+
+def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
+    """Return the mean over participants of their differences to a reference condition on the same task and seed."""
+    other = {(each.participant, each.cell.identity.seed): measured(each, key) for each in reference}
+    pairs = [(each.participant, measured(each, key) - other.get((each.participant, each.cell.identity.seed), math.nan)) for each in own]
+    return over_participants(pairs)
+
+
+def deviations(sittings: Sequence[Sitting], key: str) -> list[tuple[Sitting, float]]:
+    """Return each cell's difference to the mean of its condition on its task, so that places can be compared: NaN where undefined."""
+    conditions: dict[Condition, list[float]] = {}
+    for each in sittings:
+        number = measured(each, key)
+        if not math.isnan(number):
+            conditions.setdefault(each.condition, []).append(number)
+    return [(each, measured(each, key) - float(np.mean(conditions.get(each.condition, [math.nan])))) for each in sittings]
+
 
 MEASURES = tuple(
     Column(column.key, column.title, digits=column.digits, scale=column.scale)
@@ -48,9 +179,9 @@ def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
     """Make the tables of the cells that people drove; none where nobody drove."""
     if not sittings:
         return []
-    groups: dict[tuple[str, str, str], list[Sitting]] = {}
+    groups: dict[Condition, list[Sitting]] = {}
     for each in sittings:
-        groups.setdefault(condition_of(each), []).append(each)
+        groups.setdefault(each.condition, []).append(each)
     tables = [_measures(groups, sittings), _questions(groups, sittings), _order(sittings), _timing(groups, sittings)]
     return [table for table in tables if table.rows]
 
@@ -68,12 +199,12 @@ def people_fact(sittings: Sequence[Sitting]) -> str:
 
 def late_facts(sittings: Sequence[Sitting]) -> list[str]:
     """Say of every condition in which the assistant was late how often it was: there the driver was alone."""
-    found: Counter[tuple[str, str, str]] = Counter()
-    decisions: Counter[tuple[str, str, str]] = Counter()
+    found: Counter[Condition] = Counter()
+    decisions: Counter[Condition] = Counter()
     for each in sittings:
         late = np.asarray(each.beats["late"], bool)
-        found[condition_of(each)] += int(late.sum())
-        decisions[condition_of(each)] += len(late)
+        found[each.condition] += int(late.sum())
+        decisions[each.condition] += len(late)
     return [
         f"{' on '.join(reversed(_labels(condition)))}: late in {late} of {decisions[condition]} decisions, in which nobody assisted."
         for condition, late in found.items()
@@ -81,7 +212,7 @@ def late_facts(sittings: Sequence[Sitting]) -> list[str]:
     ]
 
 
-def _labels(condition: tuple[str, str, str]) -> tuple[str, str]:
+def _labels(condition: Condition) -> tuple[str, str]:
     task, method, variant = condition
     return task_title(task), who_title(method, variant)
 
@@ -97,7 +228,7 @@ def _of(sittings: Sequence[Sitting], key: str) -> Value:
     return over_participants((each.participant, measured(each, key)) for each in sittings)
 
 
-def _measures(groups: dict[tuple[str, str, str], list[Sitting]], sittings: Sequence[Sitting]) -> Table:
+def _measures(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
     rows = []
     for condition, own in groups.items():
         alone = groups.get((condition[0], ALONE, "full"), [])
@@ -108,7 +239,7 @@ def _measures(groups: dict[tuple[str, str, str], list[Sitting]], sittings: Seque
     return Table("people", title, LABELS, columns, tuple(rows), _notes(sittings), meanings, ranked=False)
 
 
-def _questions(groups: dict[tuple[str, str, str], list[Sitting]], sittings: Sequence[Sitting]) -> Table:
+def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
     """A row for each scale, a column for each condition."""
     asked = [scale for scale in SCALES if any(scale in each.answers for each in sittings)]
     names = list(dict.fromkeys(condition[1:] for condition in groups))
@@ -151,20 +282,17 @@ def _order(sittings: Sequence[Sitting]) -> Table:
 
 def _balance(sittings: Sequence[Sitting]) -> tuple[str, ...]:
     """Say whether every condition stood in every place equally often."""
-    placed = Counter((condition_of(each), each.place) for each in sittings if each.place is not None)
+    placed = Counter((each.condition, each.place) for each in sittings if each.place is not None)
     cells = {condition for condition, _ in placed}, {place for _, place in placed}
     balanced = len(set(placed.values())) == 1 and len(placed) == len(cells[0]) * len(cells[1])
     return () if balanced else ("NOT BALANCED: not every condition stood in every place equally often.",)
 
 
-def _timing(groups: dict[tuple[str, str, str], list[Sitting]], sittings: Sequence[Sitting]) -> Table:
+def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting]) -> Table:
     rows = []
-    counts: dict[str, Callable[[Sitting], int]] = {
-        "pauses": lambda each: each.pauses, "cut": lambda each: each.cut, "lost": lambda each: each.lost,
-    }  # fmt: skip
     for condition, own in groups.items():
         found = timing_summary(pa.concat_tables([_own_beats(each, number) for number, each in enumerate(own)]))
-        found |= {name: sum(map(of, own)) for name, of in counts.items()}
+        found |= {name: sum(getattr(each, name) for each in own) for name in ("pauses", "cut", "lost")}
         numbers = [found[column.key] for column in TIMES]
         people = len({each.participant for each in own})
         values = tuple(UNDEFINED if number is None else Value(float(number), n=people, ranked=False) for number in numbers)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.provenance import Origins, is_from_published
-from wasp_cli.report.render.text import markdown_row
-from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.render import markdown_row
+from wasp_cli.report.tables.table import task_title
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout

@@ -4,47 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from wasp_cli.report.trained.artifacts import UNREADABLE, Trained
-from wasp_cli.report.trained.contact_sheet import draw_contact_sheet
-from wasp_cli.report.trained.images import draw_open_loop, draw_open_loop_film, draw_reconstructions
-from wasp_cli.report.trained.pages import write_contents, write_open_loop, write_quality
-from wasp_cli.report.trained.part_figures import (
-    draw_cost_reliability,
-    draw_horizon,
-    draw_learning_curve,
-    draw_value_reliability,
-)
+from wasp_cli.report.figures.style import save
+from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
+from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
+from wasp_cli.report.trained.pages import contents_markdown, open_loop_markdown, quality_markdown
+from wasp_cli.report.trained.pictures import draw_contact_sheet, draw_open_loop, draw_open_loop_film, draw_reconstructions
+from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FOLDER = "trained"
 """Below the folder of a report."""
 Draw = Callable[[Layout, Trained, Path], None]
 """Writes a file from an artifact, or nothing where that has nothing to show."""
+
+
+def _figure(draw: Callable[[Layout, Sequence[Trained]], Figure | None]) -> Draw:
+    def write(layout: Layout, artifact: Trained, path: Path) -> None:
+        figure = draw(layout, [artifact])
+        if figure is not None:
+            save(figure, path)
+
+    return write
+
+
+def _page(render: Callable[[Any], str], source: str) -> Draw:
+    return lambda layout, artifact, path: replace_file(path, render(read_json(layout, artifact, source)))
+
+
 EVIDENCE: dict[str, tuple[tuple[str, Draw], ...]] = {
-    "expert": (("curve.png", draw_learning_curve),),
-    "dataset": (("contents.md", write_contents), ("contact_sheet.png", draw_contact_sheet)),
+    "expert": (("curve.png", _figure(draw_learning)),),
+    "dataset": (("contents.md", _page(contents_markdown, "contents.json")), ("contact_sheet.png", draw_contact_sheet)),
     "diagnostics": (
-        ("open_loop.md", write_open_loop),
-        ("horizon.png", draw_horizon),
-        ("reliability.png", draw_cost_reliability),
+        ("open_loop.md", _page(open_loop_markdown, "diagnostics.json")),
+        ("horizon.png", _figure(draw_horizon)),
+        ("reliability.png", _figure(draw_reliability)),
         ("reconstruction.png", draw_reconstructions),
         ("open_loop.png", draw_open_loop),
         ("open_loop.gif", draw_open_loop_film),
     ),
-    "critics": (("critics.png", draw_value_reliability),),
-    "ida_q": (("q.png", draw_value_reliability),),
-    "denoiser": (("quality.md", write_quality),),
-    "consistency": (("quality.md", write_quality),),
-    "residual": (("curve.png", draw_learning_curve),),
+    "critics": (("critics.png", _figure(draw_value_reliability)),),
+    "ida_q": (("q.png", _figure(draw_value_reliability)),),
+    "denoiser": (("quality.md", _page(quality_markdown, "quality.json")),),
+    "consistency": (("quality.md", _page(quality_markdown, "quality.json")),),
+    "residual": (("curve.png", _figure(draw_learning)),),
 }
 """By the kind of the artifact: the files and what writes each."""
 KNOWN = frozenset(name for files in EVIDENCE.values() for name, _ in files)
-
-
-def part_folder(artifact: Trained) -> str:
-    """Name the folder of a part: task, seed, stage, and the beginning of its key."""
-    return slug(f"{artifact.task} s{artifact.seed} {artifact.kind} {artifact.key[:8]}")
 
 
 def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
@@ -61,7 +71,8 @@ def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tel
     Returns:
         The written files.
     """
-    shown = {part_folder(artifact): artifact for artifact in trained if artifact.kind in EVIDENCE}
+    # The folder of a part names task, seed, stage, and the beginning of its key.
+    shown = {slug(f"{part.task} s{part.seed} {part.kind} {part.key[:8]}"): part for part in trained if part.kind in EVIDENCE}
     root = report / FOLDER
     written: list[Path] = []
     for name, artifact in shown.items():

@@ -1,105 +1,38 @@
-"""Figures of all trained parts: learning curves, and whether the world model's probabilities come true.
+"""Figures of trained parts, of one or of all: how they learned, and how far what they predict comes true.
 
-Curves of artifacts that have no valid form are no curves.
+Files of artifacts that have no valid form are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from wasp_cli.report.figures.style import PALETTE, Line, draw_lines, drawn, figure_files
-from wasp_cli.report.tables.titles import task_title
-from wasp_cli.report.trained.artifacts import Floats, Trained, column_of, numbers_of, read_json, rows_of
+from wasp_cli.errors import WaspError
+from wasp_cli.report.figures.style import GREY, PALETTE, Line, draw_lines, drawn, figure_files
+from wasp_cli.report.tables.table import task_title
+from wasp_cli.report.trained.artifacts import Floats, Trained, column_of, config_of, numbers_of, read_json, read_table, rows_of
 from wasp_cli.store.layout import Layout
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
 SMOOTHED = 7
 """Points of a loss that are averaged: a batch is small."""
-EPISODES = {"held_out": "held-out episodes", "unseen": "operators not in the data"}
-
-
-def learning_figure(layout: Layout, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    """Write `learning.png` and `.svg`: return and cost of what learns in the task, losses of the world model; a row for each task.
-
-    Returns:
-        The written files; none when no artifact keeps a curve.
-    """
-    driving, losses = driving_curves(layout, trained), loss_curves(layout, trained)
-    tasks = list(dict.fromkeys(curve.task for curve in (*driving, *losses)))
-    if not tasks:
-        return []
-    names = list(dict.fromkeys(curve.name for curve in driving))
-    with drawn((9.6, 0.5 + 2.5 * len(tasks))) as figure:
-        panels = figure.subplots(len(tasks), 3, squeeze=False)
-        for row, task in zip(panels, tasks, strict=True):
-            own = [curve for curve in driving if curve.task == task]
-            lost = [_smoothed(curve) for curve in losses if curve.task == task]
-            draw_lines(row[0], _lines(own, "return", names), xlabel="thousand decision steps")
-            draw_lines(row[1], _lines(own, "cost_per_1000", names), xlabel="thousand decision steps")
-            draw_lines(row[2], _lines(lost, "loss", list(LOSSES.values())), xlabel="thousand updates", yscale="log")
-            row[0].set_title(f"{task_title(task)}: return per episode", loc="left", fontweight="bold")
-            row[1].set_title("Cost per 1000 env steps", loc="left")
-            row[2].set_title("World model: loss / first loss", loc="left")
-            for panel in (row[0], row[2]):
-                if panel.get_legend_handles_labels()[0]:
-                    panel.legend(frameon=False, fontsize=7, handlelength=2.4)
-        return figure_files(figure, folder, "learning")
-
-
-def reliability_figure(layout: Layout, trained: Iterable[Trained], folder: Path) -> list[Path]:
-    """Write `reliability.png` and `.svg`: how often an imagined cost came true, by its predicted probability; a row for each task.
-
-    Returns:
-        The written files; none when no world model was judged.
-    """
-    diagrams = list(reliabilities(layout, trained))
-    tasks = list(dict.fromkeys(each.task for each in diagrams))
-    if not tasks:
-        return []
-    kinds = [episodes for episodes in EPISODES if any(each.episodes == episodes for each in diagrams)]
-    with drawn((0.8 + 3.2 * len(kinds), 0.5 + 3.0 * len(tasks))) as figure:
-        panels = figure.subplots(len(tasks), len(kinds), squeeze=False, sharex=True, sharey=True)
-        for row, task in zip(panels, tasks, strict=True):
-            for panel, episodes in zip(row, kinds, strict=True):
-                own = [_reliability(each) for each in diagrams if each.task == task and each.episodes == episodes]
-                draw_lines(panel, own, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost")
-                panel.grid(visible=False)
-                panel.set_title(f"{task_title(task)}: {EPISODES[episodes]}", loc="left", fontsize=9)
-            row[0].set_ylabel("share with a cost")
-        handles = {label: handle for handle, label in zip(*panels[0, 0].get_legend_handles_labels(), strict=True)}
-        figure.legend(
-            handles.values(), handles.keys(), loc="outside right upper", frameon=False, title="steps ahead\n(marks grow with\ntheir rows)"
-        )
-        return figure_files(figure, folder, "reliability")
-
-
-def _lines(curves: Sequence[Curve], quantity: str, names: Sequence[str]) -> Iterator[Line]:
-    """All seeds of a name look the same. A rollout in which no episode ended has no return."""
-    for curve in curves:
-        i = names.index(curve.name) if curve.name in names else 0
-        yield Line(1e-3 * curve.x, curve.y[quantity], curve.name, PALETTE[i % len(PALETTE)], LINES[i % len(LINES)], alpha=0.85)
-
-
-def _smoothed(curve: Curve) -> Curve:
-    """Means over neighbouring points."""
-    width = min(SMOOTHED, len(curve.x))
-    middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
-    return replace(curve, x=middle, y={name: np.convolve(values, np.ones(width) / width, "valid") for name, values in curve.y.items()})
-
-
-def _reliability(each: Reliability) -> Line:
-    i, here = STEPS.index(each.step), each.size > 0
-    colour, areas = PALETTE[(1, 6, 3, 4)[i]], 6.0 + 10.0 * np.log10(each.size[here])
-    x, y = each.predicted[here], each.seen[here]
-    return Line(x, y, str(each.step), colour, LINES[i], MARKERS[i], width=0.9, areas=areas, alpha=0.8)
-
-
+EPISODES = {"held_out": ("held-out episodes", PALETTE[6]), "unseen": ("operators not in the data", PALETTE[4])}
+"""Sets of episodes that a world model is judged by: name and colour."""
+QUANTITIES = {
+    "return": "return per episode", "cost_per_1000": "cost per 1000 env steps", "multiplier": "multiplier",
+    "loss": "world model, loss / first loss",
+}  # fmt: skip
+"""What a learning curve may show, a panel each."""
 DRIVING = {
     "expert": ("curve.json", "Expert"),
     "policies": ("reinforcement.json", "Latent expert"),
@@ -112,11 +45,25 @@ UPDATES_PER_POINT = 20
 """Of the world model's curves."""
 STEPS = (1, 5, 10, 15)
 """Imagined steps whose reliability a figure shows."""
+RANKED = (("auprc", "-", "o", "model"), ("persistence", "--", "", "persistence"), ("base", ":", "", "base rate"))
+"""Lines of the AUPRC over the imagined step: key, style, marker and name."""
+FURTHER = (
+    ("predicted_over_base", "predicted cost / base rate"), ("reward_r2", "reward R2"), ("image_over_copy", "image error / error of a copy")
+)  # fmt: skip
+"""What the other panels over the imagined step show: key and title."""
+GROUPS, POINTS = 10, 1500
+"""Groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most."""
+PAIRS = 5_000_000
+"""Decisions that a file of pairs may have."""
+NAME = 60
+"""Characters of a name that are drawn at most."""
+HORIZON = 500
+"""Imagined steps that are drawn at most."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One line of a figure."""
+    """One line of a learning curve."""
 
     task: str
     seed: int
@@ -124,6 +71,8 @@ class Curve:
     x: Floats
     y: Mapping[str, Floats]
     """By quantity; NaN is a gap."""
+    limit: float | None = None
+    """Of the cost per 1000 env steps; None: none."""
 
 
 class Reliability(NamedTuple):
@@ -140,10 +89,98 @@ class Reliability(NamedTuple):
     """[bins]"""
     size: Floats
     """[bins] rows behind them"""
+    error: float
+    """Expected calibration error; NaN where it is not told."""
+
+
+def learning_figure(layout: Layout, trained: Sequence[Trained], folder: Path) -> list[Path]:
+    """Write `learning.png` and `.svg`; returns the files, none when no artifact keeps a curve."""
+    figure = draw_learning(layout, trained)
+    return [] if figure is None else figure_files(figure, folder, "learning")
+
+
+def reliability_figure(layout: Layout, trained: Sequence[Trained], folder: Path) -> list[Path]:
+    """Write `reliability.png` and `.svg`; returns the files, none when no world model was judged."""
+    figure = draw_reliability(layout, trained)
+    return [] if figure is None else figure_files(figure, folder, "reliability")
+
+
+def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
+    """Draw return, cost and multiplier of what learns in the task, and losses of the world model; a row for each task.
+
+    All seeds of a name look the same. A rollout in which no episode ended has no return.
+    """
+    curves = [*driving_curves(layout, trained), *map(_smoothed, loss_curves(layout, trained))]
+    tasks = list(dict.fromkeys(curve.task for curve in curves))
+    shown = [quantity for quantity in QUANTITIES if any(np.isfinite(curve.y.get(quantity, np.nan)).any() for curve in curves)]
+    if not tasks or not shown:
+        return None
+    with drawn((0.4 + 3.1 * len(shown), 0.5 + 2.5 * len(tasks))) as figure:
+        panels = figure.subplots(len(tasks), len(shown), squeeze=False)
+        for row, task in zip(panels, tasks, strict=True):
+            for panel, quantity in zip(row, shown, strict=True):
+                own = [curve for curve in curves if quantity in curve.y]
+                names = list(dict.fromkeys(curve.name for curve in own))
+                lines = [
+                    Line(1e-3 * curve.x, curve.y[quantity], curve.name, PALETTE[i % len(PALETTE)], LINES[i % len(LINES)], alpha=0.85)
+                    for curve in own
+                    if curve.task == task
+                    for i in [names.index(curve.name)]
+                ]
+                losses = {"xlabel": "thousand updates", "yscale": "log"} if quantity == "loss" else {"xlabel": "thousand decision steps"}
+                draw_lines(panel, lines, **losses)
+                panel.set_title(f"{task_title(task)}: {QUANTITIES[quantity]}", loc="left")
+                limits = {curve.limit for curve in own if curve.task == task and curve.limit is not None}
+                for limit in sorted(limits) if quantity == "cost_per_1000" else ():
+                    panel.axhline(limit, color=GREY, linestyle="--", linewidth=1.0, label=f"limit {limit:g}")
+                if panel.get_legend_handles_labels()[0]:
+                    panel.legend(frameon=False, fontsize=7, handlelength=2.4)
+        return figure
+
+
+def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
+    """Draw how often an imagined cost came true, by its predicted probability; a row for each task, a column for each set of episodes."""
+    diagrams = list(reliabilities(layout, trained))
+    tasks = list(dict.fromkeys(each.task for each in diagrams))
+    if not tasks:
+        return None
+    kinds = [episodes for episodes in EPISODES if any(each.episodes == episodes for each in diagrams)]
+    with drawn((0.4 + 3.6 * len(kinds), 0.5 + 3.2 * len(tasks))) as figure:
+        panels = figure.subplots(len(tasks), len(kinds), squeeze=False, sharex=True, sharey=True)
+        for row, task in zip(panels, tasks, strict=True):
+            for panel, episodes in zip(row, kinds, strict=True):
+                lines = list(_reliable([each for each in diagrams if (each.task, each.episodes) == (task, episodes)]))
+                draw_lines(panel, lines, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost")
+                panel.grid(visible=False)
+                panel.set_title(f"{task_title(task)}: {EPISODES[episodes][0]}", loc="left", fontsize=9)
+                if lines:
+                    panel.legend(frameon=False, fontsize=7, loc="upper left", title="steps ahead", title_fontsize=7)
+            row[0].set_ylabel("share with a cost")
+        return figure
+
+
+def _reliable(diagrams: Sequence[Reliability]) -> Iterator[Line]:
+    """The lines of a panel: marks grow with their rows, and all seeds of a step look the same."""
+    for i, step in enumerate(STEPS):
+        own = [each for each in diagrams if each.step == step]
+        errors = [each.error for each in own if np.isfinite(each.error)]
+        label = f"{step}, ECE {np.mean(errors):.3f}" if errors else str(step)
+        for each in own:
+            here, colour = each.size > 0, PALETTE[(1, 6, 3, 4)[i]]
+            areas = 6.0 + 10.0 * np.log10(each.size[here])
+            x, y = each.predicted[here], each.seen[here]
+            yield Line(x, y, label, colour, LINES[i], MARKERS[i], width=0.9, areas=areas, alpha=0.8)
+
+
+def _smoothed(curve: Curve) -> Curve:
+    """Means over neighbouring points."""
+    width = min(SMOOTHED, len(curve.x))
+    middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
+    return replace(curve, x=middle, y={name: np.convolve(values, np.ones(width) / width, "valid") for name, values in curve.y.items()})
 
 
 def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
-    """Read return per episode (`return`) and cost per 1000 env steps (`cost_per_1000`) over the decision steps of the training."""
+    """Read return, cost and multiplier over the decision steps of the training."""
     curves = []
     for artifact in trained:
         if artifact.kind not in DRIVING:
@@ -152,9 +189,17 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
         rows = rows_of(read_json(layout, artifact, file))
         x = column_of(rows, "interactions")
         if len(x) > 1 and np.isfinite(x).all():
-            numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000")}
-            curves.append(Curve(artifact.task, artifact.seed, name, x, numbers))
+            numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000", "multiplier")}
+            curves.append(Curve(artifact.task, artifact.seed, name, x, numbers, _limit(layout, artifact)))
     return curves
+
+
+def _limit(layout: Layout, artifact: Trained) -> float | None:
+    with suppress(WaspError):
+        config = config_of(layout, artifact)
+        limit = config.get("cost_limit") if config.get("mode", "lagrangian") == "lagrangian" else None
+        return float(limit) if isinstance(limit, int | float) else None
+    return None
 
 
 def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
@@ -174,15 +219,80 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
     return losses
 
 
+def diagnosed(layout: Layout, artifact: Trained) -> dict[str, list[Mapping[str, Any]]]:
+    """Read what `diagnostics` says of every imagined step, by set of episodes."""
+    document = read_json(layout, artifact, "diagnostics.json")
+    sets = document if isinstance(document, dict) else {}
+    parts = {name: sets[name] for name in EPISODES if isinstance(sets.get(name), dict)}
+    return {name: rows for name, part in parts.items() if (rows := rows_of(part.get("steps"))[:HORIZON])}
+
+
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
     """Read how reliable the cost head is along imagined rollouts, at STEPS, where `diagnostics` has judged it."""
     for artifact in [artifact for artifact in trained if artifact.kind == "diagnostics"]:
-        document = read_json(layout, artifact, "diagnostics.json")
-        for episodes in ("held_out", "unseen"):
-            part = document.get(episodes) if isinstance(document, dict) else None
-            for row in rows_of(part.get("steps") if isinstance(part, dict) else None):
-                if (step := row.get("k")) in STEPS:
-                    bins = rows_of(row.get("reliability"))
+        for episodes, rows in diagnosed(layout, artifact).items():
+            for row in rows:
+                bins = rows_of(row.get("reliability"))
+                if (step := row.get("k")) in STEPS and bins:
                     columns = [column_of(bins, name) for name in ("predicted", "seen", "size")]
-                    if bins:
-                        yield Reliability(artifact.task, artifact.seed, episodes, int(step), *columns)
+                    error = float(column_of([row], "calibration_error")[0])
+                    yield Reliability(artifact.task, artifact.seed, episodes, int(step), *columns, error)
+
+
+def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
+    """Draw over the imagined step: AUPRC with its interval, predicted over base rate, reward R2, image error over that of a copy."""
+    (artifact,) = trained
+    sets = diagnosed(layout, artifact)
+    if not sets:
+        return None
+    first, last = next(iter(sets)), max(len(rows) for rows in sets.values())
+    with drawn((14.4, 3.4)) as figure:
+        panels = figure.subplots(1, 4, squeeze=False)[0]
+        ranked, further = [], []
+        for name, rows in sets.items():
+            title, colour = EPISODES[name]
+            k = column_of(rows, "k")
+            panels[0].fill_between(k, column_of(rows, "auprc_low"), column_of(rows, "auprc_high"), color=colour, alpha=0.15, linewidth=0)
+            for key, style, marker, text in RANKED:
+                label = text if name == first else ""  # colours are named in the other panels
+                ranked.append(Line(k, column_of(rows, key), label, colour, style, marker, gaps=True))
+            further.append([Line(k, column_of(rows, key), title, colour, marker="o", gaps=True) for key, _ in FURTHER])
+        common: dict[str, Any] = {"xlabel": "imagined step", "xticks": [1, *range(5, 1 + last, 5)]}
+        draw_lines(panels[0], ranked, title="cost AUPRC", **common)
+        for i, (_, title) in enumerate(FURTHER):
+            draw_lines(panels[1 + i], [lines[i] for lines in further], title=title, **common)
+        for panel in panels:
+            panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
+            panel.legend(frameon=False, fontsize=7)
+        panels[0].set_ylim(0.0, 1.0)
+        for panel in (panels[1], panels[3]):
+            panel.axhline(1.0, color=GREY, linewidth=0.8)
+            panel.set_ylim(top=max(1.3, panel.get_ylim()[1]))
+        panels[1].axhspan(0.8, 1.25, color="#eeeeee", zorder=0)
+        return figure
+
+
+def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
+    """Draw what critics predicted beside what followed: every decision as a point, and the means of ten equally large groups.
+
+    On the diagonal a critic is right on average.
+    """
+    (artifact,) = trained
+    table = read_table(layout, artifact, "pairs.parquet", ("critic", "predicted", "real"), PAIRS)
+    names = np.asarray(table["critic"].to_pylist(), str)
+    predicted, real = (np.asarray(table[name], np.float64) for name in ("predicted", "real"))
+    critics = list(dict.fromkeys(names.tolist()))[:4]
+    if not critics:
+        return None
+    with drawn((4.0 * len(critics), 3.8)) as figure:
+        panels = figure.subplots(1, len(critics), squeeze=False)[0]
+        for panel, name in zip(panels, critics, strict=True):
+            x, y = predicted[names == name], real[names == name]
+            shown = np.linspace(0, len(x) - 1, min(POINTS, len(x))).astype(int)
+            groups = [group for group in np.array_split(np.argsort(x, kind="stable"), GROUPS) if len(group)]
+            mean_x, mean_y = (np.array([values[group].mean() for group in groups]) for values in (x, y))
+            points = Line(x[shown], y[shown], colour=PALETTE[2], style="none", marker=".", size=2.0, alpha=0.4)
+            lines = [points, Line(mean_x, mean_y, colour=PALETTE[4], marker="o", size=4.0)]
+            ends = (float(min(x.min(), y.min())), float(max(x.max(), y.max())))
+            draw_lines(panel, lines, diagonal=ends, xlabel=f"{name[:NAME]}, predicted", ylabel="discounted sum that followed")
+        return figure

@@ -10,8 +10,7 @@ from typing import Any
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.stats.summary import Value, over_seeds
-from wasp_cli.report.tables.table import Column, Row, Table
-from wasp_cli.report.tables.titles import task_title
+from wasp_cli.report.tables.table import Column, Row, Table, task_title
 from wasp_cli.report.trained.artifacts import Trained
 
 COLUMNS = (
@@ -48,46 +47,32 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Training:
-    """The parts that a run trains, and what those say that are there."""
+class _Training:
+    """The parts that a run trains, one for each seed of a task and stage, and what those say that are there."""
 
-    wanted: Mapping[Key, tuple[Part, ...]]
-    """One part for each seed."""
+    wanted: Mapping[Key, list[Part]]
     summaries: Mapping[Part, Mapping[str, Any]]
     failures: Mapping[Part, str]
     """Why a part is not there, where that is known."""
 
-    @classmethod
-    def of(cls, parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str]) -> Training:
-        """Match parts with artifacts by their keys."""
-        found = {artifact.key: artifact.summary for artifact in trained}
-        wanted: dict[Key, tuple[Part, ...]] = {}
-        for part, _ in parts:
-            place = (part.task, part.kind)
-            wanted[place] = (*wanted.get(place, ()), part)
-        told = {part: found[key] for part, key in parts if key in found}
-        return cls(wanted, told, {part: failures[key] for part, key in parts if key in failures})
-
+    @property
     def tasks(self) -> list[str]:
-        """List the tasks that have a part."""
         return list(dict.fromkeys(task for task, _ in self.wanted))
 
-    def parts(self, task: str, stage: str) -> tuple[Part, ...]:
-        """Return the parts of a stage, one for each seed."""
-        return self.wanted.get((task, stage), ())
+    def parts(self, task: str, stage: str) -> list[Part]:
+        return self.wanted.get((task, stage), [])
 
     def value(self, parts: Sequence[Part], name: str) -> Value:
-        """Return the mean over the seeds whose part is there and tells the number."""
+        """The mean over the seeds whose part is there and tells the number."""
         told = (self.summaries.get(part, {}).get(name) for part in parts)
         numbers = [float(number) for number in told if isinstance(number, int | float) and math.isfinite(number)]
         return over_seeds(numbers, ranked=False)
 
     def tells(self, parts: Sequence[Part], name: str) -> bool:
-        """Say whether a part knows the number, be it undefined."""
+        """Whether a part knows the number, be it undefined."""
         return any(name in self.summaries.get(part, {}) for part in parts)
 
     def missing(self, parts: Sequence[Part]) -> list[Part]:
-        """List the parts that are not there."""
         return [part for part in parts if part not in self.summaries]
 
 
@@ -101,23 +86,28 @@ def training_tables(
         trained: the artifacts that are there.
         failures: why others are not, by key, where that is known.
     """
-    training = Training.of(parts, trained, failures or {})
+    summaries, why = {artifact.key: artifact.summary for artifact in trained}, failures or {}
+    wanted: dict[Key, list[Part]] = {}
+    for part, _ in parts:
+        wanted.setdefault((part.task, part.kind), []).append(part)
+    told = {part: summaries[key] for part, key in parts if key in summaries}
+    training = _Training(wanted, told, {part: why[key] for part, key in parts if key in why})
     tables = (_stages(training, _incomplete(training)), _ahead(training))
     return [table for table in tables if table.rows and table.columns]
 
 
-def _stages(training: Training, notes: tuple[str, ...]) -> Table:
+def _stages(training: _Training, notes: tuple[str, ...]) -> Table:
     """A row for each task."""
     columns, shown = [], []
     for stage, column in COLUMNS:
-        read = [training.parts(task, stage) for task in training.tasks()]
+        read = [training.parts(task, stage) for task in training.tasks]
         # A number that no part tells is no column; one that is still to come is.
         if any(training.missing(own) or training.tells(own, column.key) for own in read):
             columns.append(replace(column, key=f"{stage}.{column.key}"))
             shown.append([training.value(own, column.key) for own in read])
     rows = []
     stages = dict.fromkeys(stage for stage, _ in COLUMNS)
-    for i, task in enumerate(training.tasks()):
+    for i, task in enumerate(training.tasks):
         own = [part for stage in stages for part in training.parts(task, stage)]
         rows.append(Row((task_title(task) + _share(training, own),), tuple(values[i] for values in shown)))
     meanings = (
@@ -128,10 +118,10 @@ def _stages(training: Training, notes: tuple[str, ...]) -> Table:
     return Table("training", "Trained parts", ("Task",), tuple(columns), tuple(rows), notes, meanings, ranked=False)
 
 
-def _ahead(training: Training) -> Table:
+def _ahead(training: _Training) -> Table:
     """A row for each task and measure, a column for each imagined step."""
     rows = []
-    for task in training.tasks():
+    for task in training.tasks:
         judges = training.parts(task, "diagnostics")
         share = _share(training, judges)
         for measure in MEASURES:
@@ -153,7 +143,7 @@ def _ahead(training: Training) -> Table:
     )
 
 
-def _incomplete(training: Training) -> tuple[str, ...]:
+def _incomplete(training: _Training) -> tuple[str, ...]:
     everything = [part for parts in training.wanted.values() for part in parts]
     absent = training.missing(everything)
     if not absent:
@@ -163,7 +153,7 @@ def _incomplete(training: Training) -> tuple[str, ...]:
     return (f"INCOMPLETE: {len(absent)} of {len(everything)} parts are missing: {few(names, NAMED)}.",)
 
 
-def _share(training: Training, parts: Sequence[Part]) -> str:
+def _share(training: _Training, parts: Sequence[Part]) -> str:
     """How many of the parts behind a row are there, unless all are."""
     absent = len(training.missing(parts))
     return f" [{len(parts) - absent} of {len(parts)} parts]" if absent else ""

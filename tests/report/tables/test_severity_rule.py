@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.errors import NotAccepted
-from wasp_cli.report.stats.severity_check import (
+from wasp_cli.report.tables.severity_check import (
     Difference,
     SeverityCheck,
     SeverityLevel,

@@ -5,18 +5,20 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from markupsafe import Markup
 
+from wasp_cli.report.claims.verdict import judge
+from wasp_cli.report.document import Report
 from wasp_cli.report.figures.methods import latency_figure
-from wasp_cli.report.page.build import build_page
 from wasp_cli.report.stats.frame import Frame, Missing
 from wasp_cli.report.tables.main import detail_table, main_table
-from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.spec.paper import load_paper
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
 EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"
@@ -51,19 +53,24 @@ class Outline(HTMLParser):
         assert self.open.pop() == tag
 
 
-def page_of(frame: Frame, folder: Path, *, verdict: Markup | None = None, word: str = "plain") -> str:
-    figures = latency_figure(frame, folder)
-    missing = [Missing(CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7), f"goal1 wasp {word}", f"failed: {word}")]
-    return build_page(
-        name=word, facts=("a fact", "another", f"a third: {word}"), verdict=verdict,
-        tables=(main_table(frame),), further=(detail_table(frame),), figures=figures, gaps='1 of 9 cells is missing', missing=missing,
-        trained=[Trained(f"expert {word}", "goal1", 0, "0123456789", 61.0, {"note": word})],
-        assumptions=[("wasp.tau_c", 0.3, word)], films=(),
-    )  # fmt: skip
+def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
+    missing = Missing(CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7), f"goal1 wasp {word}", f"failed: {word}")
+    report = Report(
+        name=word,
+        layout=Layout(folder),
+        facts=("a fact", "another", f"a third: {word}"),
+        tables=(main_table(frame), detail_table(frame)),
+        shown=1,
+        frame=replace(frame, missing=(missing,)),
+        trained=(Trained(f"expert {word}", "goal1", 0, "0123456789", 61.0, {"note": word}),),
+        assumptions=(("wasp.tau_c", 0.3, word),),
+        verdict=judge(frame, load_paper()),
+    )
+    return report.html(latency_figure(frame, folder))
 
 
 def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path) -> None:
-    page = page_of(frame, tmp_path, verdict=Markup("<p>the verdict</p>"))
+    page = page_of(frame, tmp_path)
     outline = Outline(page)
     assert outline.open == []
     assert {link.removeprefix("#") for link in outline.links} == {"results", "trained", "assumptions"}
@@ -72,9 +79,10 @@ def test_everything_is_there_and_nothing_is_fetched(frame: Frame, tmp_path: Path
     assert outline.fetched
     assert all(source.startswith("data:image/") for source in outline.fetched)
     assert not re.search(r"@import|url\((?!data:)|<link|<iframe|https?://(?!www\.w3\.org)", page)
-    for text in ("the verdict", "SafeRL-Res", "1 of 9 cells is missing", "wasp.tau_c", "1 min 01 s"):
+    missing = f"1 of {len(frame.cells) + 1} cells is missing"
+    for text in ('<section class="verdict">', "SafeRL-Res", missing, "wasp.tau_c", "1 min 01 s"):
         assert text in page
-    assert page.index('id="table1"') < page.index("the verdict")
+    assert page.index('id="table1"') < page.index('<section class="verdict">')
 
 
 def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
@@ -90,11 +98,8 @@ def test_the_same_report_gives_the_same_page(frame: Frame, tmp_path: Path) -> No
 
 
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
-    nothing: tuple[Table, ...] = ()
-    page = build_page(
-        name="empty", facts=(), verdict=None, tables=nothing, further=(), figures=(), gaps=None, missing=(), trained=(),
-        assumptions=(), films=(),
-    )  # fmt: skip
+    report = Report("empty", Layout(tmp_path), facts=(), tables=(), shown=0, frame=Frame(()), trained=(), assumptions=())
+    page = report.html()
     assert Outline(page).open == []
 
 
