@@ -1,7 +1,6 @@
 """How do the assistants compare on fresh seeds, and under operators that no choice has seen? Print the tables of docs/assistants.md.
 
-python docs/examples/assistants.py SPEC             from the published rows of `assistants`, `field`, `goal1-two` or `operators`
-python docs/examples/assistants.py SPEC RESULTS ... first take the rows from folders in which that spec ran last, or parts of it
+python docs/examples/assistants.py SPEC     from the published cells of `field`, `goal1-two` or `operators`, or the rows of `assistants`
 """
 
 from __future__ import annotations
@@ -18,9 +17,13 @@ from numpy.typing import NDArray
 
 import wasp_cli
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.spec.load import load
+from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
+PUBLISHED = ROOT / "results" / "published"
 TASKS_SHOWN = ("race1", "formula1", "goal1", "goal1-two")
 UNIMPAIRED = "unimpaired"
 GROUPS = {
@@ -39,24 +42,31 @@ Sums = NDArray[np.float64]
 """[operators, worlds, measures]: return, success and cost of an episode, then SUMS."""
 
 
-def published(spec: str) -> Path:
-    """Return the file of the published rows of a spec."""
-    return ROOT / "results" / "published" / f"{spec}.parquet"
+def published(spec: str) -> pa.Table:
+    """Return a row for each published episode of a spec: of cells, with what their branches say, or of the file that has rows alone."""
+    file = PUBLISHED / f"{spec}.parquet"
+    return pq.read_table(file) if file.is_file() else pa.Table.from_pylist(list(rows_of(spec)))
 
 
-def rows_of(results: Path, spec: str) -> Iterator[dict[str, Any]]:
-    """Yield a row for each episode of a run of a spec, with what its branches say."""
-    run = wasp_cli.results(results, spec=spec)
+def rows_of(spec: str) -> Iterator[dict[str, Any]]:
+    """Yield a row for each episode of the published cells of a spec, with what its branches say."""
+    asked = load(ROOT / "specs" / f"{spec}.yaml").spec
+    cells = {node.key for _, node in lay_out_over(asked, Layout(Path("nowhere")), str(PUBLISHED)).cells}
+    run = wasp_cli.results(PUBLISHED)
+    chosen = {cell.key: cell for cell in run.cells if cell.key in cells}
+    axes = {"seed": sorted({cell.seed for cell in chosen.values()})}
     branches: dict[tuple[Any, ...], list[tuple[bool, bool]]] = {}
-    for row in run.branches().to_pylist():
+    for row in run.branches(**axes).to_pylist():
         branches.setdefault((row["key"], row["episode"]), []).append((row["unnecessary"], row["unnecessary_swapped"]))
     judged = {key for key, _ in branches}
-    for row in run.episodes().to_pylist():
+    order = {name: i for i, name in enumerate(asked.methods)}
+    for row in sorted(run.episodes(**axes).to_pylist(), key=lambda row: order.get(row["method"], 0)):
+        if row["key"] not in chosen:
+            continue
         tested = branches.get((row["key"], row["episode"]), []) if row["key"] in judged else None
-        method = row["method"] if row["variant"] == "full" else row["variant"]
         yield {
-            "task": row["task"], "method": method, "operator": row["operator"] if row["value"] else UNIMPAIRED, "seed": row["seed"],
-            "episode": row["episode"], "return": row["return"], "success": float(row["success"]),
+            "task": row["task"], "method": row["method"], "operator": row["operator"] if row["value"] is not None else UNIMPAIRED,
+            "seed": row["seed"], "episode": row["episode"], "return": row["return"], "success": float(row["success"]),
             "cost": float(row["cost"]), "decisions": row["decisions"], "intervened": row["intervened"],
             "effective": round(row["int_eff"] * row["decisions"]), "deviation": row["mag"] * row["decisions"],
             "ms": row["decision_p50_ms"],
@@ -183,11 +193,7 @@ def differences(rows: pa.Table, group: str) -> str:
 
 
 if __name__ == "__main__":
-    spec, *folders = sys.argv[1:] or ["assistants"]
-    if folders:
-        new = pa.Table.from_pylist([row for folder in folders for row in rows_of(Path(folder), spec)])
-        pq.write_table(new, published(spec), compression="zstd")
-    rows = pq.read_table(published(spec))
+    rows = published(sys.argv[1] if len(sys.argv) > 1 else "field")
     met = set(rows["operator"].to_pylist())
     for name in [name for name in GROUPS if met & set(GROUPS[name])]:
         print(f"### {name}\n\n{table(rows, name)}\n\n{differences(rows, name)}\n")
