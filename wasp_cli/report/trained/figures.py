@@ -127,8 +127,9 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
                     if curve.task == task
                     for i in [names.index(curve.name)]
                 ]
-                losses = {"xlabel": "thousand updates", "yscale": "log"} if quantity == "loss" else {"xlabel": "thousand decision steps"}
-                draw_lines(panel, lines, **losses)
+                draw_lines(panel, lines, xlabel="thousand updates" if quantity == "loss" else "thousand decision steps")
+                if quantity == "loss":
+                    panel.set_yscale("log")
                 panel.set_title(f"{task_title(task)}: {QUANTITIES[quantity]}", loc="left")
                 limits = {curve.limit for curve in own if curve.task == task and curve.limit is not None}
                 for limit in sorted(limits) if quantity == "cost_per_1000" else ():
@@ -234,9 +235,9 @@ def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliab
             for row in rows:
                 bins = rows_of(row.get("reliability"))
                 if (step := row.get("k")) in STEPS and bins:
-                    columns = [column_of(bins, name) for name in ("predicted", "seen", "size")]
+                    predicted, seen, size = (column_of(bins, name) for name in ("predicted", "seen", "size"))
                     error = float(column_of([row], "calibration_error")[0])
-                    yield Reliability(artifact.task, artifact.seed, episodes, int(step), *columns, error)
+                    yield Reliability(artifact.task, artifact.seed, episodes, int(step), predicted, seen, size, error)
 
 
 def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
