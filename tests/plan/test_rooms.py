@@ -46,7 +46,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], M
                 file.write_text(f"{file.read_text(encoding='utf-8')}\nCOLOUR = '#0072B2'\n", encoding="utf-8")
         found = spec_from_file_location("wasp_cli", package / "__init__.py", submodule_search_locations=[str(package)])
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "_top", lambda name: found)
+            patch.setattr(module, "find_spec", lambda name: found)
             forget()
             return {node.label: node.key for node in lay_out(spec).nodes}
 

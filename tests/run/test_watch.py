@@ -44,7 +44,7 @@ def ended(event: str, number: int, seconds: float, **facts: Any) -> tuple[float,
     return (seconds, event, {"key": key(number), "label": f"node {number}", "seconds": 1.0, **facts})
 
 
-def only(layout: Layout, seconds: float = 600.0) -> RunState:
+def only(layout: Layout, seconds: float = 120.0) -> RunState:
     (run,) = planned_runs(layout)
     return state_of(layout, run, START + timedelta(seconds=seconds))
 

@@ -48,7 +48,8 @@ def test_the_assisted_branch_begins_on_the_recorded_path(cell: Evaluated) -> Non
     t, recorded = intervened(cell, True), Recorded(**read_recorded(cell.path))
     states = pair(cell, t)._states
     parts = recorded.layouts[EPISODE], recorded.a[EPISODE], recorded.a_h[EPISODE], recorded.reward[EPISODE]
-    places = film(cell.task, 20, *parts, 99, 8).positions
+    *_, last = film(cell.task, 20, *parts, 99, 8)
+    places = last.positions
     for name in (ASSISTED, ALONE):
         assert len(states[name].scenes) == len(states[name].actions) + 1 == WINDOW + 1
         np.testing.assert_array_equal(states[name].scenes[0].position[0, :2], places[t])
