@@ -13,7 +13,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = "wasp_cli"
 
 BY_STRING = frozenset(
-    {"load_target", "import_module", "__import__", "entry_points", "find_spec", "module_from_spec", "run_module", "run_path",
+    {"import_here", "load_target", "import_module", "__import__", "entry_points", "find_spec", "module_from_spec", "run_module", "run_path",
      "exec_module", "resolve_name", "iter_modules", "walk_packages"}
 )  # fmt: skip
 """Calls that import, or look for, a module whose name is a value."""

@@ -161,3 +161,9 @@ def _likeness(one: str, other: str) -> float:
 def _bare(name: str) -> str:
     """A gymnasium id without its namespace."""
     return name.rpartition("/")[2]
+
+
+def described(error: BaseException) -> str:
+    """Return the type of an error and what it says, in one line."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

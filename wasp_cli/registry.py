@@ -6,11 +6,16 @@ Listing names imports nothing heavy; `load` imports the module of the entry that
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import os
+import sys
 from collections.abc import Iterator, Mapping
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
 
-from wasp_cli.errors import UnknownName, WaspError
+from wasp_cli.errors import UnknownName, WaspError, described
 
 
 class Entry(Protocol):
@@ -113,6 +118,27 @@ def load_target(target: str) -> Any:
     """Import `module:attribute`."""
     module, _, attribute = target.partition(":")
     return getattr(importlib.import_module(module), attribute)
+
+
+def import_here(module: str) -> ModuleType:
+    """Import a module that a spec names; it may lie in the folder that the process was started in.
+
+    No process of ours searches that folder otherwise. It comes last, so that nothing installed is hidden.
+
+    Raises:
+        WaspError: it does not import.
+    """
+    top = module.partition(".")[0]
+    try:
+        here = os.getcwd()
+        if importlib.util.find_spec(top) is None and PathFinder.find_spec(top, [here]) is not None:
+            sys.path.append(here)
+            importlib.invalidate_caches()
+        return importlib.import_module(module)
+    except (Exception, SystemExit) as error:  # the code is another's
+        absent = isinstance(error, ModuleNotFoundError) and error.name is not None and f"{module}.".startswith(f"{error.name}.")
+        hint = f"run in the folder that holds '{top}', or install it: pip install -e ." if absent else "repair the module"
+        raise WaspError(f"module '{module}' does not import: {described(error)}", hint) from error
 
 
 def module_of(target: str) -> str:

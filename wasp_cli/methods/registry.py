@@ -6,13 +6,14 @@ module, so that a word changed here runs nothing again.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from wasp_cli.config import Config
 from wasp_cli.errors import WaspError
-from wasp_cli.registry import Registry, load_target
+from wasp_cli.registry import Registry, import_here, load_target
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,51 @@ class MethodInfo:
         return model
 
 
+class OwnMethod(MethodInfo):
+    """An assistant of one's own, `module:Class`, without a package: a class in a file of the folder where `wasp` runs.
+
+    It has no settings: its constants stand in the file, whose source is in the key. The class may have `needs`: stage kinds.
+    """
+
+    @classmethod
+    def named(cls, name: str) -> OwnMethod:
+        """Describe it without importing it."""
+        module, _, title = name.partition(":")
+        return cls(name, title, name, "wasp_cli.config:Config", rule=f"{title} is a class of the module {module}.")
+
+    def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+        return tuple(getattr(self.load(), "needs", ()))
+
+    def load(self) -> Any:
+        """Import and return the class.
+
+        Raises:
+            WaspError: the module does not import, or has no such assistant.
+        """
+        module, _, name = self.target.partition(":")
+        found = getattr(import_here(module), name, None)
+        lacks = [method for method in ("reset", "decide") if not callable(getattr(found, method, None))]
+        if lacks:
+            what = "is not there" if found is None else f"has no {' and no '.join(lacks)}"
+            raise WaspError(f"the assistant '{self.name}' {what}", "wasp_cli.methods.base.Assistant says what an assistant has")
+        return found
+
+
+class MethodRegistry(Registry[MethodInfo]):
+    """The registered methods; a class of one's own resolves too, but is not listed."""
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or (isinstance(name, str) and _OWN.fullmatch(name) is not None)
+
+    def __getitem__(self, name: str) -> MethodInfo:
+        return OwnMethod.named(name) if _OWN.fullmatch(name) else super().__getitem__(name)
+
+    def load(self, name: str) -> Any:
+        info = self[name]
+        return info.load() if isinstance(info, OwnMethod) else super().load(name)
+
+
+_OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _VOTE = Signal("vote", "on a scale from -1 (no member of the ensemble prefers the copilot's action by more than τ_Q) to 1 (all do)", "vote")
 _ABLATIONS: Mapping[str, str] = {
     "full": "full",
@@ -91,7 +137,7 @@ _ABLATIONS: Mapping[str, str] = {
 }
 """Of Table 2."""
 
-METHODS: Registry[MethodInfo] = Registry(
+METHODS: Registry[MethodInfo] = MethodRegistry(
     "method",
     "wasp.methods",
     (

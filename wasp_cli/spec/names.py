@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
 from wasp_cli.errors import UnknownName, WaspError, did_you_mean
-from wasp_cli.methods.registry import METHODS
+from wasp_cli.methods.registry import METHODS, OwnMethod
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.stages.registry import STAGES, stages_of
 from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
@@ -51,6 +51,18 @@ def _task(name: str, info: ValidationInfo) -> str:
             found.examine()
         except WaspError as error:
             raise PydanticCustomError("task", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
+    return name
+
+
+def _method(name: str, info: ValidationInfo) -> str:
+    """A registered method, or a class of one's own that can be imported."""
+    if name not in METHODS:
+        raise unknown("method", name, METHODS)
+    if isinstance(METHODS[name], OwnMethod) and not (info.context or {}).get(RECORDED):
+        try:
+            METHODS.load(name)
+        except WaspError as error:
+            raise PydanticCustomError("method", "{message}", {"message": error.message, "hint": error.hint or ""}) from error
     return name
 
 
@@ -101,7 +113,7 @@ SpecName = Annotated[str, Field(pattern=rf"^[A-Za-z0-9][A-Za-z0-9_.-]{{0,{LONGES
 SeverityName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$")]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 TaskName = Annotated[str, AfterValidator(_task)]
-MethodName = Annotated[str, _known("method", lambda: METHODS)]
+MethodName = Annotated[str, AfterValidator(_method)]
 VariantName = Annotated[str, _known("assistant variant", assistant_variants)]
 StageName = Annotated[str, AfterValidator(_stage)]
 OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]

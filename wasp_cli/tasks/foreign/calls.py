@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from wasp_cli.errors import TaskError
+from wasp_cli.errors import TaskError, described
 
 GymEnv = gymnasium.Env[Any, Any]
 
@@ -62,12 +62,6 @@ def calling(part: str) -> Iterator[None]:
         raise TaskError(
             f"its {part} failed: {described(error)}", f"in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
         ) from error
-
-
-def described(error: BaseException) -> str:
-    """Return the type of an error and what it says, in one line."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def reset(env: GymEnv, seed: int) -> Any:

@@ -7,14 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import importlib
-import importlib.util
-import os
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.machinery import PathFinder
 from typing import Any
 
 import gymnasium
@@ -22,9 +18,10 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from wasp_cli.errors import TaskError, UnknownName
+from wasp_cli.errors import TaskError, UnknownName, WaspError, described
+from wasp_cli.registry import import_here
 from wasp_cli.tasks.base import Floats
-from wasp_cli.tasks.foreign.calls import GymEnv, calling, described, of_environment, reset, step
+from wasp_cli.tasks.foreign.calls import GymEnv, calling, of_environment, reset, step
 from wasp_cli.tasks.foreign.views import Views, views_of
 
 
@@ -101,7 +98,10 @@ def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
     module, _, gym_id = name.rpartition(":")
     before = set(gymnasium.registry)
     if module:
-        _import(module)
+        try:
+            import_here(module)
+        except WaspError as error:
+            raise TaskError(error.message, error.hint) from error
     try:
         return gymnasium.spec(gym_id)
     except gymnasium.error.Error as error:
@@ -135,22 +135,6 @@ def make_env(name: str) -> GymEnv:
 
 
 # -- what is looked at -----------------------------------------------------------------------------------------------------------------
-
-
-def _import(module: str) -> None:
-    top = module.partition(".")[0]
-    try:
-        here = os.getcwd()
-        if importlib.util.find_spec(top) is None and PathFinder.find_spec(top, [here]) is not None:
-            # No process of ours searches the folder that it is started in, unless a spec names a module that lies there.
-            # At the end, so that nothing installed is hidden.
-            sys.path.append(here)
-            importlib.invalidate_caches()
-        importlib.import_module(module)
-    except (Exception, SystemExit) as error:  # the code is another's
-        absent = isinstance(error, ModuleNotFoundError) and error.name is not None and f"{module}.".startswith(f"{error.name}.")
-        hint = f"run in the folder that holds '{top}', or install it: pip install -e ." if absent else "repair the module"
-        raise TaskError(f"module '{module}' does not import: {described(error)}", hint) from error
 
 
 def _entry_module(entry_point: Any) -> str:
