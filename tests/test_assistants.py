@@ -1,4 +1,4 @@
-"""docs/assistants.md and docs/learning.md say what is published: the field, operators that no choice has seen, every trained part."""
+"""README, docs/assistants.md and docs/learning.md say what is published: the field, unseen operators, every trained part."""
 
 from __future__ import annotations
 
@@ -23,6 +23,10 @@ def test_the_tables_of_results_are_the_published_rows(spec: str, group: str) -> 
     rows = assistants.published(spec)
     assert assistants.table(rows, group) in PAGE
     assert assistants.differences(rows, group) in PAGE
+
+
+def test_the_table_of_the_readme_is_the_field() -> None:
+    assert assistants.short(assistants.published("field")) in (DOCS.parent / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_table_of_trained_parts_is_the_published_one() -> None:

@@ -164,6 +164,21 @@ def table(rows: pa.Table, group: str) -> str:
     return "\n".join(lines)
 
 
+def short(rows: pa.Table) -> str:
+    """Write return / cost of every assistant on every task, as in README."""
+    cells = sums_of(rows)
+    tasks = shown_tasks(cells)
+    lines = [
+        f"| Return / cost | {' | '.join(TASKS[task].title for task in tasks)} |",
+        "| --- |" + " ---: |" * len(tasks),
+    ]
+    for method in dict.fromkeys(name for _, name, _ in cells):
+        each = [measures(cube(cells, task, method, next(iter(GROUPS.values())))) for task in tasks]
+        numbers = [f"{m['return']:.1f} / {m['cost']:.1f}" for m in each]
+        lines.append(f"| {title(method)} | {' | '.join(numbers)} |")
+    return "\n".join(lines)
+
+
 def differences(rows: pa.Table, group: str) -> str:
     """Write WASP minus others: paired over the worlds, 95 % bootstrap over worlds, each with its operators."""
     cells, shown = sums_of(rows), ("return", "cost", "intervened", "deviation", "uir")
