@@ -30,6 +30,12 @@ def home(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_the_page_shows_both_files_as_they_are() -> None:
+    page = (EXAMPLES.parent / "extending.md").read_text(encoding="utf-8")
+    for name, language in (("halfway.py", "python"), ("halfway.yaml", "yaml")):
+        assert f"```{language}\n{(EXAMPLES / name).read_text(encoding='utf-8')}```" in page
+
+
 def nodes(home: Path) -> dict[str, dict[str, str]]:
     done = wasp(home, "plan", "halfway.yaml", "--json")
     assert done.returncode == 0, done.stderr

@@ -69,15 +69,11 @@ def blocks() -> list[tuple[str, str]]:
     return re.findall(r"^```(python|toml|yaml)\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("path", files(), ids=lambda path: path.name)
-def test_the_page_shows_every_file_as_it_is(path: Path) -> None:
-    language = {".py": "python", ".toml": "toml", ".yaml": "yaml"}[path.suffix]
-    assert (language, path.read_text(encoding="utf-8")) in blocks()
-
-
-def test_every_block_of_the_page_is_a_file() -> None:
-    known = {path.read_text(encoding="utf-8") for path in files()}
-    assert {text for _, text in blocks()} == known
+def test_the_page_links_every_file_and_shows_them_as_they_are() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert [path.name for path in files() if f"]({path.relative_to(PAGE.parent).as_posix()})" not in text] == []
+    known = {path.read_text(encoding="utf-8") for path in [*files(), *EXAMPLE.parent.glob("halfway.*")]}
+    assert {text for _, text in blocks()} <= known
 
 
 @pytest.mark.slow
