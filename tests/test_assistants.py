@@ -22,7 +22,7 @@ PAGE = (DOCS / "assistants.md").read_text(encoding="utf-8")
 def test_the_tables_of_results_are_the_published_rows(spec: str, group: str) -> None:
     rows = assistants.published(spec)
     assert assistants.table(rows, group) in PAGE
-    assert assistants.differences(rows, group) in PAGE
+    assert spec != "field" or assistants.differences(rows, group) in PAGE
 
 
 def test_the_table_of_the_readme_is_the_field() -> None:
