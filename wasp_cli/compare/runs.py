@@ -40,8 +40,7 @@ class Side:
     layout: Layout
     run_id: str
     spec: Spec
-    cells: Sequence[tuple[Cell, str]]
-    """Each with the key of its evaluation."""
+    cells: Sequence[tuple[Cell, str]]  # each with the key of its evaluation
 
     @classmethod
     def read(cls, layout: Layout, run_id: str) -> Side:
@@ -58,12 +57,9 @@ class ComparedCell:
     identity: CellIdentity
     state: State
     keys: tuple[str | None, str | None]
-    reason: str = ""
-    """Why it is not compared."""
-    paired: Paired | None = None
-    """Of one that differs."""
-    p: Mapping[str, float] = field(default_factory=dict)
-    """By measure, corrected for measures and cells."""
+    reason: str = ""  # why it is not compared
+    paired: Paired | None = None  # of one that differs
+    p: Mapping[str, float] = field(default_factory=dict)  # by measure, corrected for measures and cells
     causes: tuple[str, ...] = ()
 
     @property
@@ -81,8 +77,7 @@ class Summary:
     variant: str
     cells: int
     differing: int
-    estimates: Mapping[str, Estimate | None]
-    """By measure."""
+    estimates: Mapping[str, Estimate | None]  # by measure
 
 
 @dataclass(frozen=True)
@@ -203,8 +198,7 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
 
 MACHINE = ("processor", "platform", "python", "threads", "cuda")
 """Provenance that enters no key, and may move the last digits."""
-DEEPEST = 50
-"""Steps upstream; our longest chain has a dozen."""
+DEEPEST = 50  # steps upstream; our longest chain has a dozen
 
 
 class Causes:
@@ -215,13 +209,7 @@ class Causes:
         self._known: dict[tuple[str, str, str], tuple[str, ...]] = {}
 
     def of(self, kind: str, before: str, after: str) -> tuple[str, ...]:
-        """Say in words what differs between two artifacts that should be alike.
-
-        Args:
-            kind: of both.
-            before: the key of the one.
-            after: the key of the other; where it is the same, only the machine can differ.
-        """
+        """Say in words what differs between two artifacts that should be alike; of the same key only the machine can differ."""
         return tuple(dict.fromkeys(self._machine(kind, before) if before == after else self._follow(kind, before, after, DEEPEST)))
 
     def _follow(self, kind: str, before: str, after: str, left: int) -> tuple[str, ...]:

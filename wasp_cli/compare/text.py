@@ -21,8 +21,7 @@ from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.report.tables.table import Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
-SHOWN = 12
-"""Cells that a terminal names of each kind."""
+SHOWN = 12  # cells that a terminal names of each kind
 OPTIONAL = ("viol", "int_rate")
 COLUMNS = tuple(
     replace(next(column for column in PAPER_COLUMNS if column.key == name), better=None, signed=True, optional=name in OPTIONAL)

@@ -55,27 +55,14 @@ BRANCH = (
 )
 """A branched decision: sums of cost and reward over the window of both branches, and what `metrics.necessity` says of them."""
 
-THREADS = 4
-"""That read cells side by side."""
+THREADS = 4  # that read cells side by side
 
 Read = Callable[[Layout, ListedCell], pa.Table | None]
 """Reads the rows of one cell; None where it is not computed."""
 
 
 def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Sequence[pa.Field], columns: Iterable[str] | None) -> pa.Table:
-    """Read some columns of many cells into one table, in the order of the cells; those that are not computed have no rows.
-
-    Args:
-        layout: the results folder.
-        cells: which cells.
-        read: gives the rows of one.
-        fields: the columns of these rows.
-        columns: which of them, after NAMES; None for all.
-
-    Raises:
-        KeyError: there is no such column.
-        StoreError: a table is damaged, or holds another cell than its folder's.
-    """
+    """Read columns of many cells into one table, in the order of the cells; those that are not computed have no rows."""
     known = {field.name: field for field in fields}
     asked = list(known if columns is None else dict.fromkeys(columns))
     for name in asked:

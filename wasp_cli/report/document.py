@@ -27,8 +27,7 @@ from wasp_cli.report.trained.figures import learning_figure, reliability_figure
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
-NAMED = 12
-"""Missing cells that the terminal names; the report names all."""
+NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
     "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
     "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
@@ -51,25 +50,17 @@ class Report:
 
     name: str
     layout: Layout
-    facts: tuple[str, ...]
-    """One-line statements about the grid."""
-    tables: tuple[Table, ...]
-    """The first ones are for the terminal."""
-    shown: int
-    """How many of them."""
+    facts: tuple[str, ...]  # one-line statements about the grid
+    tables: tuple[Table, ...]  # the first ones are for the terminal
+    shown: int  # how many of them
     frame: Frame
     trained: tuple[Trained, ...]
     assumptions: tuple[Assumption, ...]
-    damaged: tuple[str, ...] = ()
-    """Records that do not read; `facts` has them too."""
-    published: tuple[str, ...] = ()
-    """What was published and not computed here; `facts` has it too."""
-    remarks: tuple[str, ...] = ()
-    """What else a reader of the tables has to know; `facts` has it too."""
-    keys: Mapping[CellIdentity, str] = field(default_factory=dict)
-    """Of the evaluations."""
-    notes: tuple[Note, ...] = ()
-    """What somebody noted about the cells; `facts` says what is left out for it."""
+    damaged: tuple[str, ...] = ()  # records that do not read; `facts` has them too
+    published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
+    remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know; `facts` has it too
+    keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
+    notes: tuple[Note, ...] = ()  # what somebody noted about the cells; `facts` says what is left out for it
     verdict: VerdictReport | None = None
     """What becomes of the paper's claims; None where nothing was evaluated."""
 

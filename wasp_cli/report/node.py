@@ -25,8 +25,7 @@ from wasp_cli.store.published import FROM_PUBLISHED
 HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
 """Provenance that is told in lines of its own."""
 
-Facts = dict[str, Any]
-"""As `wasp show --json` prints them."""
+Facts = dict[str, Any]  # as `wasp show --json` prints them
 
 
 def node_facts(layout: Layout, node: FoundNode) -> Facts:

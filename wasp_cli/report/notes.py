@@ -28,8 +28,7 @@ from wasp_cli.store.plain import append_line, open_plain, printable, read_json_l
 from wasp_cli.store.tables import CellIdentity
 
 FILE = "notes.jsonl"
-LONGEST = 2000
-"""Characters of a note."""
+LONGEST = 2000  # characters of a note
 Mark = Literal["", "invalid", "valid"]
 
 
@@ -37,16 +36,13 @@ Mark = Literal["", "invalid", "valid"]
 class Note:
     """What somebody said of a cell or an episode."""
 
-    key: str
-    """Of the cell."""
+    key: str  # of the cell
     label: str
-    episode: int | None
-    """None: the cell."""
+    episode: int | None  # None: the cell
     text: str
     mark: Mark = ""
     author: str = ""
-    at: str = ""
-    """When it was written, ISO, UTC."""
+    at: str = ""  # when it was written, ISO, UTC
 
     @property
     def where(self) -> str:
@@ -158,16 +154,7 @@ def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
 def without_invalid(
     frame: Frame, keys: Mapping[CellIdentity, str], marked: Mapping[tuple[str, int | None], Note]
 ) -> tuple[Frame, tuple[str, ...]]:
-    """Leave out what is marked, and say so, a sentence each.
-
-    Args:
-        frame: the cells of a report.
-        keys: of their evaluations.
-        marked: what `invalid` returns.
-
-    Returns:
-        The frame, in which a cell that is left out counts as missing, and what was left out.
-    """
+    """Leave out what is marked: a cell that is left out counts as missing. Returns a sentence for each thing that was left out, too."""
     if not marked:
         return frame, ()
     kept: list[CellNumbers] = []

@@ -25,24 +25,18 @@ from wasp_cli.video.timeline import Timeline, numbers
 from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
 
 WIDTH, HEIGHT = 976, 704
-GAP, HEADER, TITLE = 12, 34, 18
-"""In px: between panels, height of the first line and of a title."""
-MAP, SIDE, BETWEEN = 436, 98, 4
-"""Sides of the map and of a camera image, and between images."""
+GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
+MAP, SIDE, BETWEEN = 436, 98, 4  # sides of the map and of a camera image, and between images
 TIMELINE = 178
 ARROW = 0.15
 """Length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for imagined imagined."""
 _RIGHT = GAP + MAP + 16
 _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
 """Of the two blocks of images, below a line for what they imagine and a line for the columns."""
-POOR = 0.5
-"""R2 below which a readout is said to be poor."""
-SLOWER = 2.0
-"""How much slower than real time a video is: there is much to see in a decision."""
-LAST_MS = 2000
-"""How long the last frame stays."""
-_PLAYED = 0.3
-"""Share of the time that playing the cell takes."""
+POOR = 0.5  # R2 below which a readout is said to be poor
+SLOWER = 2.0  # how much slower than real time a video is: there is much to see in a decision
+LAST_MS = 2000  # how long the last frame stays
+_PLAYED = 0.3  # share of the time that playing the cell takes
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
 _SEQUENCES = (COMMAND, EXECUTED)
 
@@ -50,12 +44,9 @@ _SEQUENCES = (COMMAND, EXECUTED)
 class Correction(NamedTuple):
     """What is imagined beside the command uncorrected."""
 
-    residuals: Sequence[NDArray[Any] | None]
-    """T times [L, A], or None where the command stood"""
-    name: str
-    """what it is, for people"""
-    hold: bool
-    """residuals are added to the present command, not to the imagined ones"""
+    residuals: Sequence[NDArray[Any] | None]  # T times [L, A], or None where the command stood
+    name: str  # what it is, for people
+    hold: bool  # residuals are added to the present command, not to the imagined ones
 
 
 class WrittenVideo(NamedTuple):
@@ -219,23 +210,7 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 def film_episode(
     source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
 ) -> WrittenVideo:
-    """Play a cell again and write the video of an episode.
-
-    Args:
-        source: the cell.
-        stored: what its rows say of the episode.
-        episode: its place among those that are played.
-        correction: what is imagined beside the command uncorrected.
-        horizon: imagined steps.
-        every: decisions between two frames; the last one has a frame too.
-        out: the file; see `encode.checked`.
-        progress: told the share that is done.
-
-    Raises:
-        UsageError: the file cannot be one.
-        ArtifactError: a model is damaged, or what is played is not what was recorded.
-        TaskError: the task cannot be imported.
-    """
+    """Play a cell again and write the video of one of its rows: a frame at every `every`-th decision, and at the last."""
     checked(out)
     shown = decisions_shown(stored, every)
     played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))

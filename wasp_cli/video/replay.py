@@ -31,14 +31,10 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float, str], None]
 
-HORIZON = 15
-"""Imagined steps of a method that has no horizon of its own: the paper's H."""
-FRAMES = 125
-"""Of a video for which nothing else is said: some megabytes."""
-MODELS = ("world_model", "policies")
-"""Kinds of the artifacts that a cell is played again with."""
-EXPERT = "expert"
-"""Is read by cells of tasks whose operators know more than assistants perceive."""
+HORIZON = 15  # imagined steps of a method that has no horizon of its own: the paper's H
+FRAMES = 125  # of a video for which nothing else is said: some megabytes
+MODELS = ("world_model", "policies")  # kinds of the artifacts that a cell is played again with
+EXPERT = "expert"  # is read by cells of tasks whose operators know more than assistants perceive
 SAID: dict[str, tuple[type, ...]] = {
     "task": (str,), "action_repeat": (int,), "seed": (int,), "operator": (str,), "value": (int, float, type(None)),
 }  # fmt: skip
@@ -104,13 +100,7 @@ def default_name(stored: Episode, ending: str) -> Path:
 
 
 def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
-    """Find the rows of a cell and the models that it was evaluated with.
-
-    Raises:
-        UsageError: the cell has no manifest that names its models.
-        ArtifactError: a model is missing or damaged.
-        StoreError: the rows cannot be read.
-    """
+    """Find the rows of a cell and the models that it was evaluated with; a UsageError where its manifest does not name them."""
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 

@@ -27,20 +27,16 @@ from wasp_cli.video.replay import default_name, source_of, upstream_of
 
 Progress = Callable[[float, str], None]
 
-WINDOW = 15
-"""W where no artifact says another one."""
+WINDOW = 15  # W where no artifact says another one
 
 
 @dataclass(frozen=True)
 class Criterion:
     """When an intervention counts as necessary: the window of its branches, and the reward that it has to gain."""
 
-    window: int
-    """W"""
-    tau_R: float | None
-    """None: nothing in the results folder says it"""
-    source: str
-    """who says it"""
+    window: int  # W
+    tau_R: float | None  # None: nothing in the results folder says it
+    source: str  # who says it
 
 
 @dataclass(frozen=True)
@@ -52,20 +48,14 @@ class Verdict:
     intervened: bool
     deviation: float
     window: int
-    rho: float
-    """mean cost of the branch of the command alone (Eq. 19)"""
-    delta_c: float
-    """costly decisions avoided (Eq. 20)"""
-    delta_r: float
-    """reward gained (Eq. 20)"""
+    rho: float  # mean cost of the branch of the command alone (Eq. 19)
+    delta_c: float  # costly decisions avoided (Eq. 20)
+    delta_r: float  # reward gained (Eq. 20)
     tau_R: float | None
     tau_R_from: str
-    unnecessary: bool | None
-    """Eq. 21; None where nothing was intervened, or tau_R is not known and decides"""
-    assisted: dict[str, list[Any]]
-    """cost, cost_env and reward of every decision of the branch as executed"""
-    alone: dict[str, list[Any]]
-    """the same under the command alone"""
+    unnecessary: bool | None  # Eq. 21; None where nothing was intervened, or tau_R is not known and decides
+    assisted: dict[str, list[Any]]  # cost, cost_env and reward of every decision of the branch as executed
+    alone: dict[str, list[Any]]  # the same under the command alone
 
     def as_json(self) -> dict[str, Any]:
         """Return everything as JSON values."""
@@ -126,14 +116,7 @@ def replay_step(layout: Layout, cell: FoundCell, episode: int, step: int, out: P
 
 
 def judge(stored: Episode, step: int, criterion: Criterion, traces: dict[str, dict[str, list[Any]]]) -> Verdict:
-    """Judge one decision by Eq. 19-21.
-
-    Args:
-        stored: its episode.
-        step: the decision.
-        criterion: W and tau_R.
-        traces: by branch, lists of at most W values by name, as `branches.BranchTrace`.
-    """
+    """Judge one decision by Eq. 19-21; `traces` are by branch lists of at most W values by name, as `branches.BranchTrace`."""
 
     def row(branch: str, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
         # As rows of branches store it: float32; what comes after the end of an episode counts as 0.

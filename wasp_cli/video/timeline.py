@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _DPI = 100
-_LEFT, _RIGHT, _TOP, _BOTTOM = 88, 14, 6, 36
-"""Margins in px."""
+_LEFT, _RIGHT, _TOP, _BOTTOM = 88, 14, 6, 36  # margins in px
 _STYLE: dict[Any, Any] = {"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7}
 
 

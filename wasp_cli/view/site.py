@@ -117,8 +117,7 @@ class Site:
     layout: Layout
     cells: Cells
     links: Links
-    films: Films | None = None
-    """None in a bundle, whose films are files."""
+    films: Films | None = None  # None in a bundle, whose films are files
 
     @property
     def name(self) -> str:
@@ -130,12 +129,7 @@ class Site:
         return _environment().get_template(template).render(site=self, links=self.links, title=title, **values)
 
     def one(self, text: str) -> tuple[ListedCell, FoundCell]:
-        """Return the one cell that an address names.
-
-        Raises:
-            UsageError: it names several.
-            WaspError: it names none, or what it names is damaged.
-        """
+        """Return the one cell that an address names; a WaspError where it names none, several, or a damaged one."""
         listed, artifact = self.cells.find(text)
         if artifact is None:
             keys = ", ".join(cell.key for cell in listed[:12])

@@ -30,10 +30,8 @@ SIDES = {
     "higher": "above", "not_lower": "at least", "at_least": "at least",
 }  # fmt: skip
 HEADINGS = ("Task", "Measure", "Left", "Right", "Contrast (interval)", "t interval", "Needed", "Outcome", "In the paper")
-SAID = 70
-"""Characters of a claim that is only named."""
-Cell = tuple[str, float | None]
-"""A text, and the number that it prints without rounding."""
+SAID = 70  # characters of a claim that is only named
+Cell = tuple[str, float | None]  # a text, and the number that it prints without rounding
 
 
 def label(verdict: VerdictReport, judged: Judged) -> str:

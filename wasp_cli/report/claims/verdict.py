@@ -43,15 +43,11 @@ class Answer:
     asked: Comparison
     outcome: Outcome
     left: float | None = None
-    right: float | None = None
-    """Our means."""
-    contrast: Contrast | None = None
-    """Over the conditions that both have; its interval is held against 0."""
-    reason: str = ""
-    """Why it is not tested; empty where its task is not here at all."""
+    right: float | None = None  # our means
+    contrast: Contrast | None = None  # over the conditions that both have; its interval is held against 0
+    reason: str = ""  # why it is not tested; empty where its task is not here at all
     printed: tuple[Printed | None, Printed | None] = (None, None)
-    shown_in_print: bool | None = None
-    """Whether the paper's own means stand so; None where it prints none."""
+    shown_in_print: bool | None = None  # whether the paper's own means stand so; None where it prints none
 
 
 @dataclass(frozen=True)
@@ -60,8 +56,7 @@ class Judged:
 
     claim: Claim
     outcome: Outcome
-    answers: tuple[tuple[Answer, ...], ...]
-    """Per question; of the answers in a tuple one is enough."""
+    answers: tuple[tuple[Answer, ...], ...]  # per question; of the answers in a tuple one is enough
     others: tuple[Judged | None, ...] = ()
     """The same claim with each of the report's `others` in its method's place; None where that cannot be asked."""
 
@@ -85,8 +80,7 @@ class Beside:
     who: Who
     printed: tuple[Printed, ...]
     ours: tuple[Estimate | None, ...]
-    note: str = ""
-    """Why it is incomplete, where it is."""
+    note: str = ""  # why it is incomplete, where it is
 
 
 @dataclass(frozen=True)
@@ -94,14 +88,11 @@ class VerdictReport:
     """Everything that is said of a paper."""
 
     paper: Paper
-    rows: tuple[Beside, ...]
-    """Of the tasks that are here."""
+    rows: tuple[Beside, ...]  # of the tasks that are here
     claims: tuple[Judged, ...]
-    tasks: tuple[str, ...]
-    """That are here."""
+    tasks: tuple[str, ...]  # that are here
     seeds: int
-    one_training: bool
-    """Whether all rows come from the models of one training."""
+    one_training: bool  # whether all rows come from the models of one training
     notes: tuple[str, ...]
     others: tuple[Who, ...] = ()
     """The rows that stand for a method as another recipe makes it, and that claims are judged by too."""
@@ -112,13 +103,7 @@ class VerdictReport:
 
 
 def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
-    """Hold the rows of a report against a paper.
-
-    Args:
-        frame: the rows.
-        paper: what it prints and states.
-        spec: what was run, for what it says of the sizes and of the training.
-    """
+    """Hold the rows of a report against a paper; `spec` says how large models and budgets are, and whether seeds share a training."""
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
     further = [Who(name) for name, info in METHODS.items() if info.instead_of]

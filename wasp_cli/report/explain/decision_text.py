@@ -44,11 +44,7 @@ FIRES = {
 
 
 def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
-    """Set out one decision, in lines of at most `width` columns.
-
-    Raises:
-        UsageError: the episode has no such decision.
-    """
+    """Set out one decision, in lines of at most `width` columns; a UsageError where the episode has no such decision."""
     return set_out(_parts(episode, decision_of(episode, t)), width)
 
 

@@ -36,23 +36,15 @@ from wasp_cli.report.explain.layout import (
 from wasp_cli.report.explain.stored import Episode, number
 from wasp_cli.report.explain.timeline import LOOKS
 
-MOST_RUNS = 24
-"""Rows of the table of runs at most, so that an episode stays below 60 lines."""
+MOST_RUNS = 24  # rows of the table of runs at most, so that an episode stays below 60 lines
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-LABEL = 12
-"""Columns before the strip."""
+LABEL = 12  # columns before the strip
 STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
 
 
 def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
-    """Set out an episode, in lines of at most `width` columns.
-
-    Args:
-        episode: as it is stored.
-        width: columns of the terminal.
-        command: what explains this cell, for the hint at the end, which is one line.
-    """
+    """Set out an episode, in lines of at most `width` columns; the last line says how `command` explains one decision."""
     telling = (episode.missed, episode.intervened, episode.costly) if episode.selective else (episode.costly, episode.intervened)
     place = next((int(marks.argmax()) for marks in telling if marks.any()), 0)
     hint = f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} --step {place}"

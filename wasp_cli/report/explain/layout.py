@@ -19,8 +19,7 @@ from wasp_cli.report.explain.stored import Constants, Episode
 from wasp_cli.report.tables.table import who_title
 from wasp_cli.tasks.registry import TASKS
 
-INDENT, BETWEEN = 2, 2
-"""Columns before a table, and between two of its columns."""
+INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
 NUMBER = re.compile(r"[-+.…%\d]*")
 
 

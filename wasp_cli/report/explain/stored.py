@@ -42,29 +42,19 @@ MOST_ITERATIONS = 32
 class Constants:
     """What the manifest says of the method; None where there is no manifest, or the method has no such constant."""
 
-    horizon: int | None = None
-    """H"""
-    residual_steps: int | None = None
-    """L"""
-    candidates: int | None = None
-    """N"""
-    probe: int | None = None
-    """N_probe: random corrections that the task gate judges"""
-    feasible: int | None = None
-    """N_f"""
-    batches: tuple[int, ...] | None = None
-    """candidates that each iteration of the search classifies"""
+    horizon: int | None = None  # H
+    residual_steps: int | None = None  # L
+    candidates: int | None = None  # N
+    probe: int | None = None  # N_probe: random corrections that the task gate judges
+    feasible: int | None = None  # N_f
+    batches: tuple[int, ...] | None = None  # candidates that each iteration of the search classifies
     takeover: bool = False
     """whether the gates look at one correction, the expert's action now, and imagine the expert, not the operator, behind every command"""
-    bootstrap_cost: bool | None = None
-    """whether V_c stands for what lies behind H in costs (Eq. 7)"""
+    bootstrap_cost: bool | None = None  # whether V_c stands for what lies behind H in costs (Eq. 7)
     gamma_c: float | None = None
-    vote: float | None = None
-    """share of IDA's ensemble, from -1 to 1, above which it takes over"""
-    action_repeat: int | None = None
-    """env steps of a decision"""
-    decision_seconds: float | None = None
-    """simulated time of a decision; None of a task that is not ours"""
+    vote: float | None = None  # share of IDA's ensemble, from -1 to 1, above which it takes over
+    action_repeat: int | None = None  # env steps of a decision
+    decision_seconds: float | None = None  # simulated time of a decision; None of a task that is not ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,28 +62,17 @@ class Episode:
     """One stored episode."""
 
     cell: FoundCell
-    row: Mapping[str, Any]
-    """The episode columns of `store.tables`"""
-    episodes: int
-    """in the cell, all decided side by side"""
-    gate: NDArray[np.int64]
-    """[T]"""
-    costly: Bools
-    """[T] any cost within the decision"""
-    a_h: Floats
-    """[T, A]"""
-    a: Floats
-    """[T, A]"""
-    numbers: Mapping[str, Floats]
-    """NUMBERS and PREDICTED, [T] each; NaN is undefined"""
-    safe: tuple[tuple[int, ...] | None, ...]
-    """T times: I counts |F_s|, or None where nothing was searched"""
-    case2: tuple[tuple[bool, ...] | None, ...]
-    """T times: I"""
-    plan: tuple[tuple[float, ...] | None, ...]
-    """T times: L residuals of A numbers, one after the other"""
-    ms: Floats
-    """[T] decision time, as stored: divided by the episodes that were decided side by side"""
+    row: Mapping[str, Any]  # the episode columns of `store.tables`
+    episodes: int  # in the cell, all decided side by side
+    gate: NDArray[np.int64]  # [T]
+    costly: Bools  # [T] any cost within the decision
+    a_h: Floats  # [T, A]
+    a: Floats  # [T, A]
+    numbers: Mapping[str, Floats]  # NUMBERS and PREDICTED, [T] each; NaN is undefined
+    safe: tuple[tuple[int, ...] | None, ...]  # T times: I counts |F_s|, or None where nothing was searched
+    case2: tuple[tuple[bool, ...] | None, ...]  # T times: I
+    plan: tuple[tuple[float, ...] | None, ...]  # T times: L residuals of A numbers, one after the other
+    ms: Floats  # [T] decision time, as stored: divided by the episodes that were decided side by side
     constants: Constants
 
     @property
@@ -124,11 +103,7 @@ class Episode:
         return f"{self.label}, episode {self.row['episode']}"
 
     def require(self, t: int) -> None:
-        """Check that there is a decision t.
-
-        Raises:
-            UsageError: there is none.
-        """
+        """Raise a UsageError where there is no decision t."""
         if not 0 <= t < self.decisions:
             raise UsageError(f"there is no decision {t}", f"episode {self.row['episode']} has the decisions 0 to {self.decisions - 1}")
 
@@ -191,12 +166,7 @@ def signal_of(method: str) -> Signal:
 
 
 def read_episode(cell: FoundCell, episode: int) -> Episode:
-    """Read one episode of a cell.
-
-    Raises:
-        UsageError: the cell has no such episode.
-        StoreError: the table cannot be read.
-    """
+    """Read one episode of a cell; a UsageError where it has none of this number, a StoreError where the table does not read."""
     with odd_tables_refused(cell.path):
         return _read(cell, episode)
 

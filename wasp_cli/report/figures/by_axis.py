@@ -26,18 +26,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Numbers = Callable[[Column], Sequence[Value]]
-"""[N] the value of a metric at every place of the axis."""
+Numbers = Callable[[Column], Sequence[Value]]  # [N] the value of a metric at every place of the axis
 
 SEVERITY_MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("int_rate", "cost", "return"))
 SWEEP_MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "mag"))
-MOST = 6
-"""Operators with a curve each; of more, the mean is drawn."""
-DASHES = (0, (4, 3))
-"""Of Human-only, in the colour of the operator."""
+MOST = 6  # operators with a curve each; of more, the mean is drawn
+DASHES = (0, (4, 3))  # of Human-only, in the colour of the operator
 MARKERS = ("o", "s", "^", "v", "D", "P")
-COLOURS = PALETTE[1:]
-"""One for each operator; black is the mean."""
+COLOURS = PALETTE[1:]  # one for each operator; black is the mean
 CROWDED = {"markersize": 4, "linewidth": 0.9, "elinewidth": 0.8}
 """Look of curves that stand beside each other."""
 CLEAR = {"markersize": 5, "markeredgecolor": "white", "markeredgewidth": 0.6, "linewidth": 1.5, "elinewidth": 0.8, "capsize": 2}
@@ -50,13 +46,10 @@ class Curve:
     label: str
     colour: str
     marker: str
-    x: Sequence[float]
-    """[N]"""
+    x: Sequence[float]  # [N]
     numbers: Numbers
-    reference: Numbers | None = None
-    """Of Human-only, dashed; None where there are none."""
-    gaps: int = 0
-    """Places whose cells are missing."""
+    reference: Numbers | None = None  # of Human-only, dashed; None where there are none
+    gaps: int = 0  # places whose cells are missing
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
@@ -83,16 +76,7 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def sweep_figures(key: str, swept: Sequence[Swept], folder: Path) -> list[Path]:
-    """Write `sweep_<task>.png` and `.svg` for every task.
-
-    Args:
-        key: the setting.
-        swept: the cells under each of its values.
-        folder: where the files go.
-
-    Returns:
-        The written files; none of a task without any computed cell.
-    """
+    """Write `sweep_<task>.png` and `.svg` for every task with a computed cell; returns the files."""
     tasks = dict.fromkeys(line.group.task for line in lines(swept))
     figures = {task: figure for task in tasks if (figure := sweep_figure(key, swept, task)) is not None}
     return [path for task, figure in figures.items() for path in figure_files(figure, folder, f"sweep_{slug(task)}")]

@@ -31,11 +31,9 @@ Places = NDArray[np.intp]
 Limits = tuple[float, float]
 
 RESAMPLES = 2000
-SEED = 20211105
-"""Of all draws. Any number would do; changing it changes the last digits of every interval."""
+SEED = 20211105  # of all draws. Any number would do; changing it changes the last digits of every interval.
 COVERAGE = 0.95
-TRIMMED = 0.25
-"""Share of the cells that the interquartile mean cuts off on either side."""
+TRIMMED = 0.25  # share of the cells that the interquartile mean cuts off on either side
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,7 @@ class _Clusters:
     """What is resampled, in ascending order."""
 
     unit: Literal["training", "world"]
-    names: Floats
-    """[K] the seeds of the trainings, or of the worlds"""
+    names: Floats  # [K] the seeds of the trainings, or of the worlds
 
     @classmethod
     def of(cls, cells: Sequence[CellNumbers], others: Sequence[CellNumbers] = ()) -> _Clusters:

@@ -27,11 +27,9 @@ Floats = NDArray[np.float64]
 POOLING = ("decisions", "env_steps", "intervened", "planned", "handovers")
 """Columns that weigh others (metrics.episode.WEIGHTS)."""
 
-TIMES = ("decision_p50_ms", "decision_p95_ms")
-"""Columns of which a cell has the median over its episodes."""
+TIMES = ("decision_p50_ms", "decision_p95_ms")  # columns of which a cell has the median over its episodes
 
-COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")
-"""What is read of a cell."""
+COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")  # what is read of a cell
 
 THREADS = 4
 """That read cells side by side: a disk answers several, and unpacking a column holds up no other thread."""
@@ -55,18 +53,13 @@ class Wanted:
     identity: CellIdentity
     label: str
     path: Path
-    severity: str | None = None
-    """The spec's name of the severity value."""
-    failure: str | None = None
-    """Why its last computation failed, where that is known."""
-    blocked: str | None = None
-    """Which failed node stands in its way, where that is known."""
-    refused: str | None = None
-    """Why its file is not read though it may be there."""
+    severity: str | None = None  # the spec's name of the severity value
+    failure: str | None = None  # why its last computation failed, where that is known
+    blocked: str | None = None  # which failed node stands in its way, where that is known
+    refused: str | None = None  # why its file is not read though it may be there
     branches: Wanted | None = None
     """Its counterfactual branches, where somebody asked for them: the same of their table."""
-    chain_seed: int | None = None
-    """The seed of the training whose models it uses; None: the cell's own seed."""
+    chain_seed: int | None = None  # the seed of the training whose models it uses; None: the cell's own seed
 
 
 @dataclass(frozen=True)
@@ -77,10 +70,8 @@ class Missing:
     label: str
     reason: str
     key: str = ""
-    damaged: bool = False
-    """Whether its rows are there and do not read."""
-    kind: str = "evaluate"
-    """Of the node that makes them."""
+    damaged: bool = False  # whether its rows are there and do not read
+    kind: str = "evaluate"  # of the node that makes them
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +113,8 @@ class Judged:
     """What the N branched interventions of a cell were worth."""
 
     worth: Necessity
-    episode: NDArray[np.int64]
-    """[N]"""
-    window: int
-    """W"""
+    episode: NDArray[np.int64]  # [N]
+    window: int  # W
     tau_R: float
 
 
@@ -135,8 +124,7 @@ class Frame:
 
     cells: tuple[CellNumbers, ...]
     missing: tuple[Missing, ...] = ()
-    order: tuple[CellIdentity, ...] = ()
-    """All wanted cells, as they were asked for."""
+    order: tuple[CellIdentity, ...] = ()  # all wanted cells, as they were asked for
     judged: Mapping[CellIdentity, Judged] = field(default_factory=dict)
     """The cells whose interventions were branched."""
     unbranched: tuple[Missing, ...] = ()
@@ -153,8 +141,7 @@ class Group:
     method: str
     variant: str
     cells: tuple[CellNumbers, ...]
-    absent: int
-    """Cells that are missing."""
+    absent: int  # cells that are missing
 
     @property
     def complete(self) -> bool:
@@ -234,9 +221,7 @@ def _read_closely(path: Path) -> Numbers:
 def odd_tables_refused(path: Path, *, sizes: bool = True) -> Iterator[None]:
     """Raise StoreError inside the block also for what `store.tables` never writes, but a Parquet file may hold.
 
-    Args:
-        path: the table that is read.
-        sizes: whether the block may read all of it, so that it must not be too large.
+    `sizes`: the block may read all of the table, so that it must not be too large.
     """
     try:
         if not path.is_file():  # a pipe would hold the reader for ever

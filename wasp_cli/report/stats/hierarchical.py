@@ -27,8 +27,7 @@ class Contrast:
     """A contrast over trainings; limits are None where they are undefined."""
 
     value: float
-    trainings: tuple[float, ...]
-    """The contrast of each training, in the order of their seeds."""
+    trainings: tuple[float, ...]  # the contrast of each training, in the order of their seeds
     bootstrap: Limits | None
     t: Limits | None
 

@@ -29,14 +29,12 @@ SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for c
 REFERENCE = "human"
 SWEEP_COLUMNS = (*PAPER_COLUMNS, *(column for column in MORE_COLUMNS if column.key == "mag_int"))
 SWEEP_OPERATOR_COLUMNS = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost"))
-UNTOUCHED = "-"
-"""The value of a method whose cells are the same for every value."""
+UNTOUCHED = "-"  # the value of a method whose cells are the same for every value
 UNTOUCHED_NOTE = f"{UNTOUCHED} in place of a value: the setting does not touch this method, whose cells are the same for every value."
 DIFFERENCE = "In brackets: mean difference to Human-only over the operators, severities and seeds that both have."
 CHOICE = "The best of several values looks better than it is: choose on seeds that no table uses, and report on others."
 
-Condition = tuple[str, float | None]
-"""Operator variant and severity value."""
+Condition = tuple[str, float | None]  # operator variant and severity value
 
 
 def operator_table(frame: Frame) -> Table:
@@ -91,10 +89,8 @@ def level(cell: CellNumbers) -> str:
 class Swept:
     """The cells under one value of the setting."""
 
-    text: str
-    """The value as it was written."""
-    value: Any
-    """The same as a file would have it."""
+    text: str  # the value as it was written
+    value: Any  # the same as a file would have it
     frame: Frame
     keys: Mapping[CellIdentity, str]
     """The key of each wanted cell; two values share a cell when its key is the same."""
@@ -105,12 +101,10 @@ class Line:
     """What a row stands for: the cells of an assistant, or those under one operator, under one value."""
 
     group: Group
-    swept: Swept | None
-    """None where the setting does not touch the assistant."""
+    swept: Swept | None  # None where the setting does not touch the assistant
     reference: tuple[CellNumbers, ...]
     """The cells of Human-only under the same value; empty for itself, and where it does not run."""
-    condition: Condition | None = None
-    """None for all operators."""
+    condition: Condition | None = None  # None for all operators
 
     @property
     def text(self) -> str:
@@ -166,12 +160,7 @@ def operator_lines(swept: Sequence[Swept], of: Iterable[Line]) -> list[Line]:
 
 
 def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
-    """Tabulate per task, method and value the mean over all operator variants and severities.
-
-    Args:
-        key: the setting.
-        swept: the cells under each of its values.
-    """
+    """Tabulate per task, method and value the mean over all operator variants and severities."""
     found = lines(swept)
     rows = [Row((task_title(line.group.task), _title(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in found]
     frame = combined(key, swept)

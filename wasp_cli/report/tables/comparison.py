@@ -34,19 +34,12 @@ class _Line(NamedTuple):
 
     group: Group
     measure: Column
-    marked: Value
-    """as in the main table"""
-    numbers: tuple[Value, Value]
-    """mean and interquartile mean"""
+    marked: Value  # as in the main table
+    numbers: tuple[Value, Value]  # mean and interquartile mean
 
 
 def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
-    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it, with intervals.
-
-    Args:
-        frame: the cells; ablations are left out.
-        references: methods, or BEST; a table for each, and none without any readable cell.
-    """
+    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it, with intervals."""
     if not frame.cells:
         return []
     lines = [

@@ -26,8 +26,7 @@ MEANS = (
     Column("uir_swapped", "UIR swapped", optional=True),
     Column("uir_eff", "UIR eff.", "down", optional=True),
 )
-FEW = 30
-"""Branched interventions below which a note warns."""
+FEW = 30  # branched interventions below which a note warns
 MEANINGS = (
     "At an intervention the real episode goes on twice for W decisions from the same state, with the same mistakes of the operator: with "
     "the method's action first, and with the operator's command first; then the operator drives alone in both.",
@@ -40,11 +39,7 @@ MEANINGS = (
 
 
 def necessity_table(frame: Frame) -> Table | None:
-    """Make table `figure3`; None where no interventions were to be branched.
-
-    Args:
-        frame: with branches (`report.stats.branches.with_branches`).
-    """
+    """Make table `figure3`; None where no interventions were to be branched."""
     found = list(judged_groups(frame))
     if not found:
         return None

@@ -27,12 +27,10 @@ from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 
 TLX = "tlx"
-WORKLOAD = "raw_tlx"
-"""Mean of the six scales of NASA's task load index, without weights."""
+WORKLOAD = "raw_tlx"  # mean of the six scales of NASA's task load index, without weights
 
 
-Condition = tuple[str, str, str]
-"""Task, method and ablation."""
+Condition = tuple[str, str, str]  # task, method and ablation
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,19 +38,13 @@ class Sitting:
     """One cell that a participant drove."""
 
     cell: CellNumbers
-    place: int | None
-    """of its block in the participant's order, from 0"""
-    answers: Mapping[str, float]
-    """by scale; with RAW TLX, where all six were answered"""
-    beats: pa.Table
-    """a row per decision (`store.people.BEAT`)"""
-    simulated: bool
-    """a script drove"""
-    cut: int
-    """episodes that were given up"""
+    place: int | None  # of its block in the participant's order, from 0
+    answers: Mapping[str, float]  # by scale; with RAW TLX, where all six were answered
+    beats: pa.Table  # a row per decision (`store.people.BEAT`)
+    simulated: bool  # a script drove
+    cut: int  # episodes that were given up
     pauses: int
-    lost: int
-    """lost connections"""
+    lost: int  # lost connections
 
     @property
     def participant(self) -> int:
@@ -66,11 +58,7 @@ class Sitting:
 
 
 def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], list[str]]:
-    """Read what lies beside the rows of the cells that people drove.
-
-    Returns:
-        one for each cell, in the order of the frame, and what of it cannot be read.
-    """
+    """Read what lies beside the rows of the cells that people drove."""
     folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON}
     found, damaged = [], []
     for cell in frame.cells:
@@ -107,9 +95,6 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
     """Return the mean over participants of their means, its standard deviation over them, and an interval.
 
     The interval is one of percentiles: of bootstrap means over participants (`stats.bootstrap`).
-
-    Args:
-        numbers: (participant, number); NaN does not count.
     """
     own: dict[int, list[float]] = {}
     for participant, number in numbers:

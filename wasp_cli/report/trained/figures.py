@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
-SMOOTHED = 7
-"""Points of a loss that are averaged: a batch is small."""
+SMOOTHED = 7  # points of a loss that are averaged: a batch is small
 EPISODES = {"held_out": ("held-out episodes", PALETTE[6]), "unseen": ("operators not in the data", PALETTE[4])}
 """Sets of episodes that a world model is judged by: name and colour."""
 QUANTITIES = {
@@ -41,10 +40,8 @@ DRIVING = {
 """Stages that learn in the task: file of the curve, name in figures."""
 LOSSES = {"beta_o": "images", "beta_r": "reward", "beta_c": "cost", "ahead_c": "cost, imagined"}
 """Terms of the world model's loss (Eq. 6 and the imagined one) that a figure shows."""
-UPDATES_PER_POINT = 20
-"""Of the world model's curves."""
-STEPS = (1, 5, 10, 15)
-"""Imagined steps whose reliability a figure shows."""
+UPDATES_PER_POINT = 20  # of the world model's curves
+STEPS = (1, 5, 10, 15)  # imagined steps whose reliability a figure shows
 RANKED = (("auprc", "-", "o", "model"), ("persistence", "--", "", "persistence"), ("base", ":", "", "base rate"))
 """Lines of the AUPRC over the imagined step: key, style, marker and name."""
 FURTHER = (
@@ -53,12 +50,9 @@ FURTHER = (
 """What the other panels over the imagined step show: key and title."""
 GROUPS, POINTS = 10, 1500
 """Groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most."""
-PAIRS = 5_000_000
-"""Decisions that a file of pairs may have."""
-NAME = 60
-"""Characters of a name that are drawn at most."""
-HORIZON = 500
-"""Imagined steps that are drawn at most."""
+PAIRS = 5_000_000  # decisions that a file of pairs may have
+NAME = 60  # characters of a name that are drawn at most
+HORIZON = 500  # imagined steps that are drawn at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +63,8 @@ class Curve:
     seed: int
     name: str
     x: Floats
-    y: Mapping[str, Floats]
-    """By quantity; NaN is a gap."""
-    limit: float | None = None
-    """Of the cost per 1000 env steps; None: none."""
+    y: Mapping[str, Floats]  # by quantity; NaN is a gap
+    limit: float | None = None  # of the cost per 1000 env steps; None: none
 
 
 class Reliability(NamedTuple):
@@ -80,17 +72,12 @@ class Reliability(NamedTuple):
 
     task: str
     seed: int
-    episodes: str
-    """`held_out` or `unseen`"""
+    episodes: str  # `held_out` or `unseen`
     step: int
-    predicted: Floats
-    """[bins]"""
-    seen: Floats
-    """[bins]"""
-    size: Floats
-    """[bins] rows behind them"""
-    error: float
-    """Expected calibration error; NaN where it is not told."""
+    predicted: Floats  # [bins]
+    seen: Floats  # [bins]
+    size: Floats  # [bins] rows behind them
+    error: float  # expected calibration error; NaN where it is not told
 
 
 def learning_figure(layout: Layout, trained: Sequence[Trained], folder: Path) -> list[Path]:

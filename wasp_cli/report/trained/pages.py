@@ -12,8 +12,7 @@ from wasp_cli.report.tables.table import Column, Row, Table
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
 from wasp_cli.store.layout import Layout
 
-ALL = "all"
-"""The row of a dataset's contents that has all behaviours."""
+ALL = "all"  # the row of a dataset's contents that has all behaviours
 COSTLY_SHARE = (0.03, 0.15)
 """Share of costly decision steps that a dataset should have: with less a model learns no cost, with more nothing of driving well."""
 SETS = {"held_out": "Held-out episodes of the dataset", "unseen": "Fresh episodes under operators that are not in the dataset"}

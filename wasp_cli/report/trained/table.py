@@ -40,10 +40,8 @@ MEASURES = (
 )
 """Numbers of `diagnostics`, each for some imagined steps: `auprc@5`."""
 STEPS = (1, 5, 10, 15)
-NAMED = 6
-"""Missing parts that a note names; the plan names all."""
-Key = tuple[str, str]
-"""Task and stage of a part."""
+NAMED = 6  # missing parts that a note names; the plan names all
+Key = tuple[str, str]  # task and stage of a part
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,7 @@ class _Training:
 
     wanted: Mapping[Key, list[Part]]
     summaries: Mapping[Part, Mapping[str, Any]]
-    failures: Mapping[Part, str]
-    """Why a part is not there, where that is known."""
+    failures: Mapping[Part, str]  # why a part is not there, where that is known
 
     @property
     def tasks(self) -> list[str]:
@@ -79,13 +76,7 @@ class _Training:
 def training_tables(
     parts: Sequence[tuple[Part, str]], trained: Sequence[Trained], failures: Mapping[str, str] | None = None
 ) -> list[Table]:
-    """Make the tables that have something to show: the stages one by one, and how far ahead the world model can be trusted.
-
-    Args:
-        parts: what a run trains, each with the key of its artifact.
-        trained: the artifacts that are there.
-        failures: why others are not, by key, where that is known.
-    """
+    """Make the tables that have something to show; `failures` say by key why parts are not there, where that is known."""
     summaries, why = {artifact.key: artifact.summary for artifact in trained}, failures or {}
     wanted: dict[Key, list[Part]] = {}
     for part, _ in parts:
