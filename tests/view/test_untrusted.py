@@ -44,7 +44,7 @@ def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def walked(server: ViewServer, key: str) -> str:
     """Everything that the pages say of a folder."""
     episode = f"/cell/{key}/episode/0"
-    places = ["/", "/cells", "/cells/numbers", f"/cell/{key}", f"/cell/{quote(LABEL)}", episode, f"{episode}/explain?step=3",
+    places = ["/", "/cells", f"/cell/{key}", f"/cell/{quote(LABEL)}", episode, f"{episode}/explain?step=3",
               f"/run/{RUN}", f"/run/{RUN}/now", f"/run/{RUN}/log/{key}", f"/compare/cells?a={key}&b={key}&world=100",
               f"/film/{key}/0/film"]  # fmt: skip
     texts = []

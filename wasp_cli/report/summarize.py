@@ -26,8 +26,7 @@ from wasp_cli.report.tables.people import late_facts, people_fact, people_tables
 from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
-from wasp_cli.report.trained.pages import with_warnings
-from wasp_cli.report.trained.table import training_tables
+from wasp_cli.report.trained.tables import training_tables, with_warnings
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record

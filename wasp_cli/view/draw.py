@@ -61,7 +61,7 @@ def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, fo
     state: dict[str, Any] = {"state": "drawing", "ready": 0, "frames": 0, "every": every or 1, "ending": ending, "legend": []}
     if kind == BRANCHES:
         require_drawable(stored)
-        from wasp_cli.video.replay_step import replay_step
+        from wasp_cli.video.replay import replay_step
 
         def tell(share: float, text: str) -> None:
             write_state(folder, {**state, "share": round(share, 3), "text": text})

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from tests.report.stats.test_bootstrap import cell
-from wasp_cli.report.stats.hierarchical import _resampled, _t_quantile, _Training, contrast_of, t_limits
+from wasp_cli.report.stats.bootstrap import _resampled, _t_quantile, _Training, contrast_of, t_limits
 
 LEFT, RIGHT = [[1.0, 4.0], [10.0, 30.0]], [[8.0, 6.0], [40.0, 90.0]]
 

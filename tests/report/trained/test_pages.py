@@ -13,7 +13,7 @@ from tests.report.trained.parts import QUALITY, artifact, diagnosed
 from wasp_cli.learning.contents import contents
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.figures import STEPS
-from wasp_cli.report.trained.pages import (
+from wasp_cli.report.trained.tables import (
     contents_markdown,
     dataset_warnings,
     open_loop_markdown,

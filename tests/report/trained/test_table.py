@@ -6,7 +6,7 @@ from wasp_cli.plan.node import Part
 from wasp_cli.report.render import csv_text, markdown
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.table import training_tables
+from wasp_cli.report.trained.tables import training_tables
 
 SUMMARIES: dict[str, dict[str, Any]] = {
     "expert": {"return": 20.0, "cost": 30.0, "success": 0.9, "multiplier": 0.4},

@@ -1,6 +1,6 @@
 """What a report says of a paper: each printed number beside ours, and whether each claim holds.
 
-A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`stats.hierarchical`):
+A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`stats.bootstrap`):
 
     lower                      left - right + margin |right| < 0
     higher                     left - right - margin |right| > 0
@@ -26,9 +26,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.stats.bootstrap import Estimate, Limits, mean_of
+from wasp_cli.report.stats.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups
-from wasp_cli.report.stats.hierarchical import Contrast, contrast_of
 from wasp_cli.report.tables.table import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from wasp_cli.report.figures.style import save
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
 from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
-from wasp_cli.report.trained.pages import contents_markdown, open_loop_markdown, quality_markdown
 from wasp_cli.report.trained.pictures import draw_contact_sheet, draw_open_loop, draw_open_loop_film, draw_reconstructions
+from wasp_cli.report.trained.tables import contents_markdown, open_loop_markdown, quality_markdown
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
 
