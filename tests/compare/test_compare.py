@@ -59,7 +59,6 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
     (cell,) = compared.having("differs")
     assert (cell.identity, cell.keys) == (altered, (key, key))
     assert cell.beyond == ("cost", "viol")
-    assert cell.paired is not None
     costs = [
         sum(read_episodes([side.layout.artifact("evaluate", key) / EPISODES_FILE])["cost"].to_pylist()) / 8 for side in (first, second)
     ]
@@ -155,9 +154,7 @@ def test_few_episodes_cannot_show_a_difference_in_one_cell_among_many(first: Sid
     compared = compare(few, many)
     assert (len(compared.having("differs")), compared.beyond) == (8, [])
     table, summary = cells_table(compared), summary_table(compared)
-    assert table is not None
     assert table.notes[0].startswith("Too few episodes in 8 of 8 cells to differ by more than noise")
-    assert summary is not None
     cost = [each for row in summary.rows for column, each in zip(summary.columns, row.values, strict=True) if column.key == "cost"]
     assert all(each.interval is not None and each.interval.low > 0 for each in cost)
     assert {each.interval.unit for each in cost if each.interval} == {"training"}
@@ -175,7 +172,6 @@ def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path
     told_of: list[dict[str, Any]] = facts["cells"]
     for entry, cell in zip(told_of, compared.cells, strict=True):
         assert (entry["label"], entry["state"], entry["beyond"]) == (cell.label, cell.state, list(cell.beyond))
-        assert cell.paired is not None
         for name in MEASURES:
             assert entry["paired"]["differences"][name]["value"] == pytest.approx(cell.paired.differences[name].value, rel=1e-6)
     assert facts["alike"] is compared.alike

@@ -109,7 +109,7 @@ def test_a_bomb_costs_a_report_no_memory(results: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; import wasp_cli\n"
         "from wasp_cli.view.site import site_of\n"
-        "shown = site_of(Path(sys.argv[1])).cells.numbers()\n"
+        "shown = site_of(Path(sys.argv[1])).cells.wait()\n"
         "print(sorted((each.reason, each.episodes) for each in shown.values()))\n"
         "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"  # ru_maxrss begins with the parent's
         "print(int(peak.split()[1]) // 1024)\n"

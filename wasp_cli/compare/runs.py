@@ -18,7 +18,7 @@ from wasp_cli.compare.paired import LEVEL, MEASURES, Paired, corrected, paired_e
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.plan.node import Cell
 from wasp_cli.plan.reasons import changes_between, few
-from wasp_cli.report.node import mapping
+from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.stats.bootstrap import Estimate, difference_of
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, odd_tables_refused, read_frame
@@ -26,7 +26,7 @@ from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_manifest
-from wasp_cli.store.layout import Layout, is_key, is_name
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import half_inputs
 from wasp_cli.store.tables import CellIdentity, same_rows
 
@@ -105,7 +105,6 @@ class Compared:
 
     @property
     def causes(self) -> list[tuple[str, int]]:
-        """What differs, and in how many cells."""
         return Counter(cause for cell in self.cells for cause in cell.causes).most_common()
 
 
@@ -221,7 +220,7 @@ class Causes:
 
     def _changes(self, kind: str, before: str, after: str, left: int) -> Iterator[str]:
         try:
-            old, new = self._manifest(0, kind, before), self._manifest(1, kind, after)
+            old, new = (read_manifest(layout, kind, key) for layout, key in zip(self._layouts, (before, after), strict=True))
             own = changes_between(old, new)
         except (ArtifactError, StoreError):
             yield f"another {kind}, of which not both folders have the record"
@@ -243,7 +242,7 @@ class Causes:
 
     def _machine(self, kind: str, key: str) -> Iterator[str]:
         try:
-            manifests = [self._manifest(side, kind, key) for side in (0, 1)]
+            manifests = [read_manifest(layout, kind, key) for layout in self._layouts]
         except (ArtifactError, StoreError):
             return
         yield from _precision(*manifests)
@@ -253,12 +252,8 @@ class Causes:
         pairs += [(name, versions[0].get(name), versions[1].get(name)) for name in (*versions[0], *versions[1])]
         yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(map(_shown, pairs)) if one != two)
 
-    def _manifest(self, side: int, kind: str, key: str) -> Mapping[str, Any]:
-        return read_manifest(self._layouts[side], kind, key)
-
 
 def _precision(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    """Which inputs were in half precision, where that is not the same."""
     before, after = (", ".join(half_inputs(each)) or "none" for each in (old, new))
     if before != after:
         yield f"inputs in half precision {before} -> {after}"
@@ -271,10 +266,7 @@ def _shown(pair: tuple[str, Any, Any]) -> tuple[str, str, str]:
 
 def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
     """What both read under one name, as another artifact: the name, the kind and both keys."""
-    before, after, kinds = mapping(old.get("upstream")), mapping(new.get("upstream")), mapping(new.get("upstream_kinds"))
-    for name, key in before.items():
-        other, kind = after.get(name), kinds.get(name, name)
-        if not (isinstance(key, str) and isinstance(other, str) and isinstance(kind, str)):
-            continue
-        if key != other and is_key(key) and is_key(other) and is_name(kind):
-            yield name, kind, key, other
+    after = upstream_of(new)
+    for name, (_, key) in upstream_of(old).items():
+        if name in after and after[name][1] != key:
+            yield name, after[name][0], key, after[name][1]

@@ -82,7 +82,7 @@ class Results:
     @property
     def missing(self) -> list[str]:
         """The labels of cells that are not computed."""
-        return [cell.label for cell in rows.absent(self._layout, self.cells)]
+        return [cell.label for cell in self.cells if table_of(self._layout, cell) is None]
 
     def __repr__(self) -> str:
         whose = f"spec={', '.join(map(repr, self._named))}" if self._named else "without runs"

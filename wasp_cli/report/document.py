@@ -15,7 +15,7 @@ from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure, profile_figure
-from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
+from wasp_cli.report.figures.style import CAPTIONS, ENDINGS, figure_files
 from wasp_cli.report.notes import Note, lines_of
 from wasp_cli.report.page.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
@@ -23,7 +23,7 @@ from wasp_cli.report.render import RENDERERS, make_own, markdown, markdown_text,
 from wasp_cli.report.stats.frame import Frame, Missing
 from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.artifacts import Trained, duration, numbers_text, trained_markdown
-from wasp_cli.report.trained.figures import learning_figure, reliability_figure
+from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
@@ -180,6 +180,7 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
     """Write every figure that has something to show, as PNG and SVG; returns the files."""
     of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
-    of_parts = (learning_figure, reliability_figure)
-    drawn = [path for draw in of_cells for path in draw(frame, folder)]
-    return drawn + [path for draw in of_parts for path in draw(layout, trained, folder)]
+    files = [path for draw in of_cells for path in draw(frame, folder)]
+    for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
+        files += [] if figure is None else figure_files(figure, folder, name)
+    return files

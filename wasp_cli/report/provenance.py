@@ -115,7 +115,6 @@ class Origins:
 
 
 def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What computed an artifact: commit, Python and libraries, each with its version."""
     provenance = manifest["provenance"]
     git, python, libraries = (provenance.get(name) for name in ("git", "python", "versions"))
     if isinstance(git, Mapping) and isinstance(git.get("sha"), str):

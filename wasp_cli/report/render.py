@@ -256,7 +256,7 @@ def rendered(template: str, /, **values: Any) -> Markup:
     """Fill a template of `page/templates`; an undefined name is an error."""
     from markupsafe import Markup
 
-    return Markup(_environment().get_template(template).render(values))  # every value in it has been escaped
+    return Markup(templates("wasp_cli.report.page").get_template(template).render(values))  # every value in it has been escaped
 
 
 def trusted(name: str) -> Markup:
@@ -267,13 +267,14 @@ def trusted(name: str) -> Markup:
 
 
 @cache
-def _environment() -> Environment:
+def templates(*packages: str) -> Environment:
+    """Return the templates of some packages, which escape; of one name the first package's."""
     # Imported here: most commands write no HTML.
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("wasp_cli.report.page"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        keep_trailing_newline=True,
+        loader=ChoiceLoader(list(map(PackageLoader, packages))), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
     environment.globals |= {"plain": plain, "data_uri": data_uri}
     return environment

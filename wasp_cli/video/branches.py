@@ -85,7 +85,6 @@ class BranchPair:
     """Both branches of one decision."""
 
     def __init__(self, source: Source, episode: int, t: int, window: int, progress: Progress) -> None:
-        """Play the cell again up to decision `t`, then both branches."""
         with threads_of_evaluations():
             world = source.world()
             recording = _RecordingTask(world, episode)
@@ -165,7 +164,6 @@ class BranchPair:
 
 
 def _window(paths: Sequence[Floats]) -> tuple[Floats, float]:
-    """Middle [2] and half the side of a map that shows all paths."""
     places = np.concatenate(list(paths))
     low, high = places.min(0), places.max(0)
     return (low + high) / 2.0, float(np.clip(ROOM * (high - low).max() / 2.0 + 0.2, NARROWEST, WIDEST))

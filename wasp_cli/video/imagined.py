@@ -158,7 +158,6 @@ def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, F
 
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
-    """One readout per strength."""
     x = np.asarray(features, np.float64)
     if not len(x):
         raise ValueError("no decision to fit a readout to")

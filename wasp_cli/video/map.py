@@ -85,7 +85,6 @@ class MapView:
     """Draws one episode, scene after scene."""
 
     def __init__(self, appearance: Appearance, size: int) -> None:
-        """Draw a task of this appearance as images of `size` px."""
         self._appearance, self._size = appearance, size
         self.half = min(appearance.map_half_side, WIDEST)
         whole = appearance.map_half_side <= WIDEST

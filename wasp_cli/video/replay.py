@@ -20,7 +20,7 @@ from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
 from wasp_cli.report.explain.stored import Episode, imagines_expert, number, read_episode
-from wasp_cli.report.node import mapping
+from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists, read_manifest, read_record, stored_keys
@@ -76,18 +76,9 @@ def replay(
 
     stored = read_episode(cell, episode)
     path = checked(default_name(stored, ".gif") if out is None else out)
-    source = source_of(layout, cell, episode)
-    made = film_episode(
-        source,
-        stored,
-        episode - source.first,
-        correction(stored),
-        stored.constants.horizon or HORIZON,
-        every or -(-stored.decisions // FRAMES),
-        path,
-        progress,
-    )
-    return path, made
+    source, horizon = source_of(layout, cell, episode), stored.constants.horizon or HORIZON
+    every = every or -(-stored.decisions // FRAMES)
+    return path, film_episode(source, stored, episode - source.first, correction(stored), horizon, every, path, progress)
 
 
 def replay_frames(layout: Layout, cell: FoundCell, episode: int, every: int | None) -> Iterator[NDArray[np.uint8]]:
@@ -112,12 +103,9 @@ def source_of(layout: Layout, cell: FoundCell, episode: int) -> Source:
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 
-    axes, upstream = cell.setting("axes"), upstream_of(cell)
-    known: dict[str, Any] = {
-        "task": cell.setting("task"),
-        "action_repeat": cell.setting("settings", "action_repeat"),
-        "seed": cell.setting("seed"),
-    }
+    axes, upstream = cell.setting("axes"), dict(upstream_of(cell.manifest).values())
+    known: dict[str, Any] = {"action_repeat": cell.setting("settings", "action_repeat")}
+    known |= {"task": cell.setting("task"), "seed": cell.setting("seed")}
     known |= {name: axes.get(name) for name in ("operator", "value")} if isinstance(axes, dict) else {}
     said = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
     if not said or not all(kind in upstream for kind in MODELS):
@@ -169,14 +157,6 @@ def _alone(cell: FoundCell, episode: int) -> Recorded:
     stored = read_episode(cell, episode)
     a_h, a, reward = (np.asarray(values, np.float32) for values in (stored.a_h, stored.a, stored.numbers["reward"]))
     return Recorded([int(stored.row["episode_seed"])], [a_h], [a], [reward], episode)
-
-
-def upstream_of(cell: FoundCell) -> dict[str, str]:
-    """Return the keys of what a cell was computed from, by kind."""
-    keys, kinds = cell.setting("upstream"), cell.setting("upstream_kinds")
-    if not isinstance(keys, dict) or not isinstance(kinds, dict):
-        return {}
-    return {str(kinds[role]): str(key) for role, key in keys.items() if role in kinds}
 
 
 def correction(stored: Episode) -> Correction:
@@ -319,7 +299,7 @@ def criterion_of(layout: Layout, cell: FoundCell) -> Criterion:
                 with odd_tables_refused(path):
                     mine = read_branches(path).cell
                 return Criterion(mine.window, mine.tau_R, "the counterfactual branches of the cell")
-    calibration = upstream_of(cell).get("calibration")
+    calibration = dict(upstream_of(cell.manifest).values()).get("calibration")
     if calibration is not None:
         with suppress(WaspError):
             found = read_record(layout.within(layout.artifact("calibration", calibration) / "calibration.json")) or {}

@@ -26,7 +26,6 @@ class Timeline:
     """The drawn curves, and where the cursor is."""
 
     def __init__(self, episode: Episode, width: int, height: int) -> None:
-        """Draw them once, as an image of `width` x `height` px."""
         # Imported here: matplotlib takes most of a second.
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -86,7 +85,6 @@ def _draw_curve(panel: Axes, curve: Curve) -> None:
 
 
 def _draw_strip(panel: Axes, episode: Episode) -> None:
-    """Interventions by gate above, costs below."""
     rows = [(1.1, episode.gate == gate, look.colour) for gate, look in LOOKS.items()]
     for y, where, colour in [*rows, (0.1, episode.costly, COST)]:
         panel.broken_barh([(t - 0.5, 1) for t in np.flatnonzero(where).tolist()], (y, 0.8), facecolors=colour, linewidth=0)

@@ -1,4 +1,4 @@
-"""The cells of a results folder for a table: names from plans and manifests, and their numbers."""
+"""The cells of a results folder for a table: names at once, from plans and manifests; their numbers as they are read, in the background."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import cell_file
 
 FRESH = 2.0  # seconds for which a listing counts as new: a live store grows
+TOGETHER = 250  # cells whose numbers are read in one go, before the page is told of them
 COLUMNS = PAPER_COLUMNS  # what the table shows of a cell, as reports print it
 
 
@@ -37,7 +38,6 @@ class Shown:
 
     @property
     def texts(self) -> list[str]:
-        """Return the number of each of COLUMNS as a report prints it; nothing where there are no rows."""
         if self.numbers is None:
             return []
         return [column.number(self.numbers.pooled[column.key]) for column in COLUMNS]
@@ -68,8 +68,10 @@ class Cells:
         self._labels: Counter[str] = Counter()
         self._problems: list[str] = []
         self._at = -FRESH
-        self._read: dict[str, Shown] = {}  # as they are stored: what is marked as invalid is in them
+        self._read: dict[str, Shown] = {}
+        """As they are stored: what is marked as invalid is in them."""
         self._lock = threading.RLock()
+        self._reader: threading.Thread | None = None
 
     def listed(self) -> list[ListedCell]:
         """Return every cell: those of the last run of each spec, then what else is in the store; each key once."""
@@ -87,22 +89,45 @@ class Cells:
 
     @property
     def problems(self) -> list[str]:
-        """What could not be listed, and why."""
         self.listed()
         return self._problems
 
-    def numbers(self) -> Mapping[str, Shown]:
-        """Return the numbers of all cells by key; those that have rows are read once, since what is stored does not change."""
-        cells = self.listed()
+    def numbers(self) -> tuple[Mapping[str, Shown], int]:
+        """Return what is known by key, and how many cells are yet to be read; reading goes on in the background."""
+        left = [cell for cell in self.listed() if cell.key not in self._read]
         with self._lock:
-            self._read |= self._shown([cell for cell in cells if cell.key not in self._read])
-            shown = self._without_invalid(self._read)
-            self._read = {key: each for key, each in self._read.items() if each.numbers is not None}  # the others may be there next time
-        return shown
+            if left and (self._reader is None or not self._reader.is_alive()):
+                self._reader = threading.Thread(target=self._read_all, args=(left,), daemon=True, name="cells")
+                self._reader.start()
+        return self._without_invalid(self._read), len(left)
+
+    def wait(self) -> Mapping[str, Shown]:
+        """Return the numbers of all cells, read to the end."""
+        while self.numbers()[1]:
+            reader = self._reader
+            if reader is not None:
+                reader.join()
+        return self.numbers()[0]
+
+    def refresh(self) -> None:
+        """Read the cells without rows again: what was absent may be there by now."""
+        with self._lock:
+            self._read = {key: shown for key, shown in self._read.items() if shown.numbers is not None}
 
     def one(self, cell: ListedCell) -> Shown:
         """Return the numbers of one cell, read now."""
         return self._without_invalid(self._shown([cell]))[cell.key]
+
+    def _read_all(self, cells: Sequence[ListedCell]) -> None:
+        for first in range(0, len(cells), TOGETHER):
+            part = cells[first : first + TOGETHER]
+            try:
+                shown = self._shown(part)
+            except Exception as error:  # whatever is wrong with one of them, the page must not wait for ever
+                reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+                shown = {cell.key: Shown(None, 0, reason, damaged=True) for cell in part}
+            with self._lock:
+                self._read = {**self._read, **shown}
 
     def _shown(self, cells: Sequence[ListedCell]) -> dict[str, Shown]:
         """Read single cells; what is wrong with one is said of that one."""

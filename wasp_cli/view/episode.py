@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +22,10 @@ from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.explain.timeline import LOOKS, timeline
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.report.tables.table import Column
+from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
 from wasp_cli.video.replay import Criterion, Verdict, judge
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
@@ -32,6 +36,7 @@ if TYPE_CHECKING:
 
 WIDTH = 92  # columns of an explanation where the page does not say how many it has room for
 NARROWEST, WIDEST = 40, 140
+KEPT = 8  # episodes that are kept in memory: the next decision is mostly of the same one
 COLUMNS = (
     Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
     Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
@@ -71,22 +76,23 @@ def episode_view(
     return {
         "label": cell.label, "number": number, "decisions": stored.decisions, "step": first, "lanes": timeline(stored),
         "stops": stops(stored), "branched": [] if branches is None else branches.t[branches.episode == number].tolist(),
-        "seconds": stored.constants.decision_seconds or 0, "problem": problem, "seen": SEEN,
-        "part": step_part(site, cell, stored, first, branches),
+        "seconds": stored.constants.decision_seconds or 0, "problem": problem, "seen": SEEN, "part": step_part(site, cell, stored, first),
         "explain": f"{site.links.episode(cell, number)}/explain" if live else "",
-        "every": [] if live else [step_part(site, cell, stored, t, branches) for t in range(stored.decisions)],
+        "every": [] if live else [step_part(site, cell, stored, t) for t in range(stored.decisions)],
         "numbers": [(column.heading, column.number(stored.row[column.key])) for column in COLUMNS],
         "films": {kind: site.links.film(cell, number, kind) for kind in (FILM, REPLAY)}, "legend": film.get("legend", []),
         "frames": {name: film.get(name) for name in ("state", "ready", "frames", "every", "ending")},
     }  # fmt: skip
 
 
-def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, branches: Branches | None, width: int | None = None) -> Markup:
+def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: int | None = None) -> Markup:
     """Return the explanation of a decision, with both branches where they were computed."""
     from markupsafe import Markup
 
     stored.require(step)
-    verdict = verdict_of(stored, branches, step)
+    verdict = None
+    with suppress(StoreError):  # the page has said it
+        verdict = verdict_of(stored, branches_of(site.layout, cell), step)
     drawn = verdict is not None and site.links.live and not without_steps(stored.cell.manifest)
     film = f"{site.links.film(cell, int(stored.row['episode']), BRANCHES)}?step={step}" if drawn else ""
     words = as_html(decision_lines(stored, step, min(max(WIDTH if width is None else width, NARROWEST), WIDEST)))
@@ -94,10 +100,17 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, branches
 
 
 def load(cell: FoundCell, number: int) -> Episode:
-    """Read an episode."""
-    if not cell.path.exists():
-        raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed")
-    return read_episode(cell, number)
+    """Read an episode, or take it from memory where its file is as it was."""
+    try:
+        state = cell.path.stat()
+    except OSError as error:
+        raise StoreError(f"{cell.path} is not there: the cell is not computed yet, or was removed") from error
+    return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(KEPT)
+def _load(path: Path, key: str | None, number: int, stamp: tuple[int, int]) -> Episode:
+    return read_episode(FoundCell(path, key, read_record(path.with_name(MANIFEST)) or {}), number)
 
 
 def stops(stored: Episode) -> list[int]:
@@ -113,6 +126,12 @@ def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
     path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE)
     if not path.is_file():
         return None
+    state = path.stat()
+    return _branches(path, (state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(KEPT)
+def _branches(path: Path, stamp: tuple[int, int]) -> Branches:
     with odd_tables_refused(path):
         return read_branches(path)
 

@@ -32,16 +32,28 @@ Pair = tuple[tuple[ListedCell, FoundCell], tuple[ListedCell, FoundCell]]
 
 
 def cells_page(site: Site) -> str:
-    """Return the table of all cells."""
-    numbers = site.cells.numbers()
+    """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
+    site.cells.refresh()
+    known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
+    unread = [""] * (len(COLUMNS) + 2)
     rows: list[dict[str, Any]] = [
-        {"key": cell.key, "href": site.links.cell(cell), "words": words(cell), "numbers": numbers[cell.key].row}
+        {
+            "key": cell.key, "href": site.links.cell(cell), "words": words(cell),
+            "numbers": known[cell.key].row if cell.key in known else unread,
+        }
         for cell in site.cells.listed()
-        if cell.key in numbers
-    ]
+    ]  # fmt: skip
     choices = {name: sorted({row["words"][place] for row in rows} - {""}, key=_numeric) for place, name in enumerate(NAMES)}
     problems = site.cells.problems
-    return site.render("cells.html", "Cells", rows=rows, choices=choices, columns=COLUMNS, names=NAMES, problems=problems, first=FIRST)
+    return site.render(
+        "cells.html", "Cells", rows=rows, choices=choices, columns=COLUMNS, names=NAMES, left=left, problems=problems, first=FIRST
+    )
+
+
+def numbers(site: Site, after: int = 0) -> dict[str, Any]:
+    """Return the numbers of cells that are read by now, but for the first so many; how many are known, and how many are not."""
+    known, left = site.cells.numbers()
+    return {"left": left, "known": len(known), "numbers": {key: shown.row for key, shown in islice(known.items(), after, None)}}
 
 
 def cell_page(site: Site, text: str) -> str:

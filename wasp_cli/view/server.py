@@ -7,7 +7,6 @@ changes no result, is a POST from one of our own pages.
 from __future__ import annotations
 
 import sys
-import threading
 import time
 import traceback
 import webbrowser
@@ -23,9 +22,9 @@ from starlette.responses import JSONResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 
 from wasp_cli.console import plain, say
-from wasp_cli.errors import StoreError, UsageError, WaspError
+from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.view import pages, runs
-from wasp_cli.view.episode import branches_of, episode_page, load, step_part
+from wasp_cli.view.episode import episode_page, load, step_part
 from wasp_cli.view.films import KINDS, Films
 from wasp_cli.view.site import Site
 from wasp_cli.web.server import LocalServer, local, own_origin, page
@@ -50,13 +49,13 @@ class ViewServer(LocalServer):
     """Serves the pages of a results folder, from a thread of its own until it is stopped."""
 
     def __init__(self, site: Site, port: int = 0) -> None:
-        """Take a port, 0 for any free one."""
         self.site = site
         film = "/film/{key}/{number:int}/{kind}"
         answers: dict[str, Answer] = {
             "/": lambda _: runs.home_page(site),
             "/static/{name}": self._file,
             "/cells": lambda _: pages.cells_page(site),
+            "/cells/numbers": lambda request: _json(pages.numbers(site, _number(request, "after") or 0)),
             "/cell/{cell:path}/episode/{number:int}/explain": self._explain,
             "/cell/{cell:path}/episode/{number:int}": lambda request: episode_page(
                 site, request.path_params["cell"], request.path_params["number"], _number(request, "step")
@@ -143,10 +142,7 @@ class ViewServer(LocalServer):
     def _explain(self, request: Request) -> str:
         cell, artifact = self.site.one(request.path_params["cell"])
         stored = load(artifact, request.path_params["number"])
-        branches = None
-        with suppress(StoreError):  # the page has said it
-            branches = branches_of(self.site.layout, cell)
-        return str(step_part(self.site, cell, stored, _number(request, "step") or 0, branches, _number(request, "width")))
+        return str(step_part(self.site, cell, stored, _number(request, "step") or 0, _number(request, "width")))
 
     def _beside(self, request: Request) -> str:
         a, b = (request.query_params.get(name, "") for name in ("a", "b"))
@@ -182,7 +178,7 @@ def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
         raise UsageError(f"'{place}' is no place", "places begin with a slash: /cells, /cell/LABEL/episode/3?step=100")
     server = ViewServer(site, port)
     server.start()
-    threading.Thread(target=site.cells.numbers, daemon=True).start()  # read while the browser starts
+    site.cells.numbers()  # read while the browser starts
     address = server.opening(place)
     say(f"view here: {address}")
     plain(

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tests.report.invented_check import write_returns
+from tests.report.invented import write_returns
 from wasp_cli.plan.grid import cells_of
 from wasp_cli.report.render import csv_text, markdown, terminal, write_pages
 from wasp_cli.report.stats.frame import Frame, Wanted
@@ -94,7 +94,6 @@ def test_missing_cells_are_marked_and_left_out_of_both_sides(tmp_path: Path) -> 
     assert (judge(noisy).outcome, judge(laggy).outcome) == ("accepted", "incomplete")
     assert laggy.share(laggy.levels[0]) == pytest.approx(8.5 / 12.5)  # of the expert's seeds 0 and 1 alone
     change = laggy.changes()[0]
-    assert change is not None
     assert (change.mean, change.pairs) == (-4.0, 4)
     text = markdown(check_table(checks, frame))
     assert "| Laggy | moderate 0.7 [2 of 3 cells] | 8.50 ± 0.71 | 68.0 |" in text

@@ -46,12 +46,10 @@ class Run:
 
     @property
     def decisions(self) -> int:
-        """Return how many."""
         return self.last - self.first + 1
 
     @property
     def gate(self) -> str:
-        """Return the most frequent gate."""
         return max(self.gates, key=self.gates.__getitem__)
 
 
@@ -290,7 +288,6 @@ def decision_json(episode: Episode, t: int) -> dict[str, Any]:
 
 
 def _who(episode: Episode) -> dict[str, Any]:
-    """Which episode it is."""
     names = ("task", "method", "variant", "operator", "value", "seed", "episode")
     return {
         "key": episode.cell.key, "label": episode.label, "path": str(episode.cell.path), **{name: episode.row[name] for name in names},

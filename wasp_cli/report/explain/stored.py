@@ -77,17 +77,14 @@ class Episode:
 
     @property
     def decisions(self) -> int:
-        """Return T."""
         return len(self.gate)
 
     @property
     def method(self) -> str:
-        """Return who assists."""
         return str(self.row["method"])
 
     @property
     def variant(self) -> str:
-        """Return the ablation of the method; `full` for the method itself."""
         return str(self.row["variant"])
 
     @property
@@ -99,7 +96,6 @@ class Episode:
 
     @property
     def title(self) -> str:
-        """Return the title on a picture of the episode."""
         return f"{self.label}, episode {self.row['episode']}"
 
     def require(self, t: int) -> None:
@@ -109,7 +105,6 @@ class Episode:
 
     @property
     def thresholds(self) -> Thresholds:
-        """Return the thresholds; None where the method has none."""
         return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
 
     @property
@@ -132,7 +127,6 @@ class Episode:
 
     @property
     def gated(self) -> bool:
-        """Tell whether the method has WASP's gates."""
         fired = np.isin(self.gate, (GATE_SAFETY, GATE_TASK)).any()
         return bool(fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_r is not None)  # others may bound a cost too
 
@@ -212,8 +206,8 @@ def _read(cell: FoundCell, episode: int) -> Episode:
 
 def _floats(values: list[float | None]) -> Floats:
     """Real numbers; null and infinities are NaN."""
-    found = np.array([math.nan if value is None else value for value in values], np.float64)
-    return np.where(np.isfinite(found), found, np.nan)
+    numbers = np.array(values, np.float64)
+    return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
 def _lists(values: list[list[Any] | None]) -> tuple[tuple[Any, ...] | None, ...]:

@@ -348,7 +348,6 @@ def _corrections(episode: Episode, facts: Decision, plan: Planned) -> list[Rende
 
 
 def _case(episode: Episode, case2: bool) -> str:
-    """What the planner makes of a batch of candidates."""
     feasible = episode.constants.feasible
     needed = "N_f" if feasible is None else f"N_f = {feasible}"
     if not case2:

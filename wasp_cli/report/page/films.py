@@ -77,12 +77,10 @@ class TaskFilms:
 
     @property
     def decisions(self) -> int:
-        """Of the longest one."""
         return max(film.episode.decisions for film in self.films)
 
     @property
     def decision_seconds(self) -> float | None:
-        """Simulated time of a decision."""
         return next((film.episode.constants.decision_seconds for film in self.films), None)
 
 

@@ -33,8 +33,8 @@ COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")  # what is read of a cell
 
 THREADS = 4
 """That read cells side by side: a disk answers several, and unpacking a column holds up no other thread."""
-TOGETHER = 50
-"""Cells that a thread reads in one go: handing them over one by one would cost half as much as reading them."""
+
+TOGETHER = 50  # cells that a thread reads in one go: handing them over one by one would cost half as much as reading them
 
 JUDGED = ("uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, in the cells that have one (`report.stats.branches`)."""
@@ -95,7 +95,6 @@ class CellNumbers:
 
     @property
     def count(self) -> int:
-        """E, its episodes"""
         return len(self.episodes["world"])
 
     def weighted(self, key: str) -> tuple[Floats, Floats]:
@@ -144,6 +143,10 @@ class Group:
     absent: int  # cells that are missing
 
     @property
+    def assistant(self) -> tuple[str, str, str]:
+        return self.task, self.method, self.variant
+
+    @property
     def complete(self) -> bool:
         """Whether the row may be compared with others."""
         return self.absent == 0
@@ -175,14 +178,13 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
     wanted = tuple(wanted)
     parts = [wanted[i : i + TOGETHER] for i in range(0, len(wanted), TOGETHER)]
     with ThreadPoolExecutor(THREADS) as threads:
-        found = [each for part in threads.map(lambda part: list(map(_read, part)), parts) for each in part]
-    read = [(cell, each) for cell, each in zip(wanted, found, strict=True) if not isinstance(each, Missing)]
-    missing = tuple(each for each in found if isinstance(each, Missing))
+        found = [numbers for part in threads.map(lambda part: list(map(_read, part)), parts) for numbers in part]
+    read = [(cell, numbers) for cell, numbers in zip(wanted, found, strict=True) if not isinstance(numbers, Missing)]
+    missing = tuple(gap for gap in found if isinstance(gap, Missing))
     return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
 
 
 def _read(cell: Wanted) -> Numbers | Missing:
-    """The rows of a cell, or why there are none."""
     if cell.refused is not None:
         return Missing(cell.identity, cell.label, cell.refused)
     if not cell.path.exists():
@@ -256,17 +258,16 @@ def pool_cells(found: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
         part = slice(int(starts[i]), int(starts[i + 1]))
         episodes = {name: values[part] for name, values in columns.items()}
         of_cell = {name: float(values[i]) for name, values in pooled.items()}
-        of_cell |= {name: _median(episodes[name]) for name in TIMES}
+        of_cell |= {name: median_of(episodes[name]) for name in TIMES}
         cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds, cell.chain_seed))
     return cells
 
 
 def _floats(table: pa.Table, name: str) -> Floats:
-    """A column as float64; null is NaN."""
     return np.asarray(table[name].combine_chunks().cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64)
 
 
-def _median(values: Floats) -> float:
-    defined = np.sort(values[~np.isnan(values)])
-    # That of NumPy takes several times as long for so few numbers.
-    return float(defined[(len(defined) - 1) // 2] + defined[len(defined) // 2]) / 2 if len(defined) else float("nan")
+def median_of(values: Floats) -> float:
+    """Return the median of the defined values; NaN without any."""
+    defined = values[~np.isnan(values)]
+    return float(np.median(defined)) if len(defined) else float("nan")

@@ -108,7 +108,6 @@ class Line:
 
     @property
     def text(self) -> str:
-        """The value in tables."""
         return UNTOUCHED if self.swept is None else self.swept.text
 
     def values(self, columns: Sequence[Column]) -> tuple[Value, ...]:
@@ -134,7 +133,7 @@ class Line:
 
 def lines(swept: Sequence[Swept]) -> list[Line]:
     """List a line for each assistant and value, in the order of the spec; one for an assistant that the setting does not touch."""
-    found = [{_assistant(group): group for group in groups(each.frame)} for each in swept]
+    found = [{group.assistant: group for group in groups(each.frame)} for each in swept]
     result = []
     for assistant in dict.fromkeys(assistant for by_assistant in found for assistant in by_assistant):
         same = not _touched(swept, assistant)
@@ -162,7 +161,7 @@ def operator_lines(swept: Sequence[Swept], of: Iterable[Line]) -> list[Line]:
 def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
     """Tabulate per task, method and value the mean over all operator variants and severities."""
     found = lines(swept)
-    rows = [Row((task_title(line.group.task), _title(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in found]
+    rows = [Row((*labels_of(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in found]
     frame = combined(key, swept)
     notes = (spread_note(frame.cells), *missing_notes(frame), CHOICE)
     meanings = (
@@ -178,7 +177,7 @@ def sweep_operator_table(key: str, swept: Sequence[Swept]) -> Table:
     rows = []
     for line in operator_lines(swept, lines(swept)):
         assert line.condition is not None
-        labels = (task_title(line.group.task), condition_title(line.condition), _title(line.group), line.text)
+        labels = (task_title(line.group.task), condition_title(line.condition), assistant_title(line.group), line.text)
         rows.append(Row(labels, line.values(SWEEP_OPERATOR_COLUMNS)))
     labels = ("Task", "Operator", "Method", key)
     return Table("sweep_operators", f"Values of {key}, per operator", labels, SWEEP_OPERATOR_COLUMNS, tuple(rows), grouping=2)
@@ -204,14 +203,6 @@ def condition_title(condition: Condition) -> str:
     return operator_title(variant) if value is None else f"{operator_title(variant)} {value:g}"
 
 
-def _title(group: Group) -> str:
-    return assistant_title(group, ablation=group.variant != "full")
-
-
-def _assistant(group: Group) -> tuple[str, str, str]:
-    return group.task, group.method, group.variant
-
-
 def _condition(identity: CellIdentity) -> Condition:
     return identity.operator, identity.value
 
@@ -226,9 +217,8 @@ def _touched(swept: Sequence[Swept], assistant: tuple[str, str, str]) -> bool:
 
 
 def _under(line: Line, swept: Sequence[Swept], condition: Condition) -> Line:
-    """A line with the cells of one operator variant and severity."""
     frame = (line.swept or swept[0]).frame
     absent = [gap.identity for gap in frame.missing if _condition(gap.identity) == condition]
-    own = sum((gap.task, gap.method, gap.variant) == _assistant(line.group) for gap in absent)
+    own = sum((gap.task, gap.method, gap.variant) == line.group.assistant for gap in absent)
     cells = tuple(cell for cell in line.group.cells if _condition(cell.identity) == condition)
     return replace(line, group=replace(line.group, cells=cells, absent=own), condition=condition)

@@ -57,7 +57,6 @@ def _line(group: Group, measure: Column) -> _Line:
 
 
 def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Table:
-    """The table for one reference, from the lines of every task and measure."""
     rows, chosen = [], []
     for found in lines:
         other = _reference(found, reference)
@@ -75,7 +74,6 @@ def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Ta
 
 
 def _reference(found: Sequence[_Line], reference: str) -> _Line | None:
-    """What the methods of a task are compared with in a measure."""
     if reference != BEST:
         return next((line for line in found if line.group.method == reference and line.group.cells), None)
     rivals = [line for line in found if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
@@ -113,7 +111,6 @@ def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
-    """What the limits are, and that they are many."""
     found = [value.interval for row in rows for value in row.values if value.interval is not None]
     if not found:
         yield "No intervals: there is a single world to resample."
@@ -123,7 +120,6 @@ def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _reference_notes(chosen: Sequence[_Line], reference: str) -> Iterator[str]:
-    """Who is the reference, and what choosing it does."""
     if not chosen:
         yield "The reference has no cells here, so that nothing is compared with it."
     elif reference == BEST:

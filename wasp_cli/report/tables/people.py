@@ -48,12 +48,10 @@ class Sitting:
 
     @property
     def participant(self) -> int:
-        """Return the number."""
         return int(self.cell.identity.value or 0)
 
     @property
     def condition(self) -> Condition:
-        """Return task, method and ablation."""
         return row_of(self.cell.identity)
 
 
@@ -238,9 +236,8 @@ def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sittin
         "Scales from 0 to 100. Raw TLX is the mean of NASA's six: mental, physical and temporal demand, performance (0 is perfect), "
         "effort, frustration; more is more load. Agency, trust and satisfaction: more is more.",
     )
-    return Table(
-        "questionnaires", "People: answers by condition", ("Task", "Scale"), columns, tuple(rows), _notes(sittings), meanings, ranked=False
-    )
+    title, labels = "People: answers by condition", ("Task", "Scale")
+    return Table("questionnaires", title, labels, columns, tuple(rows), _notes(sittings), meanings, ranked=False)
 
 
 def _order(sittings: Sequence[Sitting]) -> Table:
@@ -266,7 +263,6 @@ def _order(sittings: Sequence[Sitting]) -> Table:
 
 
 def _balance(sittings: Sequence[Sitting]) -> tuple[str, ...]:
-    """Say whether every condition stood in every place equally often."""
     placed = Counter((each.condition, each.place) for each in sittings if each.place is not None)
     cells = {condition for condition, _ in placed}, {place for _, place in placed}
     balanced = len(set(placed.values())) == 1 and len(placed) == len(cells[0]) * len(cells[1])
@@ -287,16 +283,8 @@ def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting])
         "arrival of a new key to the execution of the action that knows of it. Round trip: from a frame to its acknowledgement. "
         "cut: episodes that were given up; lost: connections that broke.",
     )
-    return Table(
-        "timing",
-        "People: were decisions in time?",
-        ("Task", "Condition"),
-        TIMES,
-        tuple(rows),
-        (people_fact(sittings),),
-        meanings,
-        ranked=False,
-    )
+    title, notes = "People: were decisions in time?", (people_fact(sittings),)
+    return Table("timing", title, LABELS, TIMES, tuple(rows), notes, meanings, ranked=False)
 
 
 def _own_beats(sitting: Sitting, number: int) -> pa.Table:

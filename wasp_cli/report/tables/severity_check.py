@@ -90,7 +90,6 @@ class SeverityCheck:
 
     @property
     def absent(self) -> int:
-        """Cells that are missing, those of the Expert too."""
         return self.expert.absent + sum(level.absent for level in self.levels)
 
     @property
@@ -174,7 +173,6 @@ def _steps(check: SeverityCheck) -> Iterator[Verdict]:
 
 
 def _loss(check: SeverityCheck) -> Verdict:
-    """Whether the moderate severity loses enough of the expert's return."""
     level = check.moderate
     if level is None:
         return Verdict("accepted", f"how much it loses is not judged: {without_moderate(check)}")
@@ -321,7 +319,6 @@ def _partial(level: SeverityLevel) -> str:
 
 
 def _left_out(checks: Sequence[SeverityCheck]) -> Iterator[str]:
-    """Where a part of the rule is not applied."""
     for check in {check.operator: check for check in checks}.values():
         if check.moderate is None:
             yield f"{operator_title(check.operator)}: how much it loses is not judged, since {without_moderate(check)}."

@@ -33,7 +33,6 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """The title with the direction in which numbers get better."""
         return self.title + {"up": " ↑", "down": " ↓", None: ""}[self.better]
 
     def number(self, value: float | None, sign: bool = False) -> str:
@@ -144,11 +143,10 @@ def operator_title(variant: str) -> str:
     return "Unimpaired" if variant == UNIMPAIRED else OPERATORS[variant].title
 
 
-def assistant_title(group: Group, ablation: bool = False) -> str:
-    """Return the label of a row; an incomplete one says of how many cells it is the mean."""
-    info = METHODS[group.method]
-    title = info.title
-    if ablation:
+def assistant_title(group: Group, *, name_full: bool = False) -> str:
+    """Return the label of a row, with its ablation where it is one; an incomplete row says of how many cells it is the mean."""
+    title = METHODS[group.method].title
+    if name_full or group.variant != "full":
         title += f", {variant_title(group.method, group.variant)}"
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
@@ -162,11 +160,6 @@ def who_title(method: str, variant: str) -> str:
     """
     title = METHODS[method].title if method in METHODS else method
     return title if variant == "full" else f"{title}, {variant_title(method, variant)}"
-
-
-def is_row(group: Group) -> bool:
-    """Return whether a row stands in every table: a method as a whole, and no ablation."""
-    return group.variant == "full"
 
 
 def variant_title(method: str, variant: str) -> str:

@@ -78,7 +78,8 @@ def trained_artifacts(
             trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary, kind)
             origins.add(manifest)
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
-            damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
+            what = f"no '{error.args[0]}'" if isinstance(error, KeyError) else " ".join(str(error).split())
+            damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {what}")
             return
         del artifacts[key]  # so that it stands behind what it needs
         artifacts[key] = trained if kind not in NOT_TRAINED else None
@@ -86,10 +87,6 @@ def trained_artifacts(
     for kind, key in roots:
         visit(kind, key)
     return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(damaged)
-
-
-def _missing_part(error: Exception) -> str:
-    return f"no '{error.args[0]}'" if isinstance(error, KeyError) else " ".join(str(error).split())
 
 
 def trained_markdown(artifacts: Iterable[Trained]) -> str:
@@ -147,12 +144,6 @@ def read_json(layout: Layout, artifact: Trained, name: str) -> Any:
     return None
 
 
-def config_of(layout: Layout, artifact: Trained) -> Mapping[str, Any]:
-    """Return the configuration of an artifact's stage; an empty one where the manifest has none."""
-    config = read_manifest(layout, artifact.kind, artifact.key).get("config")
-    return config if isinstance(config, dict) else {}
-
-
 @contextmanager
 def open_parquet(layout: Layout, path: Path) -> Iterator[pq.ParquetFile]:
     """Open a Parquet file of an artifact; one of UNREADABLE where it is no plain file or damaged."""
@@ -169,20 +160,6 @@ def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[s
         return file.read(columns=list(columns), use_threads=False)
 
 
-def rows_of(value: Any) -> list[Mapping[str, Any]]:
-    """Return the mappings of a list; none where the value is no list."""
-    return [row for row in value if isinstance(row, dict)] if isinstance(value, list) else []
-
-
 def column_of(rows: Sequence[Mapping[str, Any]], name: str) -> Floats:
-    """Return a number of every row: [n], NaN where it is none."""
-    return numbers_of([row.get(name) for row in rows])
-
-
-def numbers_of(values: Any) -> Floats:
-    """Return real numbers: [n], NaN where a value is none; empty where the value is no list."""
-    if not isinstance(values, list):
-        return np.empty(0)
-    plain = [float(value) if isinstance(value, int | float) else math.nan for value in values]
-    array = np.array(plain, np.float64)
-    return np.where(np.isfinite(array), array, np.nan)
+    """Return a number of every row: [n], NaN where there is none."""
+    return np.array([row.get(name) for row in rows], np.float64)

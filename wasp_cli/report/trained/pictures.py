@@ -233,7 +233,6 @@ def _images(layout: Layout, shards: list[Path], rows: Ints) -> dict[int, NDArray
 
 
 def _fitting(text: str, font: Any) -> str:
-    """As much of a text as a frame is wide."""
     if font.getlength(text) <= FRAME:
         return text
     return next(short for end in range(len(text) - 1, -1, -1) if font.getlength(short := text[:end] + "...") <= FRAME)

@@ -147,7 +147,6 @@ def _incomplete(training: _Training) -> tuple[str, ...]:
 
 
 def _share(training: _Training, parts: Sequence[Part]) -> str:
-    """How many of the parts behind a row are there, unless all are."""
     absent = len(training.missing(parts))
     return f" [{len(parts) - absent} of {len(parts)} parts]" if absent else ""
 

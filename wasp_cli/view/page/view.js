@@ -50,6 +50,25 @@
     else more.hidden = body.rows.length <= limit;
   }
 
+  function numbered(table) {
+    if (!table.dataset.numbers || !Number(table.dataset.left)) return;
+    const rows = new Map(Array.from(table.tBodies[0].rows).map((row) => [row.dataset.k, row]));
+    let known = 0;
+    async function more() {
+      const answer = await fetch(table.dataset.numbers + "?after=" + known);
+      if (!answer.ok) return;
+      const { left, known: now, numbers } = await answer.json();
+      known = now;
+      for (const [key, texts] of Object.entries(numbers)) {
+        const row = rows.get(key);
+        if (row) texts.forEach((text, place) => { row.cells[5 + place].textContent = text; });
+      }
+      table.dataset.left = left;
+      if (left) setTimeout(more, 400);
+    }
+    setTimeout(more, 200);
+  }
+
   // An address that can be sent; a file of a bundle may not change its own.
   function address(query) {
     try { history.replaceState(null, "", query ? "?" + query : location.pathname); } catch (error) { /* a file: it keeps its name */ }
@@ -261,7 +280,7 @@
 
   all("table.sortable, #cells").forEach(sortable);
   const cells = one("#cells");
-  if (cells) filtered(cells, one("#filters"));
+  if (cells) { filtered(cells, one("#filters")); numbered(cells); }
   const bar = one("#scrubber");
   if (bar && one("section.episode")) scrubbed(bar);
   all("[data-follow]").forEach(following);
