@@ -84,19 +84,15 @@ def test_other_decision_times_are_no_difference(first: Side, tmp_path: Path) -> 
     assert states(compare(first, second)) == NONE | {"same": 8}
 
 
-def test_what_changed_in_the_spec_is_named_for_the_cells_that_it_reaches(first: Side, tmp_path: Path) -> None:
-    second = write_results(tmp_path / "results", wasp={"tau_c": 0.9})
-    compared = compare(first, second)
-    assert states(compared) == NONE | {"same": 4, "same rows": 4}
-    assert compared.causes == [("spec changed: wasp.tau_c 1.0 -> 0.9", 4)]
+@pytest.mark.parametrize(
+    ("changes", "cause", "reached"),
+    [({"wasp": {"tau_c": 0.9}}, "wasp.tau_c 1.0 -> 0.9", 4), ({"world_model": {"updates": 30}}, "world_model.updates 20 -> 30", 8)],
+)
+def test_what_changed_is_named_where_it_began(changes: Any, cause: str, reached: int, first: Side, tmp_path: Path) -> None:
+    compared = compare(first, write_results(tmp_path / "results", **changes))
+    assert states(compared) == NONE | {"same": 8 - reached, "same rows": reached}
+    assert compared.causes == [(f"spec changed: {cause}", reached)]
     assert compared.alike
-
-
-def test_what_changed_upstream_is_followed_to_where_it_began(first: Side, tmp_path: Path) -> None:
-    second = write_results(tmp_path / "results", world_model={"updates": 30})
-    compared = compare(first, second)
-    assert states(compared) == NONE | {"same rows": 8}
-    assert compared.causes == [("spec changed: world_model.updates 20 -> 30", 8)]
 
 
 def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) -> None:
