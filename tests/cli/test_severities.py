@@ -11,7 +11,7 @@ import pytest
 from click.testing import Result
 
 from tests.commands import run_here
-from tests.report.invented_check import write_returns
+from tests.report.invented import write_returns
 from tests.run.harness import Fakes, fakes
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.derived import operators_alone

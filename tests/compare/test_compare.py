@@ -59,7 +59,6 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
     (cell,) = compared.having("differs")
     assert (cell.identity, cell.keys) == (altered, (key, key))
     assert cell.beyond == ("cost", "viol")
-    assert cell.paired is not None
     costs = [
         sum(read_episodes([side.layout.artifact("evaluate", key) / EPISODES_FILE])["cost"].to_pylist()) / 8 for side in (first, second)
     ]
@@ -85,19 +84,15 @@ def test_other_decision_times_are_no_difference(first: Side, tmp_path: Path) -> 
     assert states(compare(first, second)) == NONE | {"same": 8}
 
 
-def test_what_changed_in_the_spec_is_named_for_the_cells_that_it_reaches(first: Side, tmp_path: Path) -> None:
-    second = write_results(tmp_path / "results", wasp={"tau_c": 0.9})
-    compared = compare(first, second)
-    assert states(compared) == NONE | {"same": 4, "same rows": 4}
-    assert compared.causes == [("spec changed: wasp.tau_c 1.0 -> 0.9", 4)]
+@pytest.mark.parametrize(
+    ("changes", "cause", "reached"),
+    [({"wasp": {"tau_c": 0.9}}, "wasp.tau_c 1.0 -> 0.9", 4), ({"world_model": {"updates": 30}}, "world_model.updates 20 -> 30", 8)],
+)
+def test_what_changed_is_named_where_it_began(changes: Any, cause: str, reached: int, first: Side, tmp_path: Path) -> None:
+    compared = compare(first, write_results(tmp_path / "results", **changes))
+    assert states(compared) == NONE | {"same": 8 - reached, "same rows": reached}
+    assert compared.causes == [(f"spec changed: {cause}", reached)]
     assert compared.alike
-
-
-def test_what_changed_upstream_is_followed_to_where_it_began(first: Side, tmp_path: Path) -> None:
-    second = write_results(tmp_path / "results", world_model={"updates": 30})
-    compared = compare(first, second)
-    assert states(compared) == NONE | {"same rows": 8}
-    assert compared.causes == [("spec changed: world_model.updates 20 -> 30", 8)]
 
 
 def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) -> None:
@@ -155,9 +150,7 @@ def test_few_episodes_cannot_show_a_difference_in_one_cell_among_many(first: Sid
     compared = compare(few, many)
     assert (len(compared.having("differs")), compared.beyond) == (8, [])
     table, summary = cells_table(compared), summary_table(compared)
-    assert table is not None
     assert table.notes[0].startswith("Too few episodes in 8 of 8 cells to differ by more than noise")
-    assert summary is not None
     cost = [each for row in summary.rows for column, each in zip(summary.columns, row.values, strict=True) if column.key == "cost"]
     assert all(each.interval is not None and each.interval.low > 0 for each in cost)
     assert {each.interval.unit for each in cost if each.interval} == {"training"}
@@ -175,7 +168,6 @@ def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path
     told_of: list[dict[str, Any]] = facts["cells"]
     for entry, cell in zip(told_of, compared.cells, strict=True):
         assert (entry["label"], entry["state"], entry["beyond"]) == (cell.label, cell.state, list(cell.beyond))
-        assert cell.paired is not None
         for name in MEASURES:
             assert entry["paired"]["differences"][name]["value"] == pytest.approx(cell.paired.differences[name].value, rel=1e-6)
     assert facts["alike"] is compared.alike

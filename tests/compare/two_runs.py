@@ -21,13 +21,9 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
 SPEC: Mapping[str, Any] = {
-    "name": "tiny",
-    "preset": "smoke",
-    "tasks": ["goal1"],
-    "methods": ["human", "wasp"],
+    "name": "tiny", "preset": "smoke", "tasks": ["goal1"], "methods": ["human", "wasp"], "seeds": [0, 1],
     "operators": {"noisy": {"mild": 0.2}, "laggy": {"mild": 0.5}},
-    "seeds": [0, 1],
-}
+}  # fmt: skip
 Make = Callable[[CellIdentity], list[Trajectory]]
 
 

@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
@@ -212,9 +211,3 @@ def test_a_record_that_is_not_ours_is_an_expected_error(copied: Path) -> None:
     (run / "plan.json").write_text(json.dumps(plan))
     with pytest.raises(Exception, match="cannot read the plan of the last run of 'golden'"):
         wasp_cli.results(copied).episodes()
-
-
-def test_tables_are_arrow(results: Results) -> None:
-    assert all(
-        isinstance(table, pa.Table) for table in (results.episodes(), results.steps(columns=["t"]), results.trained(), results.table())
-    )

@@ -37,7 +37,6 @@ def episode(model: LoadedWorldModel) -> tuple[np.ndarray, np.ndarray, torch.Tens
     seen, closed = task.reset([5]), Filter(model.module, 1)
     images, latents = [], []
     for t in range(8):
-        assert seen.pixels is not None
         images.append(seen.pixels[0].copy())
         with torch.inference_mode():
             latents.append(closed.see(seen, torch.tensor([float(t == 0)])).features[0])

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_SAFETY, Plans, Trajectory, episode_metrics
-from wasp_cli.report.explain.decision_text import decision_lines
-from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
+from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from tests.report.explained import NAN, PRINTED, WASP, Invented, text_of
 from wasp_cli.metrics.episode import Plans
-from wasp_cli.report.explain.decision_text import decision_lines
-from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.facts import decision_json, episode_json, merged_runs, places_of, runs_of
+from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.store.tables import Thresholds
 
 numbers = st.one_of(st.just(NAN), st.floats(-2, 2), st.sampled_from([0.0, 0.3, 1e6]))

@@ -44,7 +44,6 @@ def golden(name: str, text: str) -> str:
 @pytest.mark.parametrize("make", TABLES, ids=lambda make: make.__name__)
 def test_tables(frame: Frame, make: Callable[[Frame], Table | None], ending: str) -> None:
     table = make(frame)
-    assert table is not None
     text = RENDERERS[ending](table)
     assert text == golden(f"{table.name}.{ending}", text)
 

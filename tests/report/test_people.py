@@ -81,7 +81,6 @@ def test_participants_are_the_unit() -> None:
     assert (found.mean, found.sd, found.n) == (pytest.approx(6.0), pytest.approx(means.std(ddof=1)), 3)
     resampled = sorted(float(counts @ means) / 3 for counts in drawn(3))
     assert len(resampled) == RESAMPLES
-    assert found.interval is not None
     assert (found.interval.unit, found.interval.clusters) == ("participant", 3)
     np.testing.assert_allclose([found.interval.low, found.interval.high], np.quantile(resampled, [0.025, 0.975]), atol=1e-12)
 

@@ -38,17 +38,8 @@ def key(kind: str, number: int) -> str:
 
 @pytest.fixture
 def spec() -> Spec:
-    return validate(
-        {
-            "name": "tiny",
-            "preset": "smoke",
-            "tasks": ["goal1"],
-            "methods": ["human", "wasp", "expert"],
-            "operators": {"noisy": {"mild": 0.2, "severe": 0.6}},
-            "seeds": [0, 1],
-            "episodes": 2,
-        }
-    )
+    grid = {"tasks": ["goal1"], "methods": ["human", "wasp", "expert"], "operators": {"noisy": {"mild": 0.2, "severe": 0.6}}}
+    return validate({"name": "tiny", "preset": "smoke", **grid, "seeds": [0, 1], "episodes": 2})
 
 
 @pytest.fixture
@@ -68,14 +59,8 @@ def cells(spec: Spec, tmp_path: Path) -> Cells:
         manifest(layout, "evaluate", name, cell.seed, upstream, {"method": cell.method})
     for seed in spec.seeds:
         manifest(layout, "expert", key("expert", seed), seed, {})
-        manifest(
-            layout,
-            "world_model",
-            key("world_model", seed),
-            seed,
-            {"expert": key("expert", seed)},
-            summary={"cost_auprc": 0.51234},
-        )
+        trained = {"expert": key("expert", seed)}
+        manifest(layout, "world_model", key("world_model", seed), seed, trained, summary={"cost_auprc": 0.51234})
         judge = {"world_model": key("world_model", seed)}
         manifest(layout, "diagnostics", key("diagnostics", seed), seed, judge, summary={"auprc@5": 0.4})
         manifest(layout, "calibration", key("calibration", seed), seed, {"world_model": key("world_model", seed)}, {"method": "wasp"})
@@ -108,13 +93,7 @@ def test_complete(spec: Spec, cells: Cells, tmp_path: Path) -> None:
     endings = ("md", "csv", "tex", "html")
     assert {*(f"table1.{ending}" for ending in endings), "cost_return.png", "cost_return.svg"} <= {path.name for path in files}
     page = files[0].read_text(encoding="utf-8")
-    for text in (
-        "10 of 10 cells, 20 episodes",
-        "cost_auprc 0.5123",
-        "1 min 05 s",
-        "](cost_return.png)",
-        "`wasp.tau_c`",
-    ):
+    for text in ("10 of 10 cells, 20 episodes", "cost_auprc 0.5123", "1 min 05 s", "](cost_return.png)", "`wasp.tau_c`"):
         assert text in page
     assert "`ida.vote`" not in page  # IDA is not in this spec
     assert "Missing" not in page
@@ -139,12 +118,8 @@ def test_a_run_without_cells_reports_what_it_trained(spec: Spec, cells: Cells, t
         assert shown in page
         assert shown in text
     assert "Main results" not in page
-    names = {path.name for path in report.write(tmp_path / "out")}
-    assert names == {
-        "report.md",
-        "report.html",
-        *(f"{name}.{ending}" for name in ("training", "world_model") for ending in ("md", "csv", "tex", "html")),
-    }
+    tables = {f"{name}.{ending}" for name in ("training", "world_model") for ending in ("md", "csv", "tex", "html")}
+    assert {path.name for path in report.write(tmp_path / "out")} == {"report.md", "report.html"} | tables
 
 
 def test_artifacts_are_found_under_the_name_by_which_a_stage_reads_them(tmp_path: Path) -> None:
@@ -189,10 +164,11 @@ def test_an_empty_store_reads(spec: Spec, tmp_path: Path) -> None:
     assert "No cell has been computed yet" in files[0].read_text(encoding="utf-8")
 
 
-def test_a_damaged_manifest_is_a_fact_not_a_crash(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    Layout(tmp_path).manifest("expert", key("expert", 0)).write_text("{", encoding="utf-8")
+@pytest.mark.parametrize(("text", "fact"), [("{", "is damaged"), ("{}", "is damaged: no 'upstream'")])
+def test_a_damaged_manifest_is_a_fact_not_a_crash(text: str, fact: str, spec: Spec, cells: Cells, tmp_path: Path) -> None:
+    Layout(tmp_path).manifest("expert", key("expert", 0)).write_text(text, encoding="utf-8")
     report = report_run(tmp_path, spec, cells)
-    assert "is damaged" in report.facts[-1]
+    assert fact in report.facts[-1]
     assert [artifact.stage for artifact in report.trained].count("expert") == 1
 
 
@@ -201,13 +177,6 @@ def test_durations_and_numbers() -> None:
     summary = {"a": 1, "b": {"c": 0.123456, "d": [1, 2]}, "e": None, "f": True}
     assert numbers_text(summary) == "a 1, b.c 0.1235, f True"
     assert numbers_text({str(i): i for i in range(26)}).endswith("23 23, and 2 more")
-
-
-def test_an_empty_manifest_is_a_fact_not_a_crash(spec: Spec, cells: Cells, tmp_path: Path) -> None:
-    Layout(tmp_path).manifest("expert", key("expert", 0)).write_text("{}", encoding="utf-8")
-    report = report_run(tmp_path, spec, cells)
-    assert "is damaged: no 'upstream'" in report.facts[-1]
-    assert [artifact.stage for artifact in report.trained].count("expert") == 1
 
 
 def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leaves_open(spec: Spec) -> None:
@@ -278,7 +247,6 @@ def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_ju
 
 def test_every_table_that_a_report_can_have_is_known(spec: Spec, cells: Cells, tmp_path: Path, frame: Frame) -> None:
     ablations = ablation_table(frame)
-    assert ablations is not None
     judged = branched(Layout(tmp_path), cells)
     tables = report_run(tmp_path, spec, cells, parts(spec), load_paper(), judged).tables
     names = {table.name for table in tables} | {ablations.name}
@@ -318,13 +286,8 @@ MODULE = "wasp_cli.tasks.goal.task"
 def import_artifact(layout: Layout, kind: str, name: str, **changes: Any) -> None:
     """Make an artifact one that was published: under today's code, but for changes."""
     record = json.loads(layout.manifest(kind, name).read_text())
-    provenance = {
-        "published": True,
-        "wasp": "0.9",
-        "git": {"sha": "abcdef0123"},
-        "started_at": "2026-01-02T03:04:05",
-        "versions": libraries(),
-    }
+    provenance = {"published": True, "wasp": "0.9", "git": {"sha": "abcdef0123"}, "started_at": "2026-01-02T03:04:05"}
+    provenance |= {"versions": libraries()}
     sources = source_hashes([MODULE]) | changes.pop("sources", {})
     record |= {"kind": kind, "label": f"{kind} {name[:4]}", "sources": sources, "provenance": record["provenance"] | provenance}
     write_record(layout.manifest(kind, name), record | changes)

@@ -11,7 +11,6 @@ import pytest
 from PIL import Image, ImageColor
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.learning.playback import play
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.driver import drive
 from wasp_cli.tasks.make import make_task
@@ -120,14 +119,6 @@ def test_a_film_of_another_world_is_refused(driven: Driven, spoil: str) -> None:
     assert "other libraries" in str(caught.value.hint)
 
 
-def test_rewards_count_as_stored(driven: Driven) -> None:
-    task = make_task(driven.name, 1, observe=())
-    moments = list(play(task, [driven.seed], [driven.a], [driven.reward.astype(np.float32)]))
-    assert [moment.t for moment in moments] == list(range(len(driven.a) + 1))
-    assert moments[0].last is None
-    assert [bool(moment.alive[0]) for moment in moments] == [True] * len(driven.a) + [False]
-
-
 def test_others_tasks_show_what_their_camera_sees() -> None:
     rewards = np.array([[1 + i, 2 + i] for i in range(0, 20, 2)], float).sum(1)
     actions = np.zeros((10, 2), np.float32)
@@ -213,14 +204,6 @@ def test_a_sheet_that_would_be_too_high_becomes_wider(driven: Driven, monkeypatc
     assert len(made.decisions) > 8
     assert (width, height <= 4 * 16) == (16 * made.columns, True)
     assert 4 * (made.columns - 1) < len(made.decisions), "no wider than it has to be"
-
-
-def test_a_sheet_is_made_smaller_until_it_fits(monkeypatch: pytest.MonkeyPatch) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (4, 64, 64, 3), np.uint8)
-    fine, _ = sprite(list(noise), 2)
-    monkeypatch.setattr(films, "LIMIT", len(fine) // 2)
-    coarse, _ = sprite(list(noise), 2)
-    assert len(coarse) < len(fine)
 
 
 def test_without_webp_a_sheet_is_png(monkeypatch: pytest.MonkeyPatch) -> None:

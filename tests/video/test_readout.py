@@ -58,7 +58,6 @@ def test_what_is_linear_is_found() -> None:
 def test_of_one_episode_alone_each_part_is_predicted_from_the_others() -> None:
     features, moves = world(3, noise=0.0)
     readout, explained = fit_within(features[0], moves[0])
-    assert readout is not None
     assert (explained > 0.99).all()
     assert (readout.explained(features[1], moves[1]) > 0.99).all()
     shuffled = np.random.default_rng(4).permutation(moves[0])
@@ -66,20 +65,6 @@ def test_of_one_episode_alone_each_part_is_predicted_from_the_others() -> None:
     readout, explained = fit_within(features[0][: 2 * PARTS - 1], moves[0][: 2 * PARTS - 1])
     assert readout is None
     assert np.isnan(explained).all()
-
-
-def test_what_is_noise_is_not_explained() -> None:
-    features, moves = world(1, noise=0.0)
-    random = np.random.default_rng(2)
-    moves = [random.normal(size=each.shape) for each in moves]
-    assert (fit(features[1:], moves[1:]).explained(features[0], moves[0]) < 0.1).all()
-
-
-def test_the_share_explained_is_that_of_the_variance() -> None:
-    features, moves = world(3, noise=0.5)
-    readout = fit(features[1:], moves[1:])
-    error = ((readout(features[0]) - moves[0]) ** 2).mean(0)
-    np.testing.assert_allclose(readout.explained(features[0], moves[0]), 1 - error / moves[0].var(0), rtol=1e-9)
 
 
 def test_what_never_moves_has_no_share() -> None:

@@ -31,8 +31,7 @@ from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import Slimming, slim
 from wasp_cli.store.tables import CellIdentity, Thresholds
-from wasp_cli.video.replay import correction, default_name, source_of
-from wasp_cli.video.replay_step import Criterion, criterion_of, judge
+from wasp_cli.video.replay import Criterion, correction, criterion_of, default_name, judge, source_of
 from wasp_cli.video.trace import play_episode
 
 LABEL = "race1 s0 wasp noisy=0.4"

@@ -65,7 +65,6 @@ def test_what_is_shown_is_what_the_cameras_saw_and_where_the_robot_was(cell: Eva
     assert sorted(shown) == [0, 3, 7]
     for t in range(8):
         if t in shown:
-            assert seen.pixels is not None
             np.testing.assert_array_equal(shown[t].pixels, seen.pixels[EPISODE])
             np.testing.assert_array_equal(shown[t].start.a_h, recorded.a_h[EPISODE][t])
             with torch.inference_mode():
@@ -75,7 +74,6 @@ def test_what_is_shown_is_what_the_cameras_saw_and_where_the_robot_was(cell: Eva
     *_, last = film(cell.task, REPEAT, recorded.layouts[EPISODE], a, a_h, reward, 99, 8)
     np.testing.assert_array_equal(found.places, last.positions[:-1])
     pose = shown[3].pose
-    assert pose is not None
     np.testing.assert_array_equal(pose[:2], found.places[3])
 
 
@@ -91,7 +89,6 @@ def test_the_readout_has_not_seen_the_shown_episode(cell: Evaluated) -> None:
         poses.append([[*pose.at, pose.yaw] for pose in made])
         world.step(np.stack([actions[t] for actions in recorded.a]))
     others = np.concatenate([displacements(np.array(poses)[:, row]) for row in (0, 2)])
-    assert found.readout is not None
     np.testing.assert_allclose(found.readout.offset, others.mean(0), rtol=1e-9)
 
 

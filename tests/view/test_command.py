@@ -21,9 +21,7 @@ def test_it_serves_until_it_is_interrupted(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "wasp_cli", "view", str(results), "--no-browser", "--open", f"/cell/{HUMAN}"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        assert process.stdout is not None
         found = re.search(r"view here: http://127\.0\.0\.1:(\d+)(/cell/\S+\?token=\S+)", process.stdout.readline())
-        assert found is not None
         connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=300)
         connection.request("GET", found[2])
         answer = connection.getresponse()

@@ -33,15 +33,8 @@ def layout(tmp_path: Path) -> Layout:
         (80.0, "failed", facts),
     ]
     now = datetime.now(UTC).isoformat()
-    running = {
-        "label": "goal1 s2 expert",
-        "kind": "expert",
-        "share": 0.25,
-        "text": "step 5",
-        "started": now,
-        "at": now,
-        **process(os.getpid()),
-    }
+    running = {"label": "goal1 s2 expert", "kind": "expert", "share": 0.25, "text": "step 5", "started": now, "at": now}
+    running |= process(os.getpid())
     write_run(layout, RUN, nodes, events, {2: running})
     log.write_text("line one\n<script>alert(1)</script>\n\x1b]0;owned\x07\n", encoding="utf-8")
     return layout

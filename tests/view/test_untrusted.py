@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import quote
 
@@ -113,17 +112,3 @@ def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Pat
         assert "no task of ours" in state["problem"]
     films.close()
     assert not (outside / "imported").exists()
-
-
-def test_a_request_that_is_no_http_or_too_long_ends_nothing(tmp_path: Path) -> None:
-    it = UntrustedStore(tmp_path)
-    with viewed(it.layout.root) as server:
-        connection = HTTPConnection("127.0.0.1", server.port, timeout=300)
-        connection.request(
-            "POST",
-            f"/film/{it.key}/0/film",
-            b"x" * 5_000_000,
-            {"Cookie": f"wasp_view_{server.port}={server.token}", "Origin": "http://evil.example"},
-        )
-        assert connection.getresponse().status == 403
-        assert ask(server, "/")[0] == 200

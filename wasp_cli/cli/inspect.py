@@ -146,10 +146,9 @@ def explain(
     read.
     """
     from wasp_cli.plan.recorded import keys_of
-    from wasp_cli.report.explain.decision_text import decision_lines
-    from wasp_cli.report.explain.episode_text import episode_lines
     from wasp_cli.report.explain.facts import decision_json, episode_json
     from wasp_cli.report.explain.stored import read_episode
+    from wasp_cli.report.explain.text import decision_lines, episode_lines
     from wasp_cli.store.find import find_cell
 
     layout = Layout(place.results)
@@ -196,7 +195,7 @@ def replay(
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.slim import without_steps
     from wasp_cli.video.replay import replay as written
-    from wasp_cli.video.replay_step import replay_step
+    from wasp_cli.video.replay import replay_step
 
     if json and step is None:
         raise UsageError("--json needs --step", "for the numbers of an episode: wasp explain CELL --episode E --json")

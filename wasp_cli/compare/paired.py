@@ -21,8 +21,7 @@ from wasp_cli.report.stats.frame import CellNumbers, Floats
 from wasp_cli.report.stats.summary import Interval
 
 MEASURES = ("return", "cost", "viol", "int_rate", "success")
-EXACT = 13
-"""Worlds up to which all flips are tried."""
+EXACT = 13  # worlds up to which all flips are tried
 FLIPS = 10_000
 LEVEL = 0.05
 
@@ -32,23 +31,18 @@ class Difference:
     """A measure of one cell, after minus before, as a mean over episodes."""
 
     value: float
-    interval: Interval | None
-    """None with a single world."""
-    p: float
-    """Corrected for the number of measures."""
+    interval: Interval | None  # None with a single world
+    p: float  # corrected for the number of measures
 
 
 @dataclass(frozen=True)
 class Paired:
     """Two evaluations of a cell side by side."""
 
-    differences: Mapping[str, Difference]
-    """By measure."""
-    worlds: int
-    """n, those that both have; 0 where episodes are compared unpaired"""
+    differences: Mapping[str, Difference]  # by measure
+    worlds: int  # n, those that both have; 0 where episodes are compared unpaired
     episodes: tuple[int, int]
-    least: float
-    """The smallest p-value that so many episodes can have."""
+    least: float  # the smallest p-value that so many episodes can have
 
 
 def paired_episodes(before: CellNumbers, after: CellNumbers) -> Paired:

@@ -18,7 +18,7 @@ from wasp_cli.compare.paired import LEVEL, MEASURES, Paired, corrected, paired_e
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.plan.node import Cell
 from wasp_cli.plan.reasons import changes_between, few
-from wasp_cli.report.node import mapping
+from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.stats.bootstrap import Estimate, difference_of
 from wasp_cli.report.stats.frame import CellNumbers, Wanted, odd_tables_refused, read_frame
@@ -26,7 +26,7 @@ from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import read_manifest
-from wasp_cli.store.layout import Layout, is_key, is_name
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import half_inputs
 from wasp_cli.store.tables import CellIdentity, same_rows
 
@@ -40,8 +40,7 @@ class Side:
     layout: Layout
     run_id: str
     spec: Spec
-    cells: Sequence[tuple[Cell, str]]
-    """Each with the key of its evaluation."""
+    cells: Sequence[tuple[Cell, str]]  # each with the key of its evaluation
 
     @classmethod
     def read(cls, layout: Layout, run_id: str) -> Side:
@@ -58,12 +57,9 @@ class ComparedCell:
     identity: CellIdentity
     state: State
     keys: tuple[str | None, str | None]
-    reason: str = ""
-    """Why it is not compared."""
-    paired: Paired | None = None
-    """Of one that differs."""
-    p: Mapping[str, float] = field(default_factory=dict)
-    """By measure, corrected for measures and cells."""
+    reason: str = ""  # why it is not compared
+    paired: Paired | None = None  # of one that differs
+    p: Mapping[str, float] = field(default_factory=dict)  # by measure, corrected for measures and cells
     causes: tuple[str, ...] = ()
 
     @property
@@ -81,8 +77,7 @@ class Summary:
     variant: str
     cells: int
     differing: int
-    estimates: Mapping[str, Estimate | None]
-    """By measure."""
+    estimates: Mapping[str, Estimate | None]  # by measure
 
 
 @dataclass(frozen=True)
@@ -110,7 +105,6 @@ class Compared:
 
     @property
     def causes(self) -> list[tuple[str, int]]:
-        """What differs, and in how many cells."""
         return Counter(cause for cell in self.cells for cause in cell.causes).most_common()
 
 
@@ -203,8 +197,7 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
 
 MACHINE = ("processor", "platform", "python", "threads", "cuda")
 """Provenance that enters no key, and may move the last digits."""
-DEEPEST = 50
-"""Steps upstream; our longest chain has a dozen."""
+DEEPEST = 50  # steps upstream; our longest chain has a dozen
 
 
 class Causes:
@@ -215,13 +208,7 @@ class Causes:
         self._known: dict[tuple[str, str, str], tuple[str, ...]] = {}
 
     def of(self, kind: str, before: str, after: str) -> tuple[str, ...]:
-        """Say in words what differs between two artifacts that should be alike.
-
-        Args:
-            kind: of both.
-            before: the key of the one.
-            after: the key of the other; where it is the same, only the machine can differ.
-        """
+        """Say in words what differs between two artifacts that should be alike; of the same key only the machine can differ."""
         return tuple(dict.fromkeys(self._machine(kind, before) if before == after else self._follow(kind, before, after, DEEPEST)))
 
     def _follow(self, kind: str, before: str, after: str, left: int) -> tuple[str, ...]:
@@ -233,7 +220,7 @@ class Causes:
 
     def _changes(self, kind: str, before: str, after: str, left: int) -> Iterator[str]:
         try:
-            old, new = self._manifest(0, kind, before), self._manifest(1, kind, after)
+            old, new = (read_manifest(layout, kind, key) for layout, key in zip(self._layouts, (before, after), strict=True))
             own = changes_between(old, new)
         except (ArtifactError, StoreError):
             yield f"another {kind}, of which not both folders have the record"
@@ -255,7 +242,7 @@ class Causes:
 
     def _machine(self, kind: str, key: str) -> Iterator[str]:
         try:
-            manifests = [self._manifest(side, kind, key) for side in (0, 1)]
+            manifests = [read_manifest(layout, kind, key) for layout in self._layouts]
         except (ArtifactError, StoreError):
             return
         yield from _precision(*manifests)
@@ -265,12 +252,8 @@ class Causes:
         pairs += [(name, versions[0].get(name), versions[1].get(name)) for name in (*versions[0], *versions[1])]
         yield from (f"{name} {one} -> {two}" for name, one, two in dict.fromkeys(map(_shown, pairs)) if one != two)
 
-    def _manifest(self, side: int, kind: str, key: str) -> Mapping[str, Any]:
-        return read_manifest(self._layouts[side], kind, key)
-
 
 def _precision(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    """Which inputs were in half precision, where that is not the same."""
     before, after = (", ".join(half_inputs(each)) or "none" for each in (old, new))
     if before != after:
         yield f"inputs in half precision {before} -> {after}"
@@ -283,10 +266,7 @@ def _shown(pair: tuple[str, Any, Any]) -> tuple[str, str, str]:
 
 def _differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str]]:
     """What both read under one name, as another artifact: the name, the kind and both keys."""
-    before, after, kinds = mapping(old.get("upstream")), mapping(new.get("upstream")), mapping(new.get("upstream_kinds"))
-    for name, key in before.items():
-        other, kind = after.get(name), kinds.get(name, name)
-        if not (isinstance(key, str) and isinstance(other, str) and isinstance(kind, str)):
-            continue
-        if key != other and is_key(key) and is_key(other) and is_name(kind):
-            yield name, kind, key, other
+    after = upstream_of(new)
+    for name, (_, key) in upstream_of(old).items():
+        if name in after and after[name][1] != key:
+            yield name, after[name][0], key, after[name][1]

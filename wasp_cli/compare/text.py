@@ -14,15 +14,14 @@ from wasp_cli.compare.paired import LEVEL, MEASURES
 from wasp_cli.compare.runs import Compared, ComparedCell, Side, State
 from wasp_cli.report.claims.text import title_of
 from wasp_cli.report.explain.facts import plain_values
-from wasp_cli.report.render import RENDERERS, markdown, terminal
+from wasp_cli.report.render import markdown, terminal, write_pages
 from wasp_cli.report.stats.bootstrap import Estimate
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.report.tables.table import Row, Table, task_title
 from wasp_cli.spec.paper import Who
 
-SHOWN = 12
-"""Cells that a terminal names of each kind."""
+SHOWN = 12  # cells that a terminal names of each kind
 OPTIONAL = ("viol", "int_rate")
 COLUMNS = tuple(
     replace(next(column for column in PAPER_COLUMNS if column.key == name), better=None, signed=True, optional=name in OPTIONAL)
@@ -94,7 +93,6 @@ def _value(estimate: Estimate | None) -> Value:
 
 
 def _unable(compared: Compared) -> tuple[str, ...]:
-    """What the number of episodes does not allow to be said."""
     found = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
     notes = []
     unpaired = sum(each.worlds == 0 for each in found)
@@ -171,14 +169,8 @@ def tables(compared: Compared) -> list[Table]:
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
     """Write `compare.md` and every table in every format; returns the files, `compare.md` first."""
-    texts = {"compare.md": page(compared)}
-    texts |= {
-        f"{table.name}.{ending}": render(table) for each in compared for table in tables(each) for ending, render in RENDERERS.items()
-    }
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+    return write_pages(folder, {"compare.md": page(compared)}, [table for each in compared for table in tables(each)])
 
 
 def as_json(compared: Compared) -> dict[str, Any]:

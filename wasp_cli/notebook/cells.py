@@ -15,13 +15,11 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import CellIdentity, cell_file
 
-BRANCHES = "counterfactual"
-"""The kind of node that tests the interventions of a cell."""
+BRANCHES = "counterfactual"  # the kind of node that tests the interventions of a cell
 
 T = TypeVar("T")
 Names = str | Iterable[str] | None
-Numbers = float | Iterable[float] | None
-"""One value, several, or None for all."""
+Numbers = float | Iterable[float] | None  # one value, several, or None for all
 
 
 @dataclass(frozen=True)
@@ -29,12 +27,9 @@ class ListedCell(CellIdentity):
     """A cell as its spec names it; the names are those of `--select`."""
 
     key: str = ""
-    spec: str | None = None
-    """None where the folder has no runs: of published results, or of copies"""
-    severity: str | None = None
-    """the spec's name of the value"""
-    branches: str | None = None
-    """key of its counterfactual branches, where they were asked for"""
+    spec: str | None = None  # None where the folder has no runs: of published results, or of copies
+    severity: str | None = None  # the spec's name of the value
+    branches: str | None = None  # key of its counterfactual branches, where they were asked for
 
     @property
     def label(self) -> str:
@@ -48,11 +43,7 @@ class ListedCell(CellIdentity):
 
 
 def recorded_plans(layout: Layout) -> dict[str, Mapping[str, Any]]:
-    """Read the plan of the last run of each spec, by the spec's name, oldest first. A plan that does not read is passed over.
-
-    Raises:
-        StoreError: there is no such folder, or a part of it is a link.
-    """
+    """Read the plan of the last run of each spec, by the spec's name, oldest first. A plan that does not read is passed over."""
     if not layout.root.is_dir():
         raise StoreError(f"no results in '{layout.root}': no such folder", "wasp run SPEC --results DIR writes there")
     found: dict[str, Mapping[str, Any]] = {}
@@ -67,11 +58,7 @@ def recorded_plans(layout: Layout) -> dict[str, Mapping[str, Any]]:
 
 
 def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
-    """List the cells of a run, computed or not.
-
-    Raises:
-        ArtifactError: the plan has another form.
-    """
+    """List the cells of a run, computed or not."""
     try:
         judged = {_named(spec, entry): str(entry["key"]) for entry in plan.get("branched", ())}
         cells = [_named(spec, entry) for entry in plan["cells"]]
@@ -110,10 +97,9 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
 
 
 def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
-    """Keep what has one of the wanted values in each field; a field whose value is None is not looked at.
+    """Keep what has one of the wanted values in each field that is not None.
 
-    Raises:
-        UnknownName: nothing has this value in this field: a misspelt method gives no empty table.
+    UnknownName where nothing has a value: a misspelt method gives no empty table.
     """
     found = list(items)
     for name, value in wanted.items():
@@ -135,10 +121,6 @@ def _values(value: Any) -> Iterator[Any]:
 
 
 def table_of(layout: Layout, cell: ListedCell) -> Path | None:
-    """Return the table of a cell; None where it is not computed.
-
-    Raises:
-        StoreError: the way to it is a link.
-    """
+    """Return the table of a cell; None where it is not computed."""
     path = layout.within(cell_file(layout.artifact(KIND, cell.key)))
     return path if path.is_file() else None

@@ -39,19 +39,7 @@ class Commanded(gymnasium.Wrapper):
 
 
 def written(name: str, env_id: str, recorded: Any, action_repeat: int, observation: str, description: str) -> Any:
-    """Write recorded episodes; returns the dataset.
-
-    Args:
-        name: of the dataset, `namespace/name-v0`.
-        env_id: of the environment.
-        recorded: `learning.rerun.Recorded`.
-        action_repeat: env steps per decision.
-        observation: what a step sees: `state`, `pixels`, `vision`, `privileged` or `all`.
-        description: of the dataset.
-
-    Raises:
-        ArtifactError: an episode does not come back as it was recorded.
-    """
+    """Write recorded episodes; returns the dataset."""
     commanded = Commanded(gymnasium.make(env_id, observation=observation, action_repeat=action_repeat))
     env = minari.DataCollector(commanded, record_infos=True, jpeg_encoding=False)
     for e, (layout, actions, rewards) in enumerate(zip(recorded.layouts, recorded.a, recorded.reward, strict=True)):

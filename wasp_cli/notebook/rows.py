@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -21,61 +21,35 @@ from wasp_cli.store.tables import METRICS, STEP, THRESHOLDS, TIMES, CellIdentity
 
 NAMES = pa.schema(
     [
-        pa.field("key", pa.string()),
-        pa.field("spec", pa.string()),
-        pa.field("task", pa.string()),
-        pa.field("method", pa.string()),
-        pa.field("variant", pa.string()),
-        pa.field("operator", pa.string()),
-        pa.field("severity", pa.string()),
-        pa.field("value", pa.float64()),
-        pa.field("seed", pa.int64()),
+        *((name, pa.string()) for name in ("key", "spec", "task", "method", "variant", "operator", "severity")),
+        ("value", pa.float64()),
+        ("seed", pa.int64()),
     ]
 )
 """Columns with which every row begins: fields of `ListedCell`."""
 EPISODE = (pa.field("episode", pa.int32()), pa.field("episode_seed", pa.int64()), *METRICS, *THRESHOLDS, *TIMES)
 STEPS = (pa.field("episode", pa.int32()), *STEP)
+SUMS = ("cost_assisted", "cost_alone", "reward_assisted", "reward_alone", "rho", "delta_c", "delta_r")
 BRANCH = (
     pa.field("episode", pa.int32()),
     pa.field("t", pa.int32()),
     pa.field("gate", pa.int8()),
     pa.field("deviation", pa.float32()),
-    pa.field("cost_assisted", pa.float64()),
-    pa.field("cost_alone", pa.float64()),
-    pa.field("reward_assisted", pa.float64()),
-    pa.field("reward_alone", pa.float64()),
-    pa.field("rho", pa.float64()),
-    pa.field("delta_c", pa.float64()),
-    pa.field("delta_r", pa.float64()),
-    pa.field("unnecessary", pa.bool_()),
-    pa.field("unnecessary_swapped", pa.bool_()),
-    pa.field("effective", pa.bool_()),
+    *(pa.field(name, pa.float64()) for name in SUMS),
+    *(pa.field(name, pa.bool_()) for name in ("unnecessary", "unnecessary_swapped", "effective")),
     pa.field("window", pa.int16()),
     pa.field("tau_R", pa.float64()),
 )
 """A branched decision: sums of cost and reward over the window of both branches, and what `metrics.necessity` says of them."""
 
-THREADS = 4
-"""That read cells side by side."""
+THREADS = 4  # that read cells side by side
 
 Read = Callable[[Layout, ListedCell], pa.Table | None]
 """Reads the rows of one cell; None where it is not computed."""
 
 
 def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Sequence[pa.Field], columns: Iterable[str] | None) -> pa.Table:
-    """Read some columns of many cells into one table, in the order of the cells; those that are not computed have no rows.
-
-    Args:
-        layout: the results folder.
-        cells: which cells.
-        read: gives the rows of one.
-        fields: the columns of these rows.
-        columns: which of them, after NAMES; None for all.
-
-    Raises:
-        KeyError: there is no such column.
-        StoreError: a table is damaged, or holds another cell than its folder's.
-    """
+    """Read columns of many cells into one table, in the order of the cells; those that are not computed have no rows."""
     known = {field.name: field for field in fields}
     asked = list(known if columns is None else dict.fromkeys(columns))
     for name in asked:
@@ -88,16 +62,12 @@ def stacked(layout: Layout, cells: Sequence[ListedCell], read: Read, fields: Seq
         rows = read(layout, cell)
         if rows is None:
             return None
-        named = [_repeated(getattr(cell, field.name), field.type, rows.num_rows) for field in NAMES]
+        named = [pa.repeat(pa.scalar(getattr(cell, field.name), field.type), rows.num_rows) for field in NAMES]
         return pa.table([*named, *(rows[field.name].cast(field.type) for field in kept)], schema=schema)
 
     with ThreadPoolExecutor(THREADS) as threads:
         tables = [table for table in threads.map(one, cells) if table is not None]
     return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
-
-
-def _repeated(value: object, kind: pa.DataType, times: int) -> pa.Array:
-    return pa.nulls(times, kind) if value is None else pa.repeat(pa.scalar(value, kind), times)
 
 
 def episodes(layout: Layout, cell: ListedCell) -> pa.Table | None:
@@ -146,8 +116,3 @@ def branches(layout: Layout, cell: ListedCell) -> pa.Table | None:
         "window": np.full(count, found.cell.window), "tau_R": np.full(count, found.cell.tau_R),
     }  # fmt: skip
     return pa.table({field.name: pa.array(columns[field.name]).cast(field.type) for field in BRANCH})
-
-
-def absent(layout: Layout, cells: Iterable[ListedCell]) -> Iterator[ListedCell]:
-    """Yield the cells that are not computed."""
-    yield from (cell for cell in cells if table_of(layout, cell) is None)

@@ -18,22 +18,11 @@ from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 
-MAIN = "main"
-"""The first table of a report, whatever its name."""
+MAIN = "main"  # the first table of a report, whatever its name
 
 
 def trained_table(layout: Layout, cells: Iterable[str], parts: Sequence[tuple[str, str]], wanted: Mapping[str, Any]) -> pa.Table:
-    """Make a table of trained parts, needed ones first.
-
-    Args:
-        layout: the results folder.
-        cells: keys of evaluations: what they were computed from is listed.
-        parts: kind and key of further parts. Without any of both: all that the store has.
-        wanted: values of `task`, `kind` and `seed` to choose by.
-
-    Raises:
-        UnknownName: no part has such a task, kind or seed.
-    """
+    """Make a table of what cells were computed from and of further parts, needed ones first; without any of both, of all of the store."""
     roots = [*((KIND, key) for key in cells), *parts]
     if not roots:
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
@@ -68,12 +57,7 @@ def _array(values: Sequence[Any]) -> pa.Array:
 
 
 def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
-    """Make one table of the report of a spec's last run.
-
-    Raises:
-        UnknownName: it has no such table.
-        ArtifactError: the record of the run is damaged.
-    """
+    """Make one table of the report of a spec's last run."""
     run = read_run(layout, last_runs(layout)[0][spec])
     paper = None
     if name == "paper":

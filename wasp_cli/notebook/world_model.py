@@ -29,18 +29,15 @@ from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 
 KIND = "world_model"
-IMAGES = (6, 64, 64)
-"""Shape of what the front and the rear camera see: RGB each."""
+IMAGES = (6, 64, 64)  # shape of what the front and the rear camera see: RGB each
 
 
 @dataclass(frozen=True, eq=False)
 class Latents:
     """Latent states with any leading dimensions, which an index selects from."""
 
-    h: Tensor
-    """[..., D] recurrent part"""
-    z: Tensor
-    """[..., Z] one-hot stochastic part"""
+    h: Tensor  # [..., D] recurrent part
+    z: Tensor  # [..., Z] one-hot stochastic part
 
     def __getitem__(self, index: Any) -> Latents:
         return Latents(self.h[index], self.z[index])

@@ -6,8 +6,7 @@ import shlex
 from pathlib import Path
 from urllib.parse import quote
 
-READABLE = "/ =+"
-"""Characters that stand in an address as they are; a browser is given %20 for a space."""
+READABLE = "/ =+"  # characters that stand in an address as they are; a browser is given %20 for a space
 
 
 def cell_address(cell: str, episode: int | None = None, step: int | None = None) -> str:

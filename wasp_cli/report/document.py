@@ -15,7 +15,7 @@ from wasp_cli.report.claims.text import verdict_html, verdict_markdown, verdict_
 from wasp_cli.report.claims.verdict import VerdictReport
 from wasp_cli.report.figures.by_axis import severity_figure
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, necessity_figure, profile_figure
-from wasp_cli.report.figures.style import CAPTIONS, ENDINGS
+from wasp_cli.report.figures.style import CAPTIONS, ENDINGS, figure_files
 from wasp_cli.report.notes import Note, lines_of
 from wasp_cli.report.page.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.provenance import Assumption, assumptions_markdown, cell_sources
@@ -23,12 +23,11 @@ from wasp_cli.report.render import RENDERERS, make_own, markdown, markdown_text,
 from wasp_cli.report.stats.frame import Frame, Missing
 from wasp_cli.report.tables.table import Table, task_title
 from wasp_cli.report.trained.artifacts import Trained, duration, numbers_text, trained_markdown
-from wasp_cli.report.trained.figures import learning_figure, reliability_figure
+from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 
-NAMED = 12
-"""Missing cells that the terminal names; the report names all."""
+NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
     "table1", "table2", "figure3", "paper", "training", "world_model", "statistics", "statistics_best", "operators", "severity",
     "severity_check", "autonomy", "details", "latency", "thresholds", "people", "questionnaires", "order", "timing",
@@ -51,25 +50,17 @@ class Report:
 
     name: str
     layout: Layout
-    facts: tuple[str, ...]
-    """One-line statements about the grid."""
-    tables: tuple[Table, ...]
-    """The first ones are for the terminal."""
-    shown: int
-    """How many of them."""
+    facts: tuple[str, ...]  # one-line statements about the grid
+    tables: tuple[Table, ...]  # the first ones are for the terminal
+    shown: int  # how many of them
     frame: Frame
     trained: tuple[Trained, ...]
     assumptions: tuple[Assumption, ...]
-    damaged: tuple[str, ...] = ()
-    """Records that do not read; `facts` has them too."""
-    published: tuple[str, ...] = ()
-    """What was published and not computed here; `facts` has it too."""
-    remarks: tuple[str, ...] = ()
-    """What else a reader of the tables has to know; `facts` has it too."""
-    keys: Mapping[CellIdentity, str] = field(default_factory=dict)
-    """Of the evaluations."""
-    notes: tuple[Note, ...] = ()
-    """What somebody noted about the cells; `facts` says what is left out for it."""
+    damaged: tuple[str, ...] = ()  # records that do not read; `facts` has them too
+    published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
+    remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know; `facts` has it too
+    keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
+    notes: tuple[Note, ...] = ()  # what somebody noted about the cells; `facts` says what is left out for it
     verdict: VerdictReport | None = None
     """What becomes of the paper's claims; None where nothing was evaluated."""
 
@@ -189,6 +180,7 @@ def name_missing(console: Console, missing: Sequence[Missing]) -> None:
 def draw_figures(layout: Layout, frame: Frame, trained: Sequence[Trained], folder: Path) -> list[Path]:
     """Write every figure that has something to show, as PNG and SVG; returns the files."""
     of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure, latency_figure)
-    of_parts = (learning_figure, reliability_figure)
-    drawn = [path for draw in of_cells for path in draw(frame, folder)]
-    return drawn + [path for draw in of_parts for path in draw(layout, trained, folder)]
+    files = [path for draw in of_cells for path in draw(frame, folder)]
+    for name, figure in (("learning", draw_learning(layout, trained)), ("reliability", draw_reliability(layout, trained))):
+        files += [] if figure is None else figure_files(figure, folder, name)
+    return files

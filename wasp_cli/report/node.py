@@ -25,8 +25,7 @@ from wasp_cli.store.published import FROM_PUBLISHED
 HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
 """Provenance that is told in lines of its own."""
 
-Facts = dict[str, Any]
-"""As `wasp show --json` prints them."""
+Facts = dict[str, Any]  # as `wasp show --json` prints them
 
 
 def node_facts(layout: Layout, node: FoundNode) -> Facts:
@@ -82,11 +81,7 @@ def _differences(prefix: str, values: Mapping[str, Any], defaults: Mapping[str, 
 
 
 def _upstream(layout: Layout, node: FoundNode) -> Iterator[Facts]:
-    kinds = mapping(node.setting("upstream_kinds"))
-    for name, key in mapping(node.setting("upstream")).items():
-        kind = kinds.get(name, name)  # older manifests name artifacts by kind
-        if not (isinstance(key, str) and is_key(key) and isinstance(kind, str) and is_name(kind)):
-            continue
+    for name, (kind, key) in upstream_of(node.manifest).items():
         try:
             label = str(read_manifest(layout, kind, key).get("label", ""))
             state = "present" if damage(layout, kind, key) is None else "damaged"
@@ -118,6 +113,13 @@ def _file_state(layout: Layout, node: FoundNode, name: str, digest: Any) -> str:
 def mapping(value: Any) -> Mapping[str, Any]:
     """Return a value of a manifest if it is a mapping, else an empty one."""
     return value if isinstance(value, dict) else {}
+
+
+def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Return kind and key of what an artifact was computed from, by the name under which it was read; the valid ones."""
+    kinds = mapping(manifest.get("upstream_kinds"))
+    read = {name: (kinds.get(name, name), key) for name, key in mapping(manifest.get("upstream")).items()}  # older ones are named by kind
+    return {name: one for name, one in read.items() if all(isinstance(text, str) for text in one) and is_name(one[0]) and is_key(one[1])}
 
 
 def node_lines(facts: Facts) -> Iterator[Text]:

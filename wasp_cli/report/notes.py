@@ -22,14 +22,13 @@ import numpy as np
 
 from wasp_cli.errors import StoreError, UsageError, refusal
 from wasp_cli.metrics.necessity import Necessity
-from wasp_cli.report.stats.frame import TIMES, WEIGHT_OF, CellNumbers, Frame, Judged, Missing
+from wasp_cli.report.stats.frame import TIMES, WEIGHT_OF, CellNumbers, Frame, Judged, Missing, median_of
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import append_line, open_plain, printable, read_json_lines
 from wasp_cli.store.tables import CellIdentity
 
 FILE = "notes.jsonl"
-LONGEST = 2000
-"""Characters of a note."""
+LONGEST = 2000  # characters of a note
 Mark = Literal["", "invalid", "valid"]
 
 
@@ -37,32 +36,17 @@ Mark = Literal["", "invalid", "valid"]
 class Note:
     """What somebody said of a cell or an episode."""
 
-    key: str
-    """Of the cell."""
+    key: str  # of the cell
     label: str
-    episode: int | None
-    """None: the cell."""
+    episode: int | None  # None: the cell
     text: str
     mark: Mark = ""
     author: str = ""
-    at: str = ""
-    """When it was written, ISO, UTC."""
+    at: str = ""  # when it was written, ISO, UTC
 
     @property
     def where(self) -> str:
-        """Return what it is about, in words."""
         return self.label if self.episode is None else f"{self.label}, episode {self.episode}"
-
-
-def mark_of(text: str) -> Mark:
-    """Return a mark that somebody wrote.
-
-    Raises:
-        UsageError: there is no such mark.
-    """
-    if text not in get_args(Mark):
-        raise UsageError(f"'{text}' is no mark", "invalid, valid, or none")
-    return cast(Mark, text)
 
 
 def one_line(note: Note, *, past: bool = False) -> str:
@@ -137,11 +121,8 @@ def _note(record: dict[str, Any]) -> Note | None:
         return None
     if not (episode is None or (type(episode) is int and episode >= 0)):
         return None
-    try:
-        mark = mark_of(texts.pop("mark"))
-    except UsageError:
-        return None
-    return Note(episode=episode, mark=mark, **texts)
+    mark = texts.pop("mark")
+    return Note(episode=episode, mark=cast(Mark, mark), **texts) if mark in get_args(Mark) else None
 
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
@@ -158,16 +139,7 @@ def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
 def without_invalid(
     frame: Frame, keys: Mapping[CellIdentity, str], marked: Mapping[tuple[str, int | None], Note]
 ) -> tuple[Frame, tuple[str, ...]]:
-    """Leave out what is marked, and say so, a sentence each.
-
-    Args:
-        frame: the cells of a report.
-        keys: of their evaluations.
-        marked: what `invalid` returns.
-
-    Returns:
-        The frame, in which a cell that is left out counts as missing, and what was left out.
-    """
+    """Leave out what is marked: a cell that is left out counts as missing. Returns a sentence for each thing that was left out, too."""
     if not marked:
         return frame, ()
     kept: list[CellNumbers] = []
@@ -211,8 +183,7 @@ def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | N
     pooled = {}
     for name in cell.pooled:
         if name in TIMES:
-            defined = found.episodes[name][~np.isnan(found.episodes[name])]
-            pooled[name] = float(np.median(defined)) if len(defined) else float("nan")
+            pooled[name] = median_of(found.episodes[name])
         elif name in WEIGHT_OF:
             mass, weight = found.weighted(name)
             pooled[name] = float(mass.sum() / weight.sum()) if weight.sum() else float("nan")
@@ -221,9 +192,8 @@ def without_episodes(cell: CellNumbers, out: Collection[int]) -> CellNumbers | N
 
 def _without(judged: Judged, out: Collection[int]) -> Judged:
     rest = ~np.isin(judged.episode, list(out))
-    # Episodes are numbered anew, as the rows of the cell are.
-    order = {old: new for new, old in enumerate(sorted(set(range(int(judged.episode.max(initial=-1)) + 1)) - set(out)))}
-    episode = np.array([order[int(each)] for each in judged.episode[rest]], np.int64)
+    episode = judged.episode[rest]
+    episode = episode - np.searchsorted(sorted(out), episode)  # episodes are numbered anew, as the rows of the cell are
     old = judged.worth
     of_branches = (old.rho[rest], old.delta_c[rest], old.delta_r[rest])
     worth = Necessity(*of_branches, old.unnecessary[rest], old.swapped[rest], old.effective[rest])

@@ -32,11 +32,9 @@ from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
 from wasp_cli.store.slim import half_inputs
 from wasp_cli.store.tables import CellIdentity
 
-NAMED = 12
-"""Published cells that a report names."""
+NAMED = 12  # published cells that a report names
 
-Assumption = tuple[str, Any, str]
-"""Dotted name, value, why."""
+Assumption = tuple[str, Any, str]  # dotted name, value, why
 
 
 def last_runs(layout: Layout, *, aside: bool = True) -> tuple[dict[str, str], list[str]]:
@@ -117,7 +115,6 @@ class Origins:
 
 
 def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What computed an artifact: commit, Python and libraries, each with its version."""
     provenance = manifest["provenance"]
     git, python, libraries = (provenance.get(name) for name in ("git", "python", "versions"))
     if isinstance(git, Mapping) and isinstance(git.get("sha"), str):
@@ -186,13 +183,7 @@ def cell_sources(layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[Cel
 
 
 def absent_parts(layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]) -> list[Part]:
-    """List the trained parts that are not there, and that nothing needs: what a spec trains by name is there, as its cells are.
-
-    Args:
-        layout: the results folder.
-        parts: what a run trains, each with the key of its artifact.
-        targets: the stages that the spec names.
-    """
+    """List the trained parts that are not there, and that nothing needs: what a spec trains by name is there, as its cells are."""
     absent = [part for part, key in parts if not layout.manifest(part.kind, key).is_file()]
     return [] if any(part.kind in targets for part in absent) else absent
 

@@ -159,8 +159,7 @@ def _rich(table: Table, width: int, shown: tuple[int, ...], spread: bool, delta:
     return rich, frame + sum(tight)
 
 
-WIDE = 5
-"""Columns of numbers from which on a table spans both columns of a page."""
+WIDE = 5  # columns of numbers from which on a table spans both columns of a page
 
 SPECIAL = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
@@ -174,8 +173,7 @@ SPECIAL = {
 }  # fmt: skip
 """What stands for a character. In braces, `[` and `*` do not belong to the end of the line above."""
 
-JOINED = re.compile(r"([-,'`])(?=\1)")
-"""Neighbours that LaTeX would print as one character."""
+JOINED = re.compile(r"([-,'`])(?=\1)")  # neighbours that LaTeX would print as one character
 
 ACCENTS = {
     "\u0300": "`", "\u0301": "'", "\u0302": "^", "\u0303": "~", "\u0304": "=", "\u0306": "u", "\u0307": ".", "\u0308": '"',
@@ -255,15 +253,10 @@ def html(table: Table) -> str:
 
 
 def rendered(template: str, /, **values: Any) -> Markup:
-    """Fill a template of the page.
-
-    Args:
-        template: file of `page/templates`.
-        values: what it names; an undefined name is an error.
-    """
+    """Fill a template of `page/templates`; an undefined name is an error."""
     from markupsafe import Markup
 
-    return Markup(_environment().get_template(template).render(values))  # every value in it has been escaped
+    return Markup(templates("wasp_cli.report.page").get_template(template).render(values))  # every value in it has been escaped
 
 
 def trusted(name: str) -> Markup:
@@ -274,13 +267,14 @@ def trusted(name: str) -> Markup:
 
 
 @cache
-def _environment() -> Environment:
+def templates(*packages: str) -> Environment:
+    """Return the templates of some packages, which escape; of one name the first package's."""
     # Imported here: most commands write no HTML.
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("wasp_cli.report.page"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        keep_trailing_newline=True,
+        loader=ChoiceLoader(list(map(PackageLoader, packages))), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
     environment.globals |= {"plain": plain, "data_uri": data_uri}
     return environment
@@ -295,11 +289,7 @@ RENDERERS: dict[str, Callable[[Table], str]] = {"md": markdown, "csv": csv_text,
 
 
 def make_own(folder: Path) -> None:
-    """Make the folder of a report, and see that nothing which is written there is written elsewhere.
-
-    Raises:
-        StoreError: the folder is a link.
-    """
+    """Make the folder of a report, and see that nothing which is written there is written elsewhere; a StoreError where it is a link."""
     if folder.is_symlink():
         raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
     folder.mkdir(parents=True, exist_ok=True)

@@ -26,8 +26,7 @@ from wasp_cli.report.tables.people import late_facts, people_fact, people_tables
 from wasp_cli.report.tables.severity_check import check_table, checks_of, judged
 from wasp_cli.report.tables.table import Table
 from wasp_cli.report.trained.artifacts import trained_artifacts
-from wasp_cli.report.trained.pages import with_warnings
-from wasp_cli.report.trained.table import training_tables
+from wasp_cli.report.trained.tables import training_tables, with_warnings
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.artifact import read_record
@@ -150,7 +149,9 @@ def wanted_cells(
         branched: those with counterfactual branches, each with the key of these.
     """
     damaged: list[str] = []
-    failed, blocked = _failed(layout), _blocked(layout, spec, damaged)
+    # To look for the failure of each cell alone would take longer than to read the grid.
+    failed = {path.stem for path in layout.failures.glob("*.json")}
+    blocked = _blocked(layout, spec, failed, damaged)
 
     def wanted(cell: Cell, key: str, kind: str, branches: Wanted | None = None) -> Wanted:
         folder, refused = layout.artifact(kind, key), None
@@ -167,11 +168,6 @@ def wanted_cells(
     return [wanted(cell, key, KIND, judged.get(cell)) for cell, key in cells], damaged
 
 
-def _failed(layout: Layout) -> set[str]:
-    """The keys of all nodes that have failed: to look for each one alone would take longer than to read the grid."""
-    return {path.stem for path in layout.failures.glob("*.json")}
-
-
 def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
     """Why a node failed last; a record that does not read is added to `damaged`."""
     try:
@@ -182,15 +178,12 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
     return None if record is None else f"{record.get('message')} (log: {record.get('log')})"
 
 
-def _blocked(layout: Layout, spec: Spec, damaged: list[str]) -> dict[str, str]:
+def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -> dict[str, str]:
     """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the last run of the spec was planned.
 
     Not as the spec would be laid out now: that imports the environments that it names, and these results may be untrusted.
     """
-    failed = _failed(layout)
-    if not failed:
-        return {}
-    nodes = last_plan(layout, spec.name)
+    nodes = last_plan(layout, spec.name) if failed else {}
     causes: dict[str, str] = {}
     for node in upstream_first(nodes):
         upstream = [needed for needed in node.needs if needed in nodes and (needed in failed or needed in causes)]

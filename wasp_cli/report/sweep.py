@@ -39,10 +39,8 @@ class SweepReport:
     spec: str
     key: str
     swept: tuple[Swept, ...]
-    damaged: tuple[str, ...] = ()
-    """Records that do not read."""
-    published: tuple[str, ...] = ()
-    """What was published and not computed here."""
+    damaged: tuple[str, ...] = ()  # records that do not read
+    published: tuple[str, ...] = ()  # what was published and not computed here
 
     @property
     def missing(self) -> tuple[Missing, ...]:
@@ -106,13 +104,7 @@ class SweepReport:
 
 
 def report_sweep(results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]) -> SweepReport:
-    """Summarise the cells of a sweep.
-
-    Args:
-        results: the results folder.
-        sweep: the setting and its values.
-        cells: for each value its cells, each with the key of its evaluation.
-    """
+    """Summarise the cells of a sweep."""
     swept: list[Swept] = []
     damaged: list[str] = []
     published: list[str] = []

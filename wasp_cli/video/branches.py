@@ -28,8 +28,7 @@ MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
 """In px: side of a map, between panels, height of the first line, of a title, and of what stands below a map."""
 NARROWEST, ROOM = 0.8, 1.35
 """Half the side of the maps in m at least, and how much more than both paths they show."""
-MS, LAST_MS = 320, 2500
-"""How long a frame is shown, and the last one."""
+MS, LAST_MS = 320, 2500  # how long a frame is shown, and the last one
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (236, 236, 236)
 _NAMES = {ASSISTED: "as executed", ALONE: "command alone"}
 _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
@@ -38,12 +37,9 @@ _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 class BranchTrace(NamedTuple):
     """What a branch was; w decisions."""
 
-    cost: list[bool]
-    """[w] c_t"""
-    cost_env: list[int]
-    """[w]"""
-    reward: list[float]
-    """[w]"""
+    cost: list[bool]  # [w] c_t
+    cost_env: list[int]  # [w]
+    reward: list[float]  # [w]
 
 
 @dataclass
@@ -89,12 +85,6 @@ class BranchPair:
     """Both branches of one decision."""
 
     def __init__(self, source: Source, episode: int, t: int, window: int, progress: Progress) -> None:
-        """Play the cell again up to decision `t`, then both branches.
-
-        Raises:
-            ArtifactError: a model is damaged, or what is played is not what was recorded.
-            TaskError: the task cannot be imported, or has no snapshots.
-        """
         with threads_of_evaluations():
             world = source.world()
             recording = _RecordingTask(world, episode)
@@ -174,7 +164,6 @@ class BranchPair:
 
 
 def _window(paths: Sequence[Floats]) -> tuple[Floats, float]:
-    """Middle [2] and half the side of a map that shows all paths."""
     places = np.concatenate(list(paths))
     low, high = places.min(0), places.max(0)
     return (low + high) / 2.0, float(np.clip(ROOM * (high - low).max() / 2.0 + 0.2, NARROWEST, WIDEST))

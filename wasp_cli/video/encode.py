@@ -13,10 +13,8 @@ from wasp_cli.errors import UsageError, refusal
 from wasp_cli.report.explain.timeline import LOOKS
 from wasp_cli.video.map import COMMAND, COST, EXECUTED
 
-ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}
-"""Formats by file ending."""
-STILL = (".png",)
-"""Endings of a still picture, where there may be one: an animated PNG is then called .apng."""
+ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
+STILL = (".png",)  # endings of a still picture, where there may be one: an animated PNG is then called .apng
 RARE, COMMON = 24, 72
 """Colours of the palette that all frames share (then a frame stores only what has changed): some that cover all that is seen, more for
 what there is most of. Beside them are those that mean something, which must not become others."""
@@ -25,8 +23,7 @@ MEANT = (
 )  # fmt: skip
 APART = 10
 """By how much of 255 a sampled colour differs from those at least; a nearer one would be taken in their place."""
-SAMPLES = 12
-"""Frames from which the palette is made."""
+SAMPLES = 12  # frames from which the palette is made
 _OPTIONS: dict[str, dict[str, Any]] = {
     "GIF": {"optimize": True, "disposal": 1},
     "PNG": {},
@@ -35,15 +32,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def checked(path: Path, still: Sequence[str] = ()) -> Path:
-    """Check the file that is to be written, before any work is done for it.
-
-    Args:
-        path: as it was typed.
-        still: endings of still pictures, where there may be one.
-
-    Raises:
-        UsageError: unsupported format, its folder does not exist, it is a folder itself, or Pillow has no WebP.
-    """
+    """Return the path if a video, or a picture with an ending of `still`, can be written there, else raise a UsageError."""
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(
             f"'{path}': unsupported video format", f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
@@ -73,18 +62,7 @@ def palette_of(frames: Sequence[Image.Image]) -> Image.Image:
 def write(
     path: Path, count: int, frame: Callable[[int], Image.Image], milliseconds: Sequence[int], progress: Callable[[int], None]
 ) -> None:
-    """Write an animation, complete or not at all.
-
-    Args:
-        path: see `checked`.
-        count: frames.
-        frame: paints one of them; some are painted twice.
-        milliseconds: for which each is shown.
-        progress: told how many frames are painted.
-
-    Raises:
-        WaspError: the file cannot be written.
-    """
+    """Write an animation of `count` frames, complete or not at all; some frames are painted twice."""
     kind = ENDINGS[path.suffix.lower()]
     spread = np.unique(np.linspace(0, count - 1, min(SAMPLES, count)).round().astype(int)).tolist()
     palette = None if kind == "WEBP" else palette_of([frame(index) for index in spread])

@@ -23,28 +23,22 @@ from wasp_cli.video.map import COST, MapView, Pose, along, draw_actions, things_
 
 Array = NDArray[Any]
 
-LIMIT = 250_000
-"""Bytes that a sprite sheet should not exceed; a page holds many."""
-LONGEST = 16_000
-"""Px of a side of a sheet at most: WebP ends a little above."""
+LIMIT = 250_000  # bytes that a sprite sheet should not exceed; a page holds many
+LONGEST = 16_000  # px of a side of a sheet at most: WebP ends a little above
 _QUALITIES = (80, 65, 50, 35, 20)
-TOLERANCE = 1e-4
-"""Of a reward, absolute and relative: a film that differs by less shows the same."""
+TOLERANCE = 1e-4  # of a reward, absolute and relative: a film that differs by less shows the same
 
 
 class Moment(NamedTuple):
     """A frame of a film."""
 
-    frame: Pixels
-    """uint8 [size, size, 3]"""
-    decision: int
-    """how many decisions had been made: 0, every, 2 every, ..., T"""
+    frame: Pixels  # uint8 [size, size, 3]
+    decision: int  # how many decisions had been made: 0, every, 2 every, ..., T
     positions: Floats
     """[N, 2] of the robot in m before each decision so far; nothing of a task that does not say where it is"""
     things: tuple[tuple[str, str], ...]
     """what its map shows, see `map.things_of`; nothing of a task without a map"""
-    seen: Pixels | None
-    """[cameras, side, side, 3] what the robot's cameras see, where that was asked for"""
+    seen: Pixels | None  # [cameras, side, side, 3] what the robot's cameras see, where that was asked for
 
 
 def film(

@@ -17,7 +17,6 @@ from PIL import Image, ImageDraw
 
 from wasp_cli.report.explain.stored import Episode
 from wasp_cli.tasks.base import Floats, Pixels
-from wasp_cli.tasks.camera.appearance import Appearance
 from wasp_cli.video.encode import checked, write
 from wasp_cli.video.imagined import ImaginedTrajectories, imagine, integrated
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, MapPicture, MapView, Pose, draw_actions, font, things_of
@@ -25,37 +24,29 @@ from wasp_cli.video.timeline import Timeline, numbers
 from wasp_cli.video.trace import PlayedDecision, PlayedEpisode, Progress, Source, play_episode, threads_of_evaluations
 
 WIDTH, HEIGHT = 976, 704
-GAP, HEADER, TITLE = 12, 34, 18
-"""In px: between panels, height of the first line and of a title."""
-MAP, SIDE, BETWEEN = 436, 98, 4
-"""Sides of the map and of a camera image, and between images."""
+GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
+MAP, SIDE, BETWEEN = 436, 98, 4  # sides of the map and of a camera image, and between images
 TIMELINE = 178
 ARROW = 0.15
 """Length of the arrow of a full action as a share of the map's half side: shorter than in a film, to leave room for imagined imagined."""
 _RIGHT = GAP + MAP + 16
 _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
 """Of the two blocks of images, below a line for what they imagine and a line for the columns."""
-POOR = 0.5
-"""R2 below which a readout is said to be poor."""
-SLOWER = 2.0
-"""How much slower than real time a video is: there is much to see in a decision."""
-LAST_MS = 2000
-"""How long the last frame stays."""
-_PLAYED = 0.3
-"""Share of the time that playing the cell takes."""
+POOR = 0.5  # R2 below which a readout is said to be poor
+SLOWER = 2.0  # how much slower than real time a video is: there is much to see in a decision
+LAST_MS = 2000  # how long the last frame stays
+_PLAYED = 0.3  # share of the time that playing the cell takes
 _INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
 _SEQUENCES = (COMMAND, EXECUTED)
+MOVES = ("forward", "left", "turn")  # what a readout explains
 
 
 class Correction(NamedTuple):
     """What is imagined beside the command uncorrected."""
 
-    residuals: Sequence[NDArray[Any] | None]
-    """T times [L, A], or None where the command stood"""
-    name: str
-    """what it is, for people"""
-    hold: bool
-    """residuals are added to the present command, not to the imagined ones"""
+    residuals: Sequence[NDArray[Any] | None]  # T times [L, A], or None where the command stood
+    name: str  # what it is, for people
+    hold: bool  # residuals are added to the present command, not to the imagined ones
 
 
 class WrittenVideo(NamedTuple):
@@ -70,25 +61,27 @@ class Painter:
     """Paints the frames of one episode, in any order."""
 
     def __init__(self, played: PlayedEpisode, stored: Episode, horizon: int, correction: Correction) -> None:
-        self._played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
+        self.played, self._stored, self._horizon, self._correction = played, stored, horizon, correction
         self.shown = tuple(dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0)))
         self._timeline = Timeline(stored, WIDTH, TIMELINE)
         self._view, self._next = self._fresh_view(), 0
 
     def _fresh_view(self) -> MapView | None:
-        return None if self._played.appearance is None else MapView(self._played.appearance, MAP)
+        return None if self.played.appearance is None else MapView(self.played.appearance, MAP)
 
     def frame(self, index: int) -> Image.Image:
         """Draw one frame: RGB of WIDTH x HEIGHT px."""
         if index < self._next:
             self._view = self._fresh_view()  # a map that follows its robot has to be painted from the first frame on
         self._next = index + 1
-        decision = self._played.decisions[index]
-        imagined = imagine(self._played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
+        decision = self.played.decisions[index]
+        imagined = imagine(self.played.model, decision.start, self._horizon, self.shown, hold=self._correction.hold)
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
         t = decision.start.t
-        self._head(draw, t)
+        draw.text((GAP, 9), self._stored.title, _INK, font(15, True))
+        time = f"decision {t} of {self._stored.decisions}    {t * seconds_of(self._stored):.2f} s"
+        draw.text((WIDTH - GAP - font(15).getlength(time), 9), time, _INK, font(15))
         self._overview(image, draw, decision, imagined)
         self._images(image, draw, decision, imagined)
         draw.multiline_text(
@@ -100,27 +93,24 @@ class Painter:
         draw.line((x, top + 4, x, HEIGHT - 34), _GREY, 2)
         return image
 
-    def _head(self, draw: ImageDraw.ImageDraw, t: int) -> None:
-        draw.text((GAP, 9), self._stored.title, _INK, font(15, True))
-        time = f"decision {t} of {self._stored.decisions}    {t * seconds_of(self._stored):.2f} s"
-        draw.text((WIDTH - GAP - font(15).getlength(time), 9), time, _INK, font(15))
-
     # -- map --------------------------------------------------------------------------------------------------------------------
 
     def _overview(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
         where = (GAP, HEADER + TITLE)
-        if self._view is None or decision.scene is None or self._played.appearance is None or decision.pose is None:
+        if self._view is None or decision.scene is None or self.played.appearance is None or decision.pose is None:
             draw.text((GAP, HEADER), "front camera (this task has no map)", _GREY, font(12))
             image.paste(_camera(decision.pixels, 0, MAP), where)
             return
         draw.text((GAP, HEADER), "from above", _GREY, font(12))
-        self._things(draw, self._played.appearance)
+        x = GAP + font(12).getlength("from above") + 18
+        for name, colour in things_of(self.played.appearance):
+            x = _legend_entry(draw, x, HEADER - 1, name, colour, "dot")
         t = decision.start.t
         picture = self._view.picture(decision.scene)
-        picture.trail(self._played.places[: t + 1], 1.2)
-        picture.dots(self._played.places[: t + 1][self._stored.costly[: t + 1]], COST, 3.5)
-        pose = Pose(self._played.appearance, decision.scene)
-        draw_actions(picture, self._played.world, pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
+        picture.trail(self.played.places[: t + 1], 1.2)
+        picture.dots(self.played.places[: t + 1][self._stored.costly[: t + 1]], COST, 3.5)
+        pose = Pose(self.played.appearance, decision.scene)
+        draw_actions(picture, self.played.world, pose, self._stored.a_h[t], self._stored.a[t], 4, ARROW)
         self._futures(picture, decision.pose, imagined)
         if self._stored.costly[t]:
             picture.edge(COST, 4)
@@ -129,11 +119,11 @@ class Painter:
 
     def _futures(self, picture: MapPicture, pose: Floats, imagined: ImaginedTrajectories) -> None:
         """All rollouts thin, the decoded one thick with a dot at each decoded step."""
-        if self._played.readout is None:
+        if self.played.readout is None:
             return
         for sequence, colour in zip(imagined.features, _SEQUENCES, strict=False):
             dash = 0 if colour == EXECUTED else 1
-            for number, places in reversed(list(enumerate(integrated(pose, self._played.readout(sequence))))):
+            for number, places in reversed(list(enumerate(integrated(pose, self.played.readout(sequence))))):
                 if number == 0:
                     picture.line(places, "#FFFFFFB0", 4.0)
                 picture.line(places, colour, 2.2 if number == 0 else 0.8, dash)
@@ -141,21 +131,13 @@ class Painter:
                     picture.dots(places[list(self.shown)], colour, 3.2, "#FFFFFF")
 
     def _readout_note(self) -> str:
-        if self._played.readout is None:
+        if self.played.readout is None:
             return "no imagined paths: the episode is too short to learn to read them out of latents"
-        names = ("forward", "left", "turn")
-        r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(names, self._played.explained, strict=True))
-        poor = " (poor: a hint only)" if np.nanmin(self._played.explained) < POOR else ""
+        r2 = ", ".join(f"{name} {share:.2f}" for name, share in zip(MOVES, self.played.explained, strict=True))
+        poor = " (poor: a hint only)" if np.nanmin(self.played.explained) < POOR else ""
         return f"imagined paths are read out of latents by a linear fit, R² {r2}{poor}"
 
-    def _things(self, draw: ImageDraw.ImageDraw, appearance: Appearance) -> None:
-        """Above the map, what is on it."""
-        x = GAP + font(12).getlength("from above") + 18
-        for name, colour in things_of(appearance):
-            x = _legend_entry(draw, x, HEADER - 1, name, colour, "dot")
-
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
-        """Below the map."""
         x, y = float(GAP), HEADER + TITLE + MAP + 5
         for text, colour, kind in (
             ("command", COMMAND, "arrow"), ("executed instead", EXECUTED, "arrow"), ("imagined: uncorrected", COMMAND, "dash"),
@@ -167,7 +149,7 @@ class Painter:
     # -- cameras ----------------------------------------------------------------------------------------------------------------
 
     def _images(self, image: Image.Image, draw: ImageDraw.ImageDraw, decision: PlayedDecision, imagined: ImaginedTrajectories) -> None:
-        rows = range(self._played.cameras)
+        rows = range(self.played.cameras)
         columns = [_RIGHT + column * (SIDE + BETWEEN) for column in range(2 + len(self.shown))]
         for column, name, images in ((columns[0], "cameras", decision.pixels), (columns[1], "decoded", _bytes(decision.decoded))):
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
@@ -219,27 +201,10 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 def film_episode(
     source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int, out: Path, progress: Progress
 ) -> WrittenVideo:
-    """Play a cell again and write the video of an episode.
-
-    Args:
-        source: the cell.
-        stored: what its rows say of the episode.
-        episode: its place among those that are played.
-        correction: what is imagined beside the command uncorrected.
-        horizon: imagined steps.
-        every: decisions between two frames; the last one has a frame too.
-        out: the file; see `encode.checked`.
-        progress: told the share that is done.
-
-    Raises:
-        UsageError: the file cannot be one.
-        ArtifactError: a model is damaged, or what is played is not what was recorded.
-        TaskError: the task cannot be imported.
-    """
+    """Play a cell again and write the video of one of its rows: a frame at every `every`-th decision, and at the last."""
     checked(out)
     shown = decisions_shown(stored, every)
-    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: progress(_PLAYED * share, text))
-    painter = Painter(played, stored, horizon, correction)
+    painter = _painter(source, stored, episode, correction, horizon, shown, lambda share, text: progress(_PLAYED * share, text))
 
     def painted(index: int) -> None:
         progress(_PLAYED + (1 - _PLAYED) * index / len(shown), f"frame {index + 1} of {len(shown)}")
@@ -247,9 +212,14 @@ def film_episode(
     times = [round(1000 * SLOWER * seconds_of(stored) * (after - t)) for t, after in pairwise(shown)]
     with threads_of_evaluations():
         write(out, len(shown), painter.frame, [*times, LAST_MS], painted)
-    names = ("forward", "left", "turn")
-    r2 = None if played.readout is None else dict(zip(names, played.explained.tolist(), strict=True))
+    r2 = None if painter.played.readout is None else dict(zip(MOVES, painter.played.explained.tolist(), strict=True))
     return WrittenVideo(len(shown), r2)
+
+
+def _painter(
+    source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, shown: list[int], progress: Progress
+) -> Painter:
+    return Painter(play_episode(source, episode, correction.residuals, shown, horizon, progress), stored, horizon, correction)
 
 
 def seconds_of(stored: Episode) -> float:
@@ -265,8 +235,7 @@ def decisions_shown(stored: Episode, every: int) -> list[int]:
 def frames_of(source: Source, stored: Episode, episode: int, correction: Correction, horizon: int, every: int) -> Iterator[Pixels]:
     """Play a cell again and draw the frames of an episode, uint8 [HEIGHT, WIDTH, 3] each; arguments and errors as in `film_episode`."""
     shown = decisions_shown(stored, every)
-    played = play_episode(source, episode, correction.residuals, shown, horizon, lambda share, text: None)
-    painter = Painter(played, stored, horizon, correction)
+    painter = _painter(source, stored, episode, correction, horizon, shown, lambda share, text: None)
     for index in range(len(shown)):
         with threads_of_evaluations():
             frame = np.asarray(painter.frame(index))

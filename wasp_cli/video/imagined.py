@@ -24,8 +24,7 @@ from wasp_cli.operators.base import DrawnNoise, Operator, Policy
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.frames import wrapped
 
-ROLLOUTS = 6
-"""M: enough to show how far imagined futures lie apart."""
+ROLLOUTS = 6  # M: enough to show how far imagined futures lie apart
 STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)
 """Of the penalty; the best one on episodes that were left out is taken."""
 FOLDS = 3
@@ -37,23 +36,17 @@ class RolloutStart(NamedTuple):
     """A decision from which futures are imagined."""
 
     t: int
-    latent: Latent
-    """[1, .] filtered"""
-    a_h: NDArray[np.float32]
-    """[A]"""
-    operator: Operator
-    """who goes on, forked right after the command: S * M rows, sequence after sequence"""
-    residuals: NDArray[np.float32]
-    """[S, L, A]: the first sequence is that of the commands alone, all zero"""
+    latent: Latent  # [1, .] filtered
+    a_h: NDArray[np.float32]  # [A]
+    operator: Operator  # who goes on, forked right after the command: S * M rows, sequence after sequence
+    residuals: NDArray[np.float32]  # [S, L, A]: the first sequence is that of the commands alone, all zero
 
 
 class ImaginedTrajectories(NamedTuple):
     """Imagined futures of one decision."""
 
-    features: NDArray[np.float32]
-    """[S, M, H, F] of the arrived latents"""
-    cost: NDArray[np.float32]
-    """[S, H] probability of a cost at the arrived states, mean over the rollouts"""
+    features: NDArray[np.float32]  # [S, M, H, F] of the arrived latents
+    cost: NDArray[np.float32]  # [S, H] probability of a cost at the arrived states, mean over the rollouts
     images: dict[int, NDArray[np.float32]]
     """by imagined step from 1 to H: [S, 6, 64, 64] in [0, 1], decoded from the first rollout"""
 
@@ -119,12 +112,9 @@ def imagine(
 class Readout:
     """A linear map from features [F] to (forward, left, turn): m, m and rad within one decision."""
 
-    mean: Floats
-    """[F]"""
-    weights: Floats
-    """[F, 3], of centred features"""
-    offset: Floats
-    """[3]"""
+    mean: Floats  # [F]
+    weights: Floats  # [F, 3], of centred features
+    offset: Floats  # [3]
 
     def __call__(self, features: NDArray[Any]) -> Floats:
         """[..., F] to [..., 3]."""
@@ -159,15 +149,7 @@ def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
 
 
 def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, Floats]:
-    """Fit a readout to one episode alone.
-
-    Args:
-        features: [N, F].
-        moves: [N, 3].
-
-    Returns:
-        The readout, None where the episode is too short; its R2 [3], each part of the episode predicted from the others.
-    """
+    """Fit a readout to one episode, features [N, F] and moves [N, 3]: None where it is too short; its R2 [3], each part from the others."""
     if len(moves) < 2 * PARTS:
         return None, np.full(3, np.nan)
     xs, ys = np.array_split(features, PARTS), np.array_split(moves, PARTS)
@@ -176,7 +158,6 @@ def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, F
 
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
-    """One readout per strength."""
     x = np.asarray(features, np.float64)
     if not len(x):
         raise ValueError("no decision to fit a readout to")

@@ -22,8 +22,7 @@ COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
 colour blindness, and unlike the things on the maps."""
 WIDEST = 4.0
 """Half the side of a map in m at most: on more of a track, the way of a few decisions is too short to be seen."""
-FREE = 0.5
-"""Share of the half side within which the robot may move before the map follows."""
+FREE = 0.5  # share of the half side within which the robot may move before the map follows
 REACH, ROBOT = 0.24, 0.05
 """As shares of the half side: length of the arrow of a full action, and how far from the robot's middle it begins."""
 _SMOOTH = 2
@@ -86,7 +85,6 @@ class MapView:
     """Draws one episode, scene after scene."""
 
     def __init__(self, appearance: Appearance, size: int) -> None:
-        """Draw a task of this appearance as images of `size` px."""
         self._appearance, self._size = appearance, size
         self.half = min(appearance.map_half_side, WIDEST)
         whole = appearance.map_half_side <= WIDEST

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain.layout import action
 from wasp_cli.report.explain.stored import Episode
+from wasp_cli.report.explain.text import action
 from wasp_cli.report.explain.timeline import LOOKS, Curve, curves
 from wasp_cli.video.map import COMMAND, COST, EXECUTED
 
@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _DPI = 100
-_LEFT, _RIGHT, _TOP, _BOTTOM = 88, 14, 6, 36
-"""Margins in px."""
+_LEFT, _RIGHT, _TOP, _BOTTOM = 88, 14, 6, 36  # margins in px
 _STYLE: dict[Any, Any] = {"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7}
 
 
@@ -27,7 +26,6 @@ class Timeline:
     """The drawn curves, and where the cursor is."""
 
     def __init__(self, episode: Episode, width: int, height: int) -> None:
-        """Draw them once, as an image of `width` x `height` px."""
         # Imported here: matplotlib takes most of a second.
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -87,7 +85,6 @@ def _draw_curve(panel: Axes, curve: Curve) -> None:
 
 
 def _draw_strip(panel: Axes, episode: Episode) -> None:
-    """Interventions by gate above, costs below."""
     rows = [(1.1, episode.gate == gate, look.colour) for gate, look in LOOKS.items()]
     for y, where, colour in [*rows, (0.1, episode.costly, COST)]:
         panel.broken_barh([(t - 0.5, 1) for t in np.flatnonzero(where).tolist()], (y, 0.8), facecolors=colour, linewidth=0)

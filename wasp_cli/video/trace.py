@@ -43,23 +43,18 @@ class Source:
     action_repeat: int
     seed: int
     operator: str
-    value: float | None
-    """severity of the operator"""
+    value: float | None  # severity of the operator
     recorded: Recorded
     world_model: Path
     policies: Path
-    threads: int = 1
-    """of the simulator; they change nothing"""
-    first: int = 0
-    """number of the first of the episodes within their cell"""
+    threads: int = 1  # of the simulator; they change nothing
+    first: int = 0  # number of the first of the episodes within their cell
     expert: Path | None = None
     """whose privileged policies operators follow who know more than assistants perceive; None: they do not"""
-    clone: Path | None = None
-    """of the person in whose place an operator drove"""
+    clone: Path | None = None  # of the person in whose place an operator drove
     rounded: bool = False
     """the models are published in half precision: the operator says what was recorded, and imagines from nearly the same memory"""
-    expert_goes_on: bool = False
-    """the assistant imagines the expert behind every command, not the operator"""
+    expert_goes_on: bool = False  # the assistant imagines the expert behind every command, not the operator
 
     def world(self) -> VectorTask:
         """Build the task as the cell was evaluated in."""
@@ -139,14 +134,10 @@ class PlayedDecision(NamedTuple):
     """What there is to show of one decision."""
 
     start: RolloutStart
-    pixels: Pixels
-    """[6, 64, 64] what the cameras saw"""
-    decoded: NDArray[np.float32]
-    """[6, 64, 64] in [0, 1]: what the filtered latent remembers of it"""
-    scene: Scene | None
-    """of one row; None of a task without a map"""
-    pose: Floats | None
-    """[3] x, y and yaw of the robot's front"""
+    pixels: Pixels  # [6, 64, 64] what the cameras saw
+    decoded: NDArray[np.float32]  # [6, 64, 64] in [0, 1]: what the filtered latent remembers of it
+    scene: Scene | None  # of one row; None of a task without a map
+    pose: Floats | None  # [3] x, y and yaw of the robot's front
 
 
 class PlayedEpisode(NamedTuple):
@@ -156,14 +147,11 @@ class PlayedEpisode(NamedTuple):
     world: VectorTask
     appearance: Appearance | None
     cameras: int
-    decisions: list[PlayedDecision]
-    """in order; the decisions that are shown"""
-    places: Floats
-    """[T, 2] of the robot before every decision; [0, 2] of a task without a map"""
+    decisions: list[PlayedDecision]  # in order; the decisions that are shown
+    places: Floats  # [T, 2] of the robot before every decision; [0, 2] of a task without a map
     readout: Readout | None
     """fitted to the other episodes, or to this one where it is alone; None where it is too short, or without a map"""
-    explained: Floats
-    """[3] its R2 of the displacements of this episode: forward, left, turn"""
+    explained: Floats  # [3] its R2 of the displacements of this episode: forward, left, turn
 
 
 @threads_of_evaluations()
@@ -175,21 +163,7 @@ def play_episode(
     horizon: int,
     progress: Progress,
 ) -> PlayedEpisode:
-    """Play a cell again and keep what is needed of one episode.
-
-    Args:
-        source: the episodes.
-        episode: the row of theirs to show.
-        residuals: T corrections [L, A], or None where the command stood.
-        shown: the decisions to show.
-        horizon: imagined steps.
-        progress: told the share that is done.
-
-    Raises:
-        ArtifactError: a model is damaged, or what is played is not what was recorded.
-        TaskError: the task cannot be imported.
-        UnknownName: there is no such task or operator.
-    """
+    """Play a cell again and keep what is shown of one row of its episodes, with T corrections [L, A], None where the command stood."""
     world, model = source.world(), load_world_model(source.world_model)
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)

@@ -24,12 +24,9 @@ from wasp_cli.view.films import FILM, drawing, problem_of, read_state
 from wasp_cli.view.server import FILES
 from wasp_cli.view.site import BundleLinks, Site
 
-MARK = "wasp-bundle.txt"
-"""Stands in a folder that we wrote, so that we may write it again."""
-FRAMES = 125
-"""Of a film at most (about): some hundred kilobytes."""
-LISTED = 12
-"""Problems that are named."""
+MARK = "wasp-bundle.txt"  # stands in a folder that we wrote, so that we may write it again
+FRAMES = 125  # of a film at most (about): some hundred kilobytes
+LISTED = 12  # problems that are named
 
 
 def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> None:

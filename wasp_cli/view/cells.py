@@ -22,12 +22,9 @@ from wasp_cli.store.find import KIND, FoundCell, find_cell, matching
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.tables import cell_file
 
-FRESH = 2.0
-"""Seconds for which a listing counts as new: a live store grows."""
-TOGETHER = 250
-"""Cells whose numbers are read in one go, before the page is told of them."""
-COLUMNS = PAPER_COLUMNS
-"""What the table shows of a cell, as reports print it."""
+FRESH = 2.0  # seconds for which a listing counts as new: a live store grows
+TOGETHER = 250  # cells whose numbers are read in one go, before the page is told of them
+COLUMNS = PAPER_COLUMNS  # what the table shows of a cell, as reports print it
 
 
 @dataclass(frozen=True)
@@ -36,13 +33,11 @@ class Shown:
 
     numbers: CellNumbers | None
     episodes: int = 0
-    reason: str = ""
-    """why there are none, or what is odd about them"""
+    reason: str = ""  # why there are none, or what is odd about them
     damaged: bool = False
 
     @property
     def texts(self) -> list[str]:
-        """Return the number of each of COLUMNS as a report prints it; nothing where there are no rows."""
         if self.numbers is None:
             return []
         return [column.number(self.numbers.pooled[column.key]) for column in COLUMNS]
@@ -94,7 +89,6 @@ class Cells:
 
     @property
     def problems(self) -> list[str]:
-        """What could not be listed, and why."""
         self.listed()
         return self._problems
 
@@ -151,11 +145,7 @@ class Cells:
         return {**shown, **{key: shown[key].without(episodes) for key, episodes in marked.items()}}
 
     def find(self, text: str) -> tuple[list[ListedCell], FoundCell | None]:
-        """Return the listed cells that a label or the beginning of a key names, and the artifact where it is only one.
-
-        Raises:
-            WaspError: there is none, or its manifest is damaged.
-        """
+        """Return the listed cells that a label or the beginning of a key names, and the artifact where it is only one."""
         cells = matching(self.listed(), text)
         if len(cells) > 1:
             # Of several versions of one cell the one of the newest run of its spec is meant; the page names the others.

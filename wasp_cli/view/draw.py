@@ -22,22 +22,14 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.registry import TASKS
 from wasp_cli.view.films import BRANCHES, REPLAY, problem_of, write_state
 
-SIZE, CAMERA, GAP = 420, 206, 8
-"""In px: side of the map, of a camera image, and between them."""
+SIZE, CAMERA, GAP = 420, 206, 8  # in px: side of the map, of a camera image, and between them
 QUALITY = 72
-REPLAYED = 125
-"""Frames at most of a film with imagined futures, which take long to draw."""
-Legend = tuple[tuple[str, str, str], ...]
-"""What a map shows: name, colour and meaning of each."""
+REPLAYED = 125  # frames at most of a film with imagined futures, which take long to draw
+Legend = tuple[tuple[str, str, str], ...]  # what a map shows: name, colour and meaning of each
 
 
 def require_drawable(stored: Episode) -> int:
-    """Return the env steps of a decision.
-
-    Raises:
-        UsageError: the task is not one of ours, so that drawing it would import a module that the results name; or nothing sensible says
-            how long a decision is.
-    """
+    """Return the env steps of a decision; a UsageError where drawing would import a module that the results name, or last for hours."""
     task, repeat = str(stored.row["task"]), stored.constants.action_repeat
     if task not in TASKS:
         raise UsageError(f"'{task}' is no task of ours: drawing it would run a module that these results name", "wasp replay does so")
@@ -63,17 +55,13 @@ def film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Lege
 
 
 def draw(layout: Layout, cell: FoundCell, episode: int, kind: str, step: int, folder: Path, every: int | None = None) -> dict[str, Any]:
-    """Draw a film into a folder, frame by frame, and return what `films.Films.state` says of it then.
-
-    Raises:
-        WaspError: the episode cannot be read or played.
-    """
+    """Draw a film into a folder, frame by frame, and return what `films.Films.state` says of it then."""
     stored = read_episode(cell, episode)
     ending = "webp" if features.check("webp") else "png"
     state: dict[str, Any] = {"state": "drawing", "ready": 0, "frames": 0, "every": every or 1, "ending": ending, "legend": []}
     if kind == BRANCHES:
         require_drawable(stored)
-        from wasp_cli.video.replay_step import replay_step
+        from wasp_cli.video.replay import replay_step
 
         def tell(share: float, text: str) -> None:
             write_state(folder, {**state, "share": round(share, 3), "text": text})

@@ -17,9 +17,8 @@ from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.report.address import cell_address, open_command
-from wasp_cli.report.explain.decision_text import decision_lines
-from wasp_cli.report.explain.episode_text import episode_lines
 from wasp_cli.report.explain.stored import Episode, read_episode
+from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.explain.timeline import LOOKS, timeline
 from wasp_cli.report.stats.frame import odd_tables_refused
 from wasp_cli.report.tables.table import Column
@@ -28,18 +27,16 @@ from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.slim import without_steps
-from wasp_cli.video.replay_step import Criterion, Verdict, judge
+from wasp_cli.video.replay import Criterion, Verdict, judge
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
 from wasp_cli.view.site import Site
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-WIDTH = 92
-"""Columns of an explanation where the page does not say how many it has room for."""
+WIDTH = 92  # columns of an explanation where the page does not say how many it has room for
 NARROWEST, WIDEST = 40, 140
-KEPT = 8
-"""Episodes that are kept in memory: the next decision is mostly of the same one."""
+KEPT = 8  # episodes that are kept in memory: the next decision is mostly of the same one
 COLUMNS = (
     Column("return", "Return", "up"), Column("cost", "Cost", "down", digits=0), Column("goals", "Goals", "up", digits=0),
     Column("int_rate", "Int.", "down"), Column("mag", "Mag.", "down"), Column("decisions", "Decisions", digits=0),
@@ -50,18 +47,7 @@ COLOURS = {look.style: look.kind for look in LOOKS.values()} | {"red": "bad", "g
 
 
 def episode_page(site: Site, text: str, number: int, step: int | None = None, film: Mapping[str, Any] | None = None) -> str:
-    """Return an episode; in a bundle with the explanation of every decision.
-
-    Args:
-        site: the folder.
-        text: a cell, as an address names it.
-        number: of the episode.
-        step: the decision that is shown first.
-        film: what is known of its film, where that is files already.
-
-    Raises:
-        WaspError: there is no such cell or episode.
-    """
+    """Return an episode; in a bundle with the explanation of every decision, and `film` says what is known of its film."""
     cell, artifact = site.one(text)
     stored = load(artifact, number)
     whole = not without_steps(artifact.manifest)
@@ -100,11 +86,7 @@ def episode_view(
 
 
 def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: int | None = None) -> Markup:
-    """Return the explanation of a decision, with both branches where they were computed.
-
-    Raises:
-        UsageError: there is no such decision.
-    """
+    """Return the explanation of a decision, with both branches where they were computed."""
     from markupsafe import Markup
 
     stored.require(step)
@@ -118,11 +100,7 @@ def step_part(site: Site, cell: ListedCell, stored: Episode, step: int, width: i
 
 
 def load(cell: FoundCell, number: int) -> Episode:
-    """Read an episode, or take it from memory where its file is as it was.
-
-    Raises:
-        WaspError: there is none, or its rows cannot be read.
-    """
+    """Read an episode, or take it from memory where its file is as it was."""
     try:
         state = cell.path.stat()
     except OSError as error:
@@ -142,11 +120,7 @@ def stops(stored: Episode) -> list[int]:
 
 
 def branches_of(layout: Layout, cell: ListedCell) -> Branches | None:
-    """Read the counterfactual branches of a cell; None where there are none.
-
-    Raises:
-        StoreError: they are damaged.
-    """
+    """Read the counterfactual branches of a cell; None where there are none."""
     if cell.branches is None:
         return None
     path = layout.within(layout.artifact("counterfactual", cell.branches) / BRANCHES_FILE)

@@ -25,12 +25,9 @@ FOLDER = ".wasp-view"
 FILM, REPLAY, BRANCHES = "film", "replay", "branches"
 """From the physics alone; with cameras and imagined futures; both branches of one decision."""
 KINDS = (FILM, REPLAY, BRANCHES)
-ROOM = 400 * 2**20
-"""Bytes of all films together, beyond which the ones that were asked for longest ago go."""
-AT_ONCE = 2
-"""Films that are drawn side by side."""
-LARGEST = 32 * 2**20
-"""Bytes of a frame."""
+ROOM = 400 * 2**20  # bytes of all films together, beyond which the ones that were asked for longest ago go
+AT_ONCE = 2  # films that are drawn side by side
+LARGEST = 32 * 2**20  # bytes of a frame
 MIME = {"webp": "image/webp", "png": "image/png"}
 
 
@@ -53,11 +50,7 @@ class Films:
             self.folder = Path(self._own.name)
 
     def ask(self, key: str, episode: int, kind: str, step: int = 0) -> dict[str, Any]:
-        """Begin a film unless it is there or being drawn; return how far it is, see `state`.
-
-        Raises:
-            UsageError: there is no such kind.
-        """
+        """Begin a film unless it is there or being drawn; return how far it is, see `state`."""
         name = _name(key, episode, kind, step)
         with self._lock:
             self._reap()

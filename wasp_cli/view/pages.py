@@ -26,8 +26,7 @@ from wasp_cli.view.site import Site
 
 FIRST = 400
 """Rows that are laid out at once; a browser takes seconds for thousands. The others are on the page, and come as one scrolls."""
-FACTS = 200
-"""Lines of what is known of a person's session, at most."""
+FACTS = 200  # lines of what is known of a person's session, at most
 NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
 Pair = tuple[tuple[ListedCell, FoundCell], tuple[ListedCell, FoundCell]]
 
@@ -58,11 +57,7 @@ def numbers(site: Site, after: int = 0) -> dict[str, Any]:
 
 
 def cell_page(site: Site, text: str) -> str:
-    """Return a cell: its numbers, its episodes, what is beside it.
-
-    Raises:
-        WaspError: there is no such cell.
-    """
+    """Return a cell: its numbers, its episodes, what is beside it."""
     listed, _ = site.cells.find(text)
     if len(listed) > 1:
         return site.render("several.html", text, text=text, cells=listed)
@@ -140,18 +135,7 @@ def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
 
 
 def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None) -> str:
-    """Return two cells beside each other: numbers, the worlds that both met, and one of these in both.
-
-    Args:
-        site: the folder.
-        a: a cell.
-        b: another one.
-        world: the seed of a world that both met; None: none is shown.
-        step: the decision that is shown first; None: the first that differs.
-
-    Raises:
-        WaspError: there is no such cell or world, or its rows do not read.
-    """
+    """Return two cells beside each other: numbers, the worlds that both met, and one of these in both, from the first difference on."""
     if not a or not b:
         raise UsageError("two cells are needed", "/compare/cells?a=LABEL&b=LABEL")
     pair = site.one(a), site.one(b)

@@ -19,16 +19,12 @@ from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.view.site import Site
 
-LISTED = 30
-"""Runs on the first page; the newest ones."""
-TAIL = 200_000
-"""Bytes of a log that are shown: its end."""
+LISTED = 30  # runs on the first page; the newest ones
+TAIL = 200_000  # bytes of a log that are shown: its end
 FACTS = {"done": "done", "shared": "done", "failed": "failed", "blocked": "blocked", "cancelled": "cancelled"}
-UNNEEDED = "not needed"
-"""Said of a node that is not in the store, since everything that needs it was there."""
+UNNEEDED = "not needed"  # said of a node that is not in the store, since everything that needs it was there
 STATES = ("done", "running", "failed", "blocked", "cancelled", "waiting", "cached", UNNEEDED)
-BAR = 640
-"""Of the bar of a run: its width in px."""
+BAR = 640  # of the bar of a run: its width in px
 
 
 def runs_of(site: Site) -> list[PlannedRun]:
@@ -76,11 +72,7 @@ def _published(site: Site) -> list[tuple[str, list[tuple[str, str]]]]:
 
 
 def run_page(site: Site, run_id: str) -> str:
-    """Return a run: its progress, which the page follows, and its nodes.
-
-    Raises:
-        UnknownName: there is no such run.
-    """
+    """Return a run: its progress, which the page follows, and its nodes."""
     run = named_run(runs_of(site), run_id)
     state = state_of(site.layout, run)
     return site.render("run.html", f"Run of {run.spec}", run=run, now=run_now(site, run_id), live=state.state == "running")
@@ -120,13 +112,7 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter
 
 
 def log_page(site: Site, run_id: str, key: str) -> str:
-    """Return the log of a node, its end where it is long.
-
-    Raises:
-        UsageError: it has none.
-        UnknownName: there is no such node.
-        StoreError: it cannot be read.
-    """
+    """Return the log of a node, its end where it is long."""
     run = named_run(runs_of(site), run_id)
     log = find_log(site.layout, [run], key)
     try:

@@ -42,19 +42,13 @@ FILES = {
 }
 REFERRER = "same-origin"
 
-Answer = Callable[[Request], str | Response]
-"""A page, or what else is sent back."""
+Answer = Callable[[Request], str | Response]  # a page, or what else is sent back
 
 
 class ViewServer(LocalServer):
     """Serves the pages of a results folder, from a thread of its own until it is stopped."""
 
     def __init__(self, site: Site, port: int = 0) -> None:
-        """Take a port, 0 for any free one.
-
-        Raises:
-            UsageError: the port is taken, or not allowed.
-        """
         self.site = site
         film = "/film/{key}/{number:int}/{kind}"
         answers: dict[str, Answer] = {
@@ -155,11 +149,7 @@ class ViewServer(LocalServer):
         return pages.beside_page(self.site, a, b, _number(request, "world"), _number(request, "step"))
 
     def _films(self, request: Request) -> Films:
-        """The films, where a listed cell is asked for and such a film can be.
-
-        Raises:
-            UsageError: this is not so.
-        """
+        """The films, where a listed cell is asked for and such a film can be."""
         key = request.path_params["key"]
         listed, _ = self.site.cells.find(key)
         if self.site.films is None or request.path_params["kind"] not in KINDS or [cell.key for cell in listed] != [key]:
@@ -213,11 +203,7 @@ def _film(request: Request) -> tuple[str, int, str, int]:
 
 
 def _number(request: Request, name: str) -> int | None:
-    """Read a number of an address; None where it has none.
-
-    Raises:
-        UsageError: it is no number.
-    """
+    """Read a number of an address; None where it has none."""
     text = request.query_params.get(name, "")
     if text and not (text.isascii() and text.isdigit() and len(text) < 20):
         raise UsageError(f"'{text}' is no decision", "decisions are numbered from 0")

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote, urlencode
 
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.report.address import cell_address
 from wasp_cli.report.notes import Note, notes_of
+from wasp_cli.report.render import templates
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.view.cells import Cells
 from wasp_cli.view.films import Films
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 
 class Links:
@@ -28,7 +25,6 @@ class Links:
     live = True
 
     def __init__(self, cells: Cells) -> None:
-        """Name cells as `cells` does."""
         self._known = cells
 
     def static(self, name: str) -> str:
@@ -74,7 +70,6 @@ class BundleLinks(Links):
     live = False
 
     def __init__(self, cells: Cells, episodes: Mapping[str, Collection[int]], reports: Mapping[str, str]) -> None:
-        """Take what the bundle has: the episodes of each of its cells by key, and where the pages of reports are."""
         super().__init__(cells)
         self._episodes, self._reports = episodes, reports
 
@@ -117,8 +112,7 @@ class Site:
     layout: Layout
     cells: Cells
     links: Links
-    films: Films | None = None
-    """None in a bundle, whose films are files."""
+    films: Films | None = None  # None in a bundle, whose films are files
 
     @property
     def name(self) -> str:
@@ -127,15 +121,12 @@ class Site:
 
     def render(self, template: str, title: str, **values: Any) -> str:
         """Fill a template of a whole page, or of a part of one."""
-        return _environment().get_template(template).render(site=self, links=self.links, title=title, **values)
+        # The timeline is the report's own.
+        environment = templates("wasp_cli.view", "wasp_cli.report.page")
+        return environment.get_template(template).render(site=self, links=self.links, title=title, **values)
 
     def one(self, text: str) -> tuple[ListedCell, FoundCell]:
-        """Return the one cell that an address names.
-
-        Raises:
-            UsageError: it names several.
-            WaspError: it names none, or what it names is damaged.
-        """
+        """Return the one cell that an address names; a WaspError where it names none, several, or a damaged one."""
         listed, artifact = self.cells.find(text)
         if artifact is None:
             keys = ", ".join(cell.key for cell in listed[:12])
@@ -164,14 +155,3 @@ def site_of(folder: Path, *, films: bool = True) -> Site:
         raise StoreError(f"no results in '{folder}': it has neither runs nor a store", "wasp run SPEC --results DIR writes there")
     cells = Cells(layout)
     return Site(layout, cells, Links(cells), Films(layout) if films else None)
-
-
-@cache
-def _environment() -> Environment:
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-
-    return Environment(
-        # The timeline is the report's own.
-        loader=ChoiceLoader([PackageLoader("wasp_cli.view"), PackageLoader("wasp_cli.report.page")]),
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
-    )  # fmt: skip

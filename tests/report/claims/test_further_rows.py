@@ -84,7 +84,6 @@ def test_every_comparison_on_the_page_has_that_of_the_other_row_beside_it() -> N
 def test_the_operator_is_never_replaced() -> None:
     (found,) = judge(both(), paper_with(STATEMENT)).claims
     (other,) = found.others
-    assert other is not None
     ((answer,),) = other.answers
     assert (answer.asked.left, answer.asked.right) == (PRINTED, Who("human"))
     assert answer.right == found.answers[0][0].right == sum(sum(one.episodes["cost"]) for one in HUMAN) / 12

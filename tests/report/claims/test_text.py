@@ -23,7 +23,6 @@ def verdict(frame: Frame) -> VerdictReport:
 
 def test_each_number_beside_ours(verdict: VerdictReport, frame: Frame) -> None:
     table = numbers_table(verdict)
-    assert table is not None
     assert [row.labels for row in table.rows] == [
         ("Table 1", "Goal1", title) for title in ("Human-only", "IDA", "Diffusion", "SafeRL-Res", "WASP")
     ]
@@ -32,7 +31,6 @@ def test_each_number_beside_ours(verdict: VerdictReport, frame: Frame) -> None:
     own = [one for one in frame.cells if (one.identity.method, one.identity.variant) == ("wasp", "full")]
     shown = dict(zip(keys, table.rows[-1].values, strict=True))
     estimate = mean_of(own, "success")
-    assert estimate is not None
     assert (shown["success_paper"].mean, shown["success_paper"].sd) == pytest.approx((0.567, 0.068))
     assert (shown["success"].mean, shown["success"].delta) == pytest.approx((estimate.value, estimate.value - 0.567))
     assert table.notes == ("15 of the paper's rows are of tasks or ablations that this spec does not run.",)
@@ -44,12 +42,10 @@ def test_rows_that_are_not_here_are_undefined_and_tables_of_ablations_need_one()
     seeds = range(3)
     cells = [cell("wasp", [1.0 + seed, 2.0], seed, task="formula1") for seed in seeds]
     table = numbers_table(judge(frame_of(*cells), load_paper()))
-    assert table is not None
     assert {row.labels[0] for row in table.rows} == {"Table 1"}
     assert [row.labels[2] for row in table.rows if row.values[5].mean is not None] == ["WASP"]
     cells += [cell("wasp", [3.0 + seed, 2.0], seed, task="formula1", variant="no-case2") for seed in seeds]
     table = numbers_table(judge(frame_of(*cells), load_paper()))
-    assert table is not None
     assert [row.labels[2] for row in table.rows if row.labels[0] == "Table 2"] == [
         "WASP", "WASP, safety gate only", "WASP, task gate only", "WASP, no Case II recovery", "WASP, no rollouts (H = 1)",
     ]  # fmt: skip

@@ -15,7 +15,6 @@ from wasp_cli.report.claims.text import verdict_markdown
 from wasp_cli.report.claims.verdict import Answer, Judged, Outcome, all_of, any_of, decide, judge
 from wasp_cli.report.stats.bootstrap import Limits
 from wasp_cli.report.stats.frame import CellNumbers, Frame, Missing
-from wasp_cli.report.stats.hierarchical import contrast_of
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Comparison, Paper, Relation, Who, paper_of
@@ -155,27 +154,8 @@ def test_a_margin_is_taken_within_each_training() -> None:
     )
     (answer,) = judged(frame, asked("lower", "right: [human], margin: 0.25")).answers[0]
     assert answer.outcome == "holds"
-    assert answer.contrast is not None
     assert answer.contrast.trainings == pytest.approx([-0.25 * cost for cost in costs])
-    assert answer.contrast.t is not None
     assert answer.contrast.t[1] > 0  # three trainings show little
-
-
-def test_every_comparison_against_the_rule_written_out() -> None:
-    draws = np.random.default_rng(7)
-    paper = paper_with(*(asked(one, f"right: [human], margin: {margin}") for one in RELATIONS for margin in (0.1, 0.5)))
-    reached = set()
-    for _ in range(40):
-        frame = against(*(43 + draws.normal(draws.choice([-25, -6, 0, 6]), draws.choice([1, 8]), 3)))
-        own, other = ([one for one in frame.cells if one.identity.method == name] for name in ("wasp", "human"))
-        for (answer,) in judge(frame, paper).claims[0].answers:
-            sign = 1 if answer.asked.relation in ("higher", "not_higher") else -1
-            contrast = contrast_of(own, other, "cost", sign * answer.asked.margin)
-            assert contrast is not None
-            assert answer.outcome == in_the_open(contrast.bootstrap, answer.asked.relation)
-            assert answer.contrast == contrast
-            reached.add((answer.asked.relation, answer.outcome))
-    assert reached == set(product(RELATIONS, ("holds", "fails", "undecided")))
 
 
 def test_what_is_not_there_is_named() -> None:

@@ -1,22 +1,18 @@
+"""Figures of methods, and of methods along the severities."""
+
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.figures.methods import cost_return_figure, profile, profile_figure
+from wasp_cli.report.figures.by_axis import severity_figure
+from wasp_cli.report.figures.methods import cost_return_figure, latency_figure, profile, profile_figure
 from wasp_cli.report.figures.style import LINES, PALETTE, STYLES, place_of_round
-from wasp_cli.report.stats.frame import Frame, groups
-
-
-def test_same_numbers_same_bytes(frame: Frame, tmp_path: Path) -> None:
-    first, second = tmp_path / "a", tmp_path / "b"
-    first.mkdir()
-    second.mkdir()
-    for one, other in zip(cost_return_figure(frame, first), cost_return_figure(frame, second), strict=True):
-        assert one.read_bytes() == other.read_bytes()
+from wasp_cli.report.stats.frame import Frame, Wanted, groups, read_frame
 
 
 def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:
@@ -57,3 +53,18 @@ def test_profiles_tell_methods_of_one_colour_apart(frame: Frame, tmp_path: Path)
 
 def test_nothing_to_draw(tmp_path: Path) -> None:
     assert cost_return_figure(Frame(()), tmp_path) == profile_figure(Frame(()), tmp_path) == []
+
+
+def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_path: Path) -> None:
+    severity = severity_figure(frame, tmp_path)[1].read_text(encoding="utf-8")
+    for text in ("Noisy 0.2", "Noisy 0.6", "Laggy 0.5", "Laggy 0.85", "Goal1: Return", "Goal1: Cost", "Goal1: Int.", "Human-only", "WASP"):
+        assert text in severity
+    assert "Expert" not in severity  # it has no severity
+    latency = latency_figure(frame, tmp_path)[1].read_text(encoding="utf-8")
+    assert all(text in latency for text in ("Human-only", "IDA", "Diffusion", "SafeRL-Res", "WASP", "Expert"))
+
+
+def test_one_condition_is_no_curve(grid: Callable[..., list[Wanted]], tmp_path: Path) -> None:
+    one = [cell for cell in grid(seeds=(0,)) if cell.identity.operator == "noisy" and cell.identity.value == 0.2]
+    assert severity_figure(read_frame(one), tmp_path) == []
+    assert severity_figure(Frame(()), tmp_path) == latency_figure(Frame(()), tmp_path) == []

@@ -1,3 +1,5 @@
+"""Tables and pages as HTML, and text that somebody else wrote in Markdown: nothing of it becomes markup."""
+
 from __future__ import annotations
 
 from html.parser import HTMLParser
@@ -8,10 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jinja2 import UndefinedError
 
-from wasp_cli.report.render import data_uri, html, rendered
-from wasp_cli.report.stats.frame import Frame
-from wasp_cli.report.stats.summary import Interval, Value
-from wasp_cli.report.tables.main import main_table
+from wasp_cli.report.render import data_uri, html, markdown_text, rendered
+from wasp_cli.report.stats.summary import Value
 from wasp_cli.report.tables.table import Column, Row, Table
 
 ANY = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)
@@ -43,37 +43,6 @@ class Reader(HTMLParser):
 
     def all(self, tag: str) -> list[dict[str, Any]]:
         return [attributes for name, attributes in self.found if name == tag]
-
-
-def test_numbers_to_sort_by() -> None:
-    values = (Value(1 / 3, interval=Interval(-0.25, 0.5, "training", 3)), Value(None))
-    reader = Reader(html(Table("t", "T", ("Task",), (Column("a", "A", "up", digits=1), Column("b", "B")), (Row(("x",), values),))))
-    first, second = reader.all("td")
-    assert first == {
-        "class": "number", "data-value": "0.333333333333", "data-low": "-0.25", "data-high": "0.5", "title": "range of three trainings",
-    }  # fmt: skip
-    assert second == {"class": "number", "data-value": ""}
-    assert "0.3 [-0.2, 0.5]" in reader.texts
-    assert reader.all("th")[1:] == [
-        {"scope": "col", "class": "number", "data-better": "up"}, {"scope": "col", "class": "number"}, {"scope": "row"},
-    ]  # fmt: skip
-
-
-def test_marks_and_groups(frame: Frame) -> None:
-    table = main_table(frame)
-    reader = Reader(html(table))
-    assert len(reader.all("strong")) == len(table.marks) > 0
-    assert len(reader.all("u")) == len(table.seconds) > 0
-    assert len(reader.all("tbody")) == 1
-    assert [row.get("class") for row in reader.all("th") if row["scope"] == "row"][::2] == [
-        None,
-        "again",
-        "again",
-        "again",
-        "again",
-        "again",
-    ]
-    assert len(reader.all("li")) == len(table.notes) + len(table.meanings)
 
 
 def test_a_group_is_a_body() -> None:
@@ -112,3 +81,18 @@ def test_a_name_that_a_template_is_not_given_is_an_error() -> None:
 
 def test_an_address_that_needs_no_network() -> None:
     assert data_uri(b"\x00\x01", "image/png") == "data:image/png;base64,AAE="
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("the robot starts within a hazard", "the robot starts within a hazard"),
+        ("<script>x()</script>", "&lt;script>x()&lt;/script>"),
+        ("a &lt; b", "a &amp;lt; b"),
+        ("![p](http://there/p.png)", r"!\[p\](http://there/p.png)"),
+        (r"\[a](b)", r"\\\[a\](b)"),
+        ("Preset `cpu`", "Preset `cpu`"),
+    ],
+)
+def test_it_stays_text(text: str, expected: str) -> None:
+    assert markdown_text(text) == expected

@@ -92,11 +92,6 @@ def test_structure() -> None:
     assert "% Left out: Gone." in lines
 
 
-def test_second_best_is_underlined(frame: Frame) -> None:
-    assert r"\underline{9.50 $\pm$ 0.28}" in latex(main_table(frame))
-    assert "Second best values are underlined." in latex(main_table(frame))
-
-
 def test_a_document_of_every_table(frame: Frame, tmp_path: Path) -> None:
     tables = [main_table(frame), detail_table(frame), operator_table(frame), nasty()]
     page = "\n".join([r"\documentclass{article}", r"\usepackage{booktabs}", r"\begin{document}", *map(latex, tables), r"\end{document}"])

@@ -1,18 +1,31 @@
+"""Intervals against all that a bootstrap does, step by step; contrasts against all their resamples, and the t interval against SciPy."""
+
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
 
-from wasp_cli.report.stats.bootstrap import RESAMPLES, Estimate, difference_of, drawn, improvement_over, iqm_of, mean_of
+from wasp_cli.report.stats.bootstrap import (
+    RESAMPLES,
+    Estimate,
+    _resampled,
+    _t_quantile,
+    _Training,
+    contrast_of,
+    difference_of,
+    drawn,
+    improvement_over,
+    iqm_of,
+    mean_of,
+    t_limits,
+)
 from wasp_cli.report.stats.frame import WEIGHT_OF, CellNumbers
 from wasp_cli.report.stats.summary import paired_difference, summarise
 from wasp_cli.store.tables import CellIdentity
@@ -51,8 +64,6 @@ def limits(numbers: Sequence[float]) -> list[float]:
 
 
 def interval(estimate: Estimate | None) -> list[float]:
-    assert estimate is not None
-    assert estimate.interval is not None
     return [estimate.interval.low, estimate.interval.high]
 
 
@@ -122,8 +133,6 @@ def test_one_seed_resamples_worlds(key: str) -> None:
     changes = [mean([ratio(x, key, times) - ratio(y, key, times) for x, y in zip(own, other, strict=True)]) for times in draws]
     assert interval(difference_of(own, other, key)) == pytest.approx(limits(changes))
     found = mean_of(own, key)
-    assert found is not None
-    assert found.interval is not None
     assert (found.interval.unit, found.interval.clusters) == ("world", 7)
 
 
@@ -150,9 +159,7 @@ def test_several_seeds_resample_seeds(key: str) -> None:
     wins = {seed: mean([better(x, y, key) for x, y in pairs if x.identity.seed == seed]) for seed in (0, 1, 5)}
     found = improvement_over(own, other, key, "up")
     assert interval(found) == pytest.approx(limits([mean([wins[seed] for seed in draw]) for draw in draws]))
-    assert found is not None
     assert found.value == pytest.approx(mean(list(wins.values())))
-    assert found.interval is not None
     assert (found.interval.unit, found.interval.clusters) == ("training", 3)
 
 
@@ -161,8 +168,6 @@ def test_the_number_is_the_one_of_the_tables(seeds: list[int]) -> None:
     own, other = made(seeds), made(seeds, "human")
     for key in ("return", "int_rate", "mag_int"):
         middle, change = mean_of(own, key), difference_of(own, other, key)
-        assert middle is not None
-        assert change is not None
         assert (middle.value, change.value) == (summarise(own, key).mean, paired_difference(own, other, key))
 
 
@@ -177,48 +182,26 @@ def test_seeds_that_share_a_training_are_resampled_by_world() -> None:
     assert interval(mean_of(own, "return")) == pytest.approx(limits(means(lambda i, times: ratio(own[i], "return", times))))
     changes = means(lambda i, times: ratio(own[i], "return", times) - ratio(other[i], "return", times))
     assert interval(difference_of(own, other, "return")) == pytest.approx(limits(changes))
-    assert found is not None
-    assert found.interval is not None
     assert found.interval.words == "95 % interval over 14 worlds"
     assert found.interval.low < found.value < found.interval.high
-
-
-def test_agrees_with_scipy() -> None:
-    own = [cell(0, 0.2, worlds=range(40), **{"return": RNG.gamma(2, 3, 40)})]
-    other = [cell(0, 0.2, "human", range(40), **{"return": RNG.gamma(2, 2, 40)})]
-    x, y = own[0].episodes["return"], other[0].episodes["return"]
-    theirs = stats.bootstrap((x,), np.mean, n_resamples=20000, method="percentile", rng=np.random.default_rng(1)).confidence_interval
-    assert interval(mean_of(own, "return")) == pytest.approx([theirs.low, theirs.high], abs=0.1 * (theirs.high - theirs.low))
-    paired = stats.ttest_rel(x, y).confidence_interval()
-    change = difference_of(own, other, "return")
-    assert change is not None
-    assert change.value == pytest.approx((paired.low + paired.high) / 2)
-    assert interval(change) == pytest.approx([paired.low, paired.high], abs=0.1 * (paired.high - paired.low))
-    wins = improvement_over(own, other, "return", "up")
-    assert wins is not None
-    assert wins.value == pytest.approx(stats.mannwhitneyu(x, y).statistic / 1600)
 
 
 @pytest.mark.parametrize("many", [4, 8, 12])
 def test_interquartile_mean_is_a_trimmed_one(many: int) -> None:
     numbers = RNG.normal(size=many)
     found = iqm_of([cell(0, i / many, **{"return": [number, number]}) for i, number in enumerate(numbers)], "return")
-    assert found is not None
     assert found.value == pytest.approx(stats.trim_mean(numbers, 0.25))
 
 
 @pytest.mark.parametrize(("numbers", "wanted"), [([5.0], 5.0), ([1.0, 2.0], 1.5), ([0.0, 1.0, 9.0], 13 / 6), ([0, 1, 2, 3, 99], 2.0)])
 def test_interquartile_mean_in_part(numbers: list[float], wanted: float) -> None:
     found = iqm_of([cell(0, i / 9, **{"return": [number, number]}) for i, number in enumerate(numbers)], "return")
-    assert found is not None
     assert found.value == pytest.approx(wanted)
 
 
 def test_ties_count_half_and_direction_matters() -> None:
     own, other = cell(0, 0.2, cost=[1, 2]), cell(0, 0.2, "human", cost=[2, 2])
     up, down = (improvement_over([own], [other], "cost", way) for way in ("up", "down"))
-    assert up is not None
-    assert down is not None
     assert (up.value, down.value) == (0.25, 0.75)
 
 
@@ -232,29 +215,77 @@ def test_nothing_to_say() -> None:
     assert improvement_over(lonely, other, "cost", "down") is None
 
 
-cost_lists = st.lists(st.lists(st.integers(0, 60), min_size=5, max_size=5), min_size=1, max_size=6)
+LEFT, RIGHT = [[1.0, 4.0], [10.0, 30.0]], [[8.0, 6.0], [40.0, 90.0]]
 
 
-@settings(max_examples=50, deadline=None)
-@given(costs=cost_lists, shift=st.integers(-50, 50), seeds=st.integers(1, 3), order=st.randoms(use_true_random=False))
-def test_properties(costs: list[list[int]], shift: int, seeds: int, order: Any) -> None:
-    def cells(by: int = 0) -> list[CellNumbers]:
-        return [cell(i % seeds, i / 9, worlds=range(5), cost=[cost + by for cost in row]) for i, row in enumerate(costs)]
+def cells(costs: list[list[float]], method: str) -> list:  # type: ignore[type-arg]
+    return [cell(seed, 0.2, method, np.arange(len(each)) + 9.0, cost=each) for seed, each in enumerate(costs)]
 
-    own, shuffled = cells(), cells()
-    order.shuffle(shuffled)
-    for estimate in (mean_of, iqm_of):
-        found, mixed, moved = estimate(own, "cost"), estimate(shuffled, "cost"), estimate(cells(shift), "cost")
-        assert found is not None
-        assert mixed is not None
-        assert moved is not None
-        assert mixed.value == pytest.approx(found.value)
-        assert moved.value == pytest.approx(found.value + shift)
-        low, high = interval(found)
-        assert interval(mixed) == pytest.approx([low, high])
-        assert interval(moved) == pytest.approx([low + shift, high + shift])
-        means = [cell.pooled["cost"] for cell in own]
-        bounds = (min(means), max(means)) if seeds > 1 and len(costs) > 1 else (min(map(min, costs)), max(map(max, costs)))
-        assert all(a <= b + 1e-9 for a, b in pairwise((bounds[0], low, high, bounds[1])))
-    apart = difference_of(cells(shift), own, "cost")
-    assert interval(apart) == pytest.approx([shift, shift])  # pairing takes out what both share
+
+def test_the_resamples_are_those_of_two_levels() -> None:
+    """Two trainings of two worlds have 64 resamples: 2 x 2 trainings, and 4 choices of worlds for each of the two places."""
+    margin = -0.25
+    by_training = [
+        [np.mean([a[i] - 0.75 * b[i] for i in pick]) for pick in product((0, 1), repeat=2)] for a, b in zip(LEFT, RIGHT, strict=True)
+    ]
+    every = sorted(np.mean(pair) for s, t in product((0, 1), repeat=2) for pair in product(by_training[s], by_training[t]))
+    own, other = cells(LEFT, "ida"), cells(RIGHT, "human")
+    found = _resampled([_Training([pair], "cost", margin) for pair in zip(own, other, strict=True)])
+    assert set(np.round(found, 9)) == set(np.round(every, 9))
+    for number in set(np.round(every, 9)):
+        share = np.mean(np.round(every, 9) == number)
+        assert np.mean(np.round(found, 9) == number) == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / len(found)))
+    contrast = contrast_of(own, other, "cost", margin)
+    assert contrast.trainings == pytest.approx([2.5 - 5.25, 20 - 48.75])
+    assert contrast_of(own[::-1], other[::-1], "cost", margin) == contrast
+
+
+def test_t() -> None:
+    for freedom in range(1, 31):
+        assert _t_quantile(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-9)
+    assert t_limits([3.0]) is None
+    assert t_limits([1.0, 2.0, 6.0]) == pytest.approx(stats.t.interval(0.95, 2, 3.0, stats.sem([1.0, 2.0, 6.0])))
+
+
+def covered(trainings: int, between: float, times: int = 400, worlds: int = 12) -> tuple[float, float]:
+    """How often both intervals have the true contrast in them: -3, with normal spreads of trainings, worlds and what pairing leaves."""
+    draws, truth, found = np.random.default_rng(5), -3.0, np.zeros(2)
+    for _ in range(times):
+        shift = truth + between * draws.normal(size=trainings)
+        right = [(40 + 5 * draws.normal(size=worlds)).tolist() for _ in range(trainings)]
+        left = [(np.array(costs) + by + 2 * draws.normal(size=worlds)).tolist() for costs, by in zip(right, shift, strict=True)]
+        contrast = contrast_of(cells(left, "ida"), cells(right, "human"), "cost")
+        for i, limits in enumerate((contrast.bootstrap, contrast.t)):
+            found[i] += limits is not None and limits[0] <= truth <= limits[1]
+    return float(found[0] / times), float(found[1] / times)
+
+
+@pytest.mark.parametrize(
+    ("trainings", "between", "hierarchical"),
+    [(1, 0.0, (0.87, 0.96)), (3, 2.0, (0.70, 0.90)), (3, 0.0, (0.93, 1.0))],
+)
+def test_coverage(trainings: int, between: float, hierarchical: tuple[float, float]) -> None:
+    """Nominal 95 %. Three trainings that differ are covered too seldom, which is why the t interval, which is right, stands beside."""
+    bootstrap, t = covered(trainings, between)
+    assert hierarchical[0] <= bootstrap <= hierarchical[1], (bootstrap, t)
+    assert 0.92 <= t <= 0.98 if trainings > 1 else t == 0, (bootstrap, t)
+
+
+def test_seeds_that_share_a_training_are_one_training_with_all_their_worlds() -> None:
+    own, other = cells(LEFT, "ida"), cells(RIGHT, "human")
+    shared = [[replace(one, chain_seed=0) for one in side] for side in (own, other)]
+    for seed, side in product((0, 1), shared):  # a world belongs to one seed
+        side[seed] = replace(side[seed], episodes={**side[seed].episodes, "world": np.arange(2) + 10.0 * seed})
+    contrast = contrast_of(*shared, "cost", -0.25)
+    whole = contrast_of(cells([sum(LEFT, [])], "ida"), cells([sum(RIGHT, [])], "human"), "cost", -0.25)  # noqa: RUF017
+    assert contrast == whole
+    assert (len(contrast.trainings), contrast.t) == (1, None)
+    assert contrast.bootstrap is not None
+
+
+def test_a_bound_is_taken_off() -> None:
+    own = cells(LEFT, "ida")
+    against, zero = contrast_of(own, 2.5, "cost"), contrast_of(own, 0.0, "cost")
+    assert against.trainings == pytest.approx([0.0, 17.5])
+    assert against.bootstrap == pytest.approx(np.array(zero.bootstrap) - 2.5)
+    assert contrast_of(own, 2.5, "uir") is None

@@ -73,8 +73,6 @@ def test_cells_that_nobody_asked_about_are_as_they_were(grid: Grid) -> None:
 def test_rates_have_intervals_like_other_columns(grid: Grid) -> None:
     wanted = with_invented_branches(grid(seeds=(0, 1)))
     estimate = mean_of(of_method(frame_of(wanted), "wasp"), "uir")
-    assert estimate is not None
-    assert estimate.interval is not None
     assert estimate.interval.low <= estimate.value <= estimate.interval.high
     assert (estimate.interval.unit, estimate.interval.clusters) == ("training", 2)
 

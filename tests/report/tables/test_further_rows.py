@@ -1,15 +1,19 @@
-"""Ablations of WASP stay among ablations, and the printed WASP is a method of its own."""
+"""Ablations of WASP stay among ablations and say of how many episodes they changed nothing; the printed WASP is a method of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from tests.report.claims.test_verdict import cell, frame_of
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.report.figures.methods import cost_return_figure, latency_figure
-from wasp_cli.report.stats.frame import Wanted, read_frame
+from wasp_cli.report.stats.frame import CellNumbers, Wanted, read_frame
+from wasp_cli.report.stats.summary import same_episodes
 from wasp_cli.report.tables.by_axis import operator_table, severity_table
 from wasp_cli.report.tables.comparison import comparison_tables
 from wasp_cli.report.tables.main import ablation_table, detail_table, latency_table, main_table, threshold_table
@@ -25,7 +29,6 @@ SPEC = {
 
 
 def labels(table: Table | None) -> list[str]:
-    assert table is not None
     return [label for row in table.rows for label in row.labels]
 
 
@@ -48,7 +51,6 @@ def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(grid: C
 def test_alone_beside_the_whole_it_is_compared_with_it(grid: Callable[..., list[Wanted]]) -> None:
     table = ablation_table(read_frame(grid(ablations=("no-case2",))))
     assert labels(table) == ["Goal1", "WASP, full", "Goal1", TITLE]
-    assert table is not None
     assert all(value.delta is not None for value in table.rows[1].values[:1])
 
 
@@ -65,3 +67,36 @@ def test_it_has_the_thresholds_of_the_whole_and_the_printed_one_its_own() -> Non
 def test_ablate_runs_the_two_beside_the_operators_alone(variant: str, methods: tuple[str, ...], variants: tuple[str, ...]) -> None:
     spec = ablation(Path("specs/quickstart.yaml"), variant).spec
     assert (spec.methods, spec.variants) == (methods, variants)
+
+
+def wasp(costs: list[float], variant: str = "full", seed: int = 0, **more: Any) -> CellNumbers:
+    return cell("wasp", costs, seed, variant=variant, **{"mag": [0.1] * len(costs), **more})
+
+
+def test_equal_in_all_that_happened_and_in_the_same_world() -> None:
+    full = wasp([1.0, 2.0, 3.0])
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2")], [full]) == (3, 3)
+    assert same_episodes([wasp([1.0, 2.5, 3.0], "no-case2")], [full]) == (2, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, 0.1, 0.2])], [full]) == (2, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1])], [full]) == (2, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0, 4.0], "no-case2")], [full]) == (3, 3)
+    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", seed=1)], [full]) == (0, 0)
+
+
+def test_undefined_twice_is_equal_and_gates_may_differ() -> None:
+    full = wasp([1.0, 2.0], mag=[0.1, np.nan], safety_gate=[0.5, 0.5])
+    assert same_episodes([wasp([1.0, 2.0], "task-only", mag=[0.1, np.nan], safety_gate=[0.0, 0.0])], [full]) == (2, 2)
+
+
+def test_worlds_are_matched_in_any_order() -> None:
+    full, other = wasp([1.0, 2.0, 3.0]), wasp([3.0, 2.0, 9.0], "no-case2")
+    other.episodes["world"][:] = full.episodes["world"][::-1]  # type: ignore[index]
+    assert same_episodes([other], [full]) == (2, 3)
+
+
+@pytest.mark.parametrize(("costs", "note"), [([1.0, 2.0, 7.0], "2 of 3 episodes"), ([5.0, 6.0, 7.0], "")])
+def test_the_table_says_it_where_there_are_any(costs: list[float], note: str) -> None:
+    columns = {name: [0.0] * 3 for name in ("return", "success", "viol", "int_rate")}
+    table = ablation_table(frame_of(wasp([1.0, 2.0, 3.0], **columns), wasp(costs, "no-case2", **columns)))
+    found = [text for text in table.notes if "the same as with the full method" in text]
+    assert [text.partition(" are ")[0] for text in found] == ([f"Goal1, WASP, no Case II recovery: {note}"] if note else [])

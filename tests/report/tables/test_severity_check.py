@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from io import StringIO
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from tests.report.invented_check import write_returns
+from tests.report.invented import write_returns
 from wasp_cli.plan.grid import cells_of
+from wasp_cli.plan.node import Cell
 from wasp_cli.report.render import csv_text, markdown, terminal, write_pages
 from wasp_cli.report.stats.frame import Frame, Wanted
 from wasp_cli.report.tables.severity_check import SeverityCheck, as_json, check_table, judge, judged, read_checks
@@ -33,19 +34,23 @@ def spec_of(seeds: Sequence[int] = (0, 1, 2), tasks: Sequence[str] = ("goal1",))
     )  # fmt: skip
 
 
+def written(spec: Spec, folder: Path, returns: Callable[[Cell], Sequence[float]]) -> list[Wanted]:
+    """Write the cells of a spec with these returns."""
+    wanted = []
+    for i, cell in enumerate(cells_of(spec)):
+        (folder / str(i)).mkdir(parents=True)
+        wanted.append(write_returns(folder / str(i), cell, returns(cell)))
+    return wanted
+
+
 def read(
     spec: Spec, folder: Path, without: str = "nothing", returns: dict[float | None, float] = RETURNS
 ) -> tuple[list[SeverityCheck], Frame]:
     """Write the cells of a spec, all but those whose label holds `without`, and read them."""
-    wanted = []
-    for i, cell in enumerate(cells_of(spec)):
-        place = folder / str(i)
-        place.mkdir(parents=True)
-        mean = returns[cell.value] + cell.seed
-        made = write_returns(place, cell, [mean - 1, mean + 1])
-        if without in str(cell):
-            made.path.unlink()
-        wanted.append(made)
+    wanted = written(spec, folder, lambda cell: [returns[cell.value] + cell.seed + change for change in (-1, 1)])
+    for cell in wanted:
+        if without in cell.label:
+            cell.path.unlink()
     return read_checks(spec, wanted)
 
 
@@ -75,11 +80,7 @@ def test_the_expert_comes_first_and_severities_in_the_order_of_the_spec(tmp_path
 
 def test_one_seed_has_no_spread_and_a_standard_error(tmp_path: Path) -> None:
     spec = spec_of(seeds=[3])
-    wanted = []
-    for i, cell in enumerate(cells_of(spec)):
-        (tmp_path / str(i)).mkdir()
-        wanted.append(write_returns(tmp_path / str(i), cell, [8, 12] if cell.method == "expert" else [3, 5]))
-    checks, frame = read_checks(spec, wanted)
+    checks, frame = read_checks(spec, written(spec, tmp_path, lambda cell: [8, 12] if cell.method == "expert" else [3, 5]))
     text = markdown(check_table(checks, frame))
     line = next(line for line in lines_of(text) if "strong" in line)
     # Less the expert: -5 and -7.
@@ -94,7 +95,6 @@ def test_missing_cells_are_marked_and_left_out_of_both_sides(tmp_path: Path) -> 
     assert (judge(noisy).outcome, judge(laggy).outcome) == ("accepted", "incomplete")
     assert laggy.share(laggy.levels[0]) == pytest.approx(8.5 / 12.5)  # of the expert's seeds 0 and 1 alone
     change = laggy.changes()[0]
-    assert change is not None
     assert (change.mean, change.pairs) == (-4.0, 4)
     text = markdown(check_table(checks, frame))
     assert "| Laggy | moderate 0.7 [2 of 3 cells] | 8.50 ± 0.71 | 68.0 |" in text
@@ -170,10 +170,7 @@ def test_files_have_the_verdicts_and_the_terminal_has_room_at_80_columns(tmp_pat
 
 def test_only_a_readable_cell_counts(tmp_path: Path) -> None:
     spec = spec_of(seeds=[0])
-    wanted: list[Wanted] = []
-    for i, cell in enumerate(cells_of(spec)):
-        (tmp_path / str(i)).mkdir()
-        wanted.append(write_returns(tmp_path / str(i), cell, [5, 6]))
+    wanted = written(spec, tmp_path, lambda cell: [5, 6])
     wanted[0].path.write_bytes(b"PAR1")
     checks, frame = read_checks(spec, wanted)
     assert [judge(check).outcome for check in checks] == ["incomplete", "not accepted"]

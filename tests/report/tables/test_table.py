@@ -54,15 +54,6 @@ def test_second_best_needs_somebody_behind() -> None:
     assert replace(three, ranked=False).seconds == frozenset()
 
 
-def test_seconds_are_per_group() -> None:
-    rows = [
-        row(task, method, number, 0)
-        for task, numbers in (("a", (1, 2, 3)), ("b", (9, 8, 7)))
-        for method, number in zip("xyz", numbers, strict=True)
-    ]
-    assert table(*rows).seconds == {(1, 0), (4, 0)}
-
-
 def test_numbers() -> None:
     percent = Column("s", "S", scale=100.0, digits=1)
     assert percent.cell(Value(0.5, 0.25, 3, delta=-0.1)) == "50.0 ± 25.0 (-10.0)"
@@ -101,14 +92,6 @@ def test_csv_reads_back() -> None:
     assert header == ["task", "method", "return", "return_sd", "cost", "seeds"]
     assert first == ["a", "x", "0.333333333333", "0.1", "2", "3"]
     assert second == ["a", "y, z", "", "", "1", "0"]
-
-
-def test_csv_has_intervals() -> None:
-    text = csv_text(table(row("a", "x", Value(0.5, 0.1, 3, interval=NARROW), 2), row("a", "y", 0.25, Value(1, delta=-1.0))))
-    header, first, second = csv.reader(io.StringIO(text))
-    assert header == ["task", "method", "return", "return_sd", "return_low", "return_high", "cost", "cost_delta", "seeds"]
-    assert first == ["a", "x", "0.5", "0.1", "-0.1", "0.6", "2", "", "3"]
-    assert second == ["a", "y", "0.25", "", "", "", "1", "-1.0", "0"]
 
 
 def test_terminal_styles() -> None:

@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wasp_cli.report.document import draw_figures
+from wasp_cli.report.stats.frame import Frame
 from wasp_cli.report.trained.artifacts import Trained
-from wasp_cli.report.trained.figures import driving_curves, learning_figure, loss_curves, reliabilities, reliability_figure
+from wasp_cli.report.trained.figures import driving_curves, loss_curves, reliabilities
 from wasp_cli.store.layout import Layout
 
 RELIABLE = [
@@ -93,7 +95,7 @@ def test_damaged_files_leave_their_curve_out(content: str, tmp_path: Path) -> No
     layout = Layout(tmp_path)
     found = [artifact(layout, kind, content=content) for kind in FILES]
     assert (driving_curves(layout, found), loss_curves(layout, found), list(reliabilities(layout, found))) == ([], [], [])
-    assert learning_figure(layout, found, tmp_path) == reliability_figure(layout, found, tmp_path) == []
+    assert draw_figures(layout, Frame(()), found, tmp_path) == []
 
 
 def test_links_are_not_followed(tmp_path: Path) -> None:
@@ -112,7 +114,7 @@ def test_figures_are_the_same_each_time_and_name_what_they_show(tmp_path: Path) 
     for name in ("a", "b"):
         folder = tmp_path / name
         folder.mkdir()
-        files = [*learning_figure(layout, trained, folder), *reliability_figure(layout, trained, folder)]
+        files = draw_figures(layout, Frame(()), trained, folder)
         assert [path.name for path in files] == ["learning.png", "learning.svg", "reliability.png", "reliability.svg"]
         pictures.append([path.read_bytes() for path in files])
     assert pictures[0] == pictures[1]

@@ -41,7 +41,6 @@ def enlarged(image: Array) -> Array:
 def test_windows_are_read_as_they_were_left(layout: Layout, diagnostics: Trained) -> None:
     data = recording()
     decoded, windows = pictures.read_windows(layout, diagnostics)
-    assert decoded is not None
     np.testing.assert_array_equal(decoded.true, data.pixels[:10])
     assert [window.title for window in windows] == ["expert, episode 0, step 1", "expert, episode 2, step 1"]
     for window, start in zip(windows, (1, 22), strict=True):

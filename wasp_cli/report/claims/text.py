@@ -13,12 +13,12 @@ from rich.text import Text
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.claims.verdict import Answer, Beside, Judged, Outcome, VerdictReport, any_of, signed_margin, stood_for
 from wasp_cli.report.render import markdown_row, rendered
-from wasp_cli.report.stats.bootstrap import Estimate, Limits
+from wasp_cli.report.stats.bootstrap import Limits
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.main import AUTONOMY_COLUMNS, DETAIL_COLUMNS, MORE_COLUMNS, PAPER_COLUMNS
 from wasp_cli.report.tables.necessity import MEANS as NECESSITY
-from wasp_cli.report.tables.table import Column, Row, Table, task_title, who_title
-from wasp_cli.spec.paper import Printed, Who
+from wasp_cli.report.tables.table import Row, Table, task_title, who_title
+from wasp_cli.spec.paper import Who
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -30,10 +30,8 @@ SIDES = {
     "higher": "above", "not_lower": "at least", "at_least": "at least",
 }  # fmt: skip
 HEADINGS = ("Task", "Measure", "Left", "Right", "Contrast (interval)", "t interval", "Needed", "Outcome", "In the paper")
-SAID = 70
-"""Characters of a claim that is only named."""
-Cell = tuple[str, float | None]
-"""A text, and the number that it prints without rounding."""
+SAID = 70  # characters of a claim that is only named
+Cell = tuple[str, float | None]  # a text, and the number that it prints without rounding
 
 
 def label(verdict: VerdictReport, judged: Judged) -> str:
@@ -234,7 +232,6 @@ def _rows(judged: Judged) -> Iterator[tuple[str, list[Cell]]]:
 
 
 def _second(answer: Answer) -> str:
-    """Put a comparison of a further row into a cell: its outcome, and the contrast behind it."""
     if answer.outcome == "untested":
         return ""
     return f"{PLAIN[answer.outcome]}: {_contrast_text(answer)}"
@@ -268,25 +265,22 @@ MEANINGS = (
 
 def numbers_table(verdict: VerdictReport) -> Table | None:
     """Return each printed number beside the measured one, for the tasks that are here; None where the paper prints nothing of them."""
-    keys = list(dict.fromkeys(key for row in verdict.rows for key in _columns(verdict, row)))
+    keys = list(dict.fromkeys(key for row in verdict.rows for key in row.columns))
     if not verdict.rows:
         return None
-    columns = [column for key in keys for column in (_column(key, "paper"), _column(key, "here"))]
-    rows = [Row((row.table, task_title(row.task), title_of(row.who) + ("" if not row.note else " [incomplete]")),
-                _values(verdict, row, keys)) for row in verdict.rows]  # fmt: skip
+    columns = []
+    for column in map(COLUMN_OF.__getitem__, keys):
+        digits = min(column.digits, PRINTED_DIGITS)
+        columns.append(replace(column, key=f"{column.key}_paper", title=f"{column.title}, paper", digits=digits))
+        columns.append(replace(column, title=f"{column.title}, here"))
+    rows = []
+    for row in verdict.rows:
+        labels = row.table, task_title(row.task), title_of(row.who) + (" [incomplete]" if row.note else "")
+        rows.append(Row(labels, _values(row, keys, verdict.seeds)))
     absent = sum(len(printed) for table in verdict.paper.tables for printed in table.rows.values()) - len(rows)
     notes = [f"{absent} of the paper's rows are of tasks or ablations that this spec does not run."] if absent else []
-    return Table(
-        "paper",
-        "Comparison with the paper",
-        LABELS,
-        tuple(columns),
-        tuple(rows),
-        tuple(notes),
-        MEANINGS,
-        grouping=2,
-        ranked=False,
-    )
+    head = ("paper", "Comparison with the paper", LABELS, tuple(columns))
+    return Table(*head, tuple(rows), tuple(notes), MEANINGS, grouping=2, ranked=False)
 
 
 def title_of(who: Who) -> str:
@@ -294,36 +288,17 @@ def title_of(who: Who) -> str:
     return who_title(who.method, who.variant)
 
 
-def _columns(verdict: VerdictReport, row: Beside) -> tuple[str, ...]:
-    return next(table.columns for table in verdict.paper.tables if table.name == row.table)
-
-
-def _column(key: str, whose: str) -> Column:
-    column = COLUMN_OF[key]
-    if whose == "here":
-        return replace(column, title=f"{column.title}, here")
-    return replace(column, key=f"{key}_paper", title=f"{column.title}, paper", digits=min(column.digits, PRINTED_DIGITS))
-
-
-def _values(verdict: VerdictReport, row: Beside, keys: list[str]) -> tuple[Value, ...]:
-    pairs = dict(zip(_columns(verdict, row), zip(row.printed, row.ours, strict=True), strict=True))
+def _values(row: Beside, keys: list[str], seeds: int) -> tuple[Value, ...]:
+    """Each number of the paper, in the unit of the rows (its page has percent), and ours."""
+    pairs = dict(zip(row.columns, zip(row.printed, row.ours, strict=True), strict=True))
     values: list[Value] = []
     for key in keys:
         printed, ours = pairs.get(key, (None, None))
-        values += [_printed(printed, key), _ours(ours, printed, key, verdict.seeds)]
+        theirs, scale = UNDEFINED, COLUMN_OF[key].scale
+        if printed is not None:
+            theirs = Value(printed.mean / scale, None if printed.spread is None else printed.spread / scale, ranked=False)
+        values += [theirs, UNDEFINED]
+        if ours is not None:
+            delta = None if theirs.mean is None else ours.value - theirs.mean
+            values[-1] = Value(ours.value, n=seeds, delta=delta, ranked=False, interval=ours.interval)
     return tuple(values)
-
-
-def _printed(printed: Printed | None, key: str) -> Value:
-    """The paper's number in the unit of the rows: its page has percent."""
-    if printed is None:
-        return UNDEFINED
-    scale = COLUMN_OF[key].scale
-    return Value(printed.mean / scale, None if printed.spread is None else printed.spread / scale, ranked=False)
-
-
-def _ours(ours: Estimate | None, printed: Printed | None, key: str, seeds: int) -> Value:
-    if ours is None:
-        return UNDEFINED
-    theirs = _printed(printed, key).mean
-    return Value(ours.value, n=seeds, delta=None if theirs is None else ours.value - theirs, ranked=False, interval=ours.interval)

@@ -1,6 +1,6 @@
 """What a report says of a paper: each printed number beside ours, and whether each claim holds.
 
-A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`stats.hierarchical`):
+A comparison asks for the sign of a contrast, which is taken within each training on the same worlds (`stats.bootstrap`):
 
     lower                      left - right + margin |right| < 0
     higher                     left - right - margin |right| > 0
@@ -23,12 +23,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.stats.bootstrap import Estimate, Limits, mean_of
+from wasp_cli.report.stats.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups
-from wasp_cli.report.stats.hierarchical import Contrast, contrast_of
 from wasp_cli.report.tables.table import task_title
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Claim, Comparison, Paper, Printed, Relation, Who
@@ -43,15 +43,11 @@ class Answer:
     asked: Comparison
     outcome: Outcome
     left: float | None = None
-    right: float | None = None
-    """Our means."""
-    contrast: Contrast | None = None
-    """Over the conditions that both have; its interval is held against 0."""
-    reason: str = ""
-    """Why it is not tested; empty where its task is not here at all."""
+    right: float | None = None  # our means
+    contrast: Contrast | None = None  # over the conditions that both have; its interval is held against 0
+    reason: str = ""  # why it is not tested; empty where its task is not here at all
     printed: tuple[Printed | None, Printed | None] = (None, None)
-    shown_in_print: bool | None = None
-    """Whether the paper's own means stand so; None where it prints none."""
+    shown_in_print: bool | None = None  # whether the paper's own means stand so; None where it prints none
 
 
 @dataclass(frozen=True)
@@ -60,8 +56,7 @@ class Judged:
 
     claim: Claim
     outcome: Outcome
-    answers: tuple[tuple[Answer, ...], ...]
-    """Per question; of the answers in a tuple one is enough."""
+    answers: tuple[tuple[Answer, ...], ...]  # per question; of the answers in a tuple one is enough
     others: tuple[Judged | None, ...] = ()
     """The same claim with each of the report's `others` in its method's place; None where that cannot be asked."""
 
@@ -81,12 +76,12 @@ class Beside:
     """A row of the paper and the same row here, one entry per column of its table."""
 
     table: str
+    columns: tuple[str, ...]
     task: str
     who: Who
     printed: tuple[Printed, ...]
     ours: tuple[Estimate | None, ...]
-    note: str = ""
-    """Why it is incomplete, where it is."""
+    note: str = ""  # why it is incomplete, where it is
 
 
 @dataclass(frozen=True)
@@ -94,14 +89,11 @@ class VerdictReport:
     """Everything that is said of a paper."""
 
     paper: Paper
-    rows: tuple[Beside, ...]
-    """Of the tasks that are here."""
+    rows: tuple[Beside, ...]  # of the tasks that are here
     claims: tuple[Judged, ...]
-    tasks: tuple[str, ...]
-    """That are here."""
+    tasks: tuple[str, ...]  # that are here
     seeds: int
-    one_training: bool
-    """Whether all rows come from the models of one training."""
+    one_training: bool  # whether all rows come from the models of one training
     notes: tuple[str, ...]
     others: tuple[Who, ...] = ()
     """The rows that stand for a method as another recipe makes it, and that claims are judged by too."""
@@ -112,13 +104,7 @@ class VerdictReport:
 
 
 def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
-    """Hold the rows of a report against a paper.
-
-    Args:
-        frame: the rows.
-        paper: what it prints and states.
-        spec: what was run, for what it says of the sizes and of the training.
-    """
+    """Hold the rows of a report against a paper; `spec` says how large models and budgets are, and whether seeds share a training."""
     rows = _Rows(frame)
     seeds = len({cell.identity.seed for cell in frame.cells})
     further = [Who(name) for name, info in METHODS.items() if info.instead_of]
@@ -131,7 +117,7 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
         tasks=rows.tasks,
         seeds=seeds,
         one_training=len({cell.training for cell in frame.cells}) == 1,
-        notes=tuple(_notes(frame, _absent(rows, paper), seeds, spec)),
+        notes=tuple(_notes(frame, rows, paper, seeds, spec)),
         others=others,
     )
 
@@ -178,8 +164,7 @@ class _Rows:
         found = groups(frame)
         self.tasks = tuple(dict.fromkeys(group.task for group in found))
         self._groups = {(group.task, Who(group.method, group.variant)): group for group in found}
-        self._means: dict[tuple[str, Who, str], Estimate | None] = {}
-        self._contrasts: dict[Comparison, Contrast | None] = {}
+        self.mean, self.contrast = cache(self._mean), cache(self._contrast)
 
     def group(self, task: str, who: Who) -> Group | None:
         return self._groups.get((task, who))
@@ -187,22 +172,16 @@ class _Rows:
     def has(self, who: Who) -> bool:
         return any(found == who for _, found in self._groups)
 
-    def mean(self, task: str, who: Who, column: str) -> Estimate | None:
+    def _mean(self, task: str, who: Who, column: str) -> Estimate | None:
         """None where there is no such row or column."""
-        place = (task, who, column)
-        if place not in self._means:
-            group = self.group(task, who)
-            self._means[place] = None if group is None else mean_of(group.cells, column)
-        return self._means[place]
+        group = self.group(task, who)
+        return None if group is None else mean_of(group.cells, column)
 
-    def contrast(self, asked: Comparison) -> Contrast | None:
+    def _contrast(self, asked: Comparison) -> Contrast | None:
         """None where the sides have no condition in common."""
-        if asked not in self._contrasts:
-            own, other = (who and self.group(asked.task, who) for who in (asked.left, asked.right))
-            against = asked.bound if other is None else other.cells
-            found = None if own is None or against is None else contrast_of(own.cells, against, asked.column, signed_margin(asked))
-            self._contrasts[asked] = found
-        return self._contrasts[asked]
+        own, other = (who and self.group(asked.task, who) for who in (asked.left, asked.right))
+        against = asked.bound if other is None else other.cells
+        return None if own is None or against is None else contrast_of(own.cells, against, asked.column, signed_margin(asked))
 
     def lack(self, task: str, who: Who) -> str:
         """Why a row says nothing, or not all; empty where it is complete."""
@@ -278,24 +257,16 @@ def _beside(rows: _Rows, paper: Paper) -> Iterable[Beside]:
                 continue  # a table of ablations is about these
             for who, numbers in printed.items():
                 ours = tuple(rows.mean(task, who, column) for column in table.columns)
-                yield Beside(table.name, task, who, numbers, ours, rows.lack(task, who) if rows.group(task, who) else "")
+                yield Beside(table.name, table.columns, task, who, numbers, ours, rows.lack(task, who) if rows.group(task, who) else "")
 
 
-def _absent(rows: _Rows, paper: Paper) -> list[str]:
-    """The tasks that claims are about and that are not here."""
-    asked = (asked.task for claim in paper.claims for question in claim.questions() for asked in question)
-    return [task_title(task) for task in dict.fromkeys(asked) if task not in rows.tasks]
-
-
-def _listed(names: Sequence[str]) -> str:
-    """`Goal1, Race1 and FormulaOne1`."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-
-
-def _notes(frame: Frame, absent: list[str], seeds: int, spec: Spec | None) -> Iterable[str]:
+def _notes(frame: Frame, rows: _Rows, paper: Paper, seeds: int, spec: Spec | None) -> Iterable[str]:
+    tasks = dict.fromkeys(asked.task for claim in paper.claims for question in claim.questions() for asked in question)
+    absent = [task_title(task) for task in tasks if task not in rows.tasks]
     if absent:
         which = "is not in this spec: what claims say of it" if len(absent) == 1 else "are not in this spec: what claims say of them"
-        yield f"{_listed(absent)} {which} is not tested."
+        named = " and ".join(filter(None, (", ".join(absent[:-1]), absent[-1])))
+        yield f"{named} {which} is not tested."
     if seeds == 1:
         yield "One seed: intervals resample its worlds, so every verdict is about these models. Add seeds to cover retraining."
     elif spec is not None and spec.training_seed is not None:

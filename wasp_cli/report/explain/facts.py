@@ -21,11 +21,9 @@ State = Literal["fired", "silent", "not asked", "no candidate", "withheld", "lat
 """Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that gains is not, or changes no force.
 `late`: nor was any gate asked in time. `off`: this variant of the method does without it."""
 
-Range = tuple[float, float]
-"""Least and greatest."""
+Range = tuple[float, float]  # least and greatest
 
-WINDOW = 15
-"""Decisions over which real costs are counted where no horizon H is known; the paper's H and W."""
+WINDOW = 15  # decisions over which real costs are counted where no horizon H is known; the paper's H and W
 
 
 @dataclass(frozen=True)
@@ -34,33 +32,24 @@ class Run:
 
     first: int
     last: int
-    gates: Mapping[str, int]
-    """decisions by name of the gate"""
-    command: tuple[float, ...]
-    """[A] mean a^H"""
-    executed: tuple[float, ...]
-    """[A] mean a"""
-    deviation: float
-    """mean"""
-    intervened: int
-    """decisions"""
+    gates: Mapping[str, int]  # decisions by name of the gate
+    command: tuple[float, ...]  # [A] mean a^H
+    executed: tuple[float, ...]  # [A] mean a
+    deviation: float  # mean
+    intervened: int  # decisions
     g_cost: Range | None
     delta_g: Range | None
     signal: Range | None
-    cost: int
-    """env steps with cost"""
-    costly: tuple[int, ...]
-    """decisions with cost"""
+    cost: int  # env steps with cost
+    costly: tuple[int, ...]  # decisions with cost
     missed: tuple[int, ...]
 
     @property
     def decisions(self) -> int:
-        """Return how many."""
         return self.last - self.first + 1
 
     @property
     def gate(self) -> str:
-        """Return the most frequent gate."""
         return max(self.gates, key=self.gates.__getitem__)
 
 
@@ -77,17 +66,12 @@ class Gate:
 class Planned:
     """What the planner did at one decision."""
 
-    safe: tuple[int, ...]
-    """[I] |F_s| (Eq. 14); empty where the plan was carried out without a search"""
-    case2: tuple[bool, ...]
-    """[I]"""
-    residuals: tuple[tuple[float, ...], ...]
-    """[L, A]"""
-    cost: float | None
-    """predicted cost return with the sequence"""
+    safe: tuple[int, ...]  # [I] |F_s| (Eq. 14); empty where the plan was carried out without a search
+    case2: tuple[bool, ...]  # [I]
+    residuals: tuple[tuple[float, ...], ...]  # [L, A]
+    cost: float | None  # predicted cost return with the sequence
     return_: float | None
-    alone_cost: float | None
-    """without it, on the same rollouts"""
+    alone_cost: float | None  # without it, on the same rollouts
     alone_return: float | None
 
     @property
@@ -108,13 +92,10 @@ class Happened:
     first: int
     last: int
     reward: float
-    cost: int
-    """env steps with cost"""
-    costly: int
-    """decisions with cost"""
+    cost: int  # env steps with cost
+    costly: int  # decisions with cost
     goals: int
-    intervened: int
-    """decisions"""
+    intervened: int  # decisions
     discounted: float | None
     """costly decisions, discounted by gamma_c as predictions are; None where gamma_c is not known"""
 
@@ -125,25 +106,19 @@ class Decision:
 
     t: int
     gate: str
-    command: tuple[float, ...]
-    """[A] a^H"""
-    executed: tuple[float, ...]
-    """[A] a"""
+    command: tuple[float, ...]  # [A] a^H
+    executed: tuple[float, ...]  # [A] a
     deviation: float
     intervened: bool
-    safety: Gate | None
-    """None of a method without WASP's gates"""
+    safety: Gate | None  # None of a method without WASP's gates
     task: Gate | None
     g_return: float | None
     signal: float | None
     plan: Planned | None
-    now: Happened
-    """this decision"""
-    ahead: Happened
-    """this decision and those behind it: `window` in all, or as many as are left"""
+    now: Happened  # this decision
+    ahead: Happened  # this decision and those behind it: `window` in all, or as many as are left
     window: int
-    ms: float | None
-    """decision time divided by the episodes that were decided side by side"""
+    ms: float | None  # decision time divided by the episodes that were decided side by side
 
 
 def runs_of(episode: Episode) -> tuple[Run, ...]:
@@ -187,11 +162,7 @@ def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
 
 
 def decision_of(episode: Episode, t: int) -> Decision:
-    """Collect the facts of one decision.
-
-    Raises:
-        UsageError: the episode has no such decision.
-    """
+    """Collect the facts of one decision."""
     episode.require(t)
     horizon = episode.constants.horizon
     window = WINDOW if horizon is None or horizon == 1 else horizon  # `no-rollout` sees one step, but costs take longer to come
@@ -309,11 +280,7 @@ def episode_json(episode: Episode) -> dict[str, Any]:
 
 
 def decision_json(episode: Episode, t: int) -> dict[str, Any]:
-    """Return one decision as JSON values; what is undefined is null.
-
-    Raises:
-        UsageError: the episode has no such decision.
-    """
+    """Return one decision as JSON values; what is undefined is null. A UsageError where the episode has no such decision."""
     limits = {"tau_q": episode.thresholds.tau_q, "tau_c": episode.thresholds.tau_c, "signal_limit": episode.signal_limit}
     facts = {"who": _who(episode), "constants": asdict(episode.constants), **asdict(decision_of(episode, t)), **limits}
     values: dict[str, Any] = plain_values(facts)
@@ -321,7 +288,6 @@ def decision_json(episode: Episode, t: int) -> dict[str, Any]:
 
 
 def _who(episode: Episode) -> dict[str, Any]:
-    """Which episode it is."""
     names = ("task", "method", "variant", "operator", "value", "seed", "episode")
     return {
         "key": episode.cell.key, "label": episode.label, "path": str(episode.cell.path), **{name: episode.row[name] for name in names},

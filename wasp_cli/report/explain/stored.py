@@ -42,29 +42,19 @@ MOST_ITERATIONS = 32
 class Constants:
     """What the manifest says of the method; None where there is no manifest, or the method has no such constant."""
 
-    horizon: int | None = None
-    """H"""
-    residual_steps: int | None = None
-    """L"""
-    candidates: int | None = None
-    """N"""
-    probe: int | None = None
-    """N_probe: random corrections that the task gate judges"""
-    feasible: int | None = None
-    """N_f"""
-    batches: tuple[int, ...] | None = None
-    """candidates that each iteration of the search classifies"""
+    horizon: int | None = None  # H
+    residual_steps: int | None = None  # L
+    candidates: int | None = None  # N
+    probe: int | None = None  # N_probe: random corrections that the task gate judges
+    feasible: int | None = None  # N_f
+    batches: tuple[int, ...] | None = None  # candidates that each iteration of the search classifies
     takeover: bool = False
     """whether the gates look at one correction, the expert's action now, and imagine the expert, not the operator, behind every command"""
-    bootstrap_cost: bool | None = None
-    """whether V_c stands for what lies behind H in costs (Eq. 7)"""
+    bootstrap_cost: bool | None = None  # whether V_c stands for what lies behind H in costs (Eq. 7)
     gamma_c: float | None = None
-    vote: float | None = None
-    """share of IDA's ensemble, from -1 to 1, above which it takes over"""
-    action_repeat: int | None = None
-    """env steps of a decision"""
-    decision_seconds: float | None = None
-    """simulated time of a decision; None of a task that is not ours"""
+    vote: float | None = None  # share of IDA's ensemble, from -1 to 1, above which it takes over
+    action_repeat: int | None = None  # env steps of a decision
+    decision_seconds: float | None = None  # simulated time of a decision; None of a task that is not ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,43 +62,29 @@ class Episode:
     """One stored episode."""
 
     cell: FoundCell
-    row: Mapping[str, Any]
-    """The episode columns of `store.tables`"""
-    episodes: int
-    """in the cell, all decided side by side"""
-    gate: NDArray[np.int64]
-    """[T]"""
-    costly: Bools
-    """[T] any cost within the decision"""
-    a_h: Floats
-    """[T, A]"""
-    a: Floats
-    """[T, A]"""
-    numbers: Mapping[str, Floats]
-    """NUMBERS and PREDICTED, [T] each; NaN is undefined"""
-    safe: tuple[tuple[int, ...] | None, ...]
-    """T times: I counts |F_s|, or None where nothing was searched"""
-    case2: tuple[tuple[bool, ...] | None, ...]
-    """T times: I"""
-    plan: tuple[tuple[float, ...] | None, ...]
-    """T times: L residuals of A numbers, one after the other"""
-    ms: Floats
-    """[T] decision time, as stored: divided by the episodes that were decided side by side"""
+    row: Mapping[str, Any]  # the episode columns of `store.tables`
+    episodes: int  # in the cell, all decided side by side
+    gate: NDArray[np.int64]  # [T]
+    costly: Bools  # [T] any cost within the decision
+    a_h: Floats  # [T, A]
+    a: Floats  # [T, A]
+    numbers: Mapping[str, Floats]  # NUMBERS and PREDICTED, [T] each; NaN is undefined
+    safe: tuple[tuple[int, ...] | None, ...]  # T times: I counts |F_s|, or None where nothing was searched
+    case2: tuple[tuple[bool, ...] | None, ...]  # T times: I
+    plan: tuple[tuple[float, ...] | None, ...]  # T times: L residuals of A numbers, one after the other
+    ms: Floats  # [T] decision time, as stored: divided by the episodes that were decided side by side
     constants: Constants
 
     @property
     def decisions(self) -> int:
-        """Return T."""
         return len(self.gate)
 
     @property
     def method(self) -> str:
-        """Return who assists."""
         return str(self.row["method"])
 
     @property
     def variant(self) -> str:
-        """Return the ablation of the method; `full` for the method itself."""
         return str(self.row["variant"])
 
     @property
@@ -120,21 +96,15 @@ class Episode:
 
     @property
     def title(self) -> str:
-        """Return the title on a picture of the episode."""
         return f"{self.label}, episode {self.row['episode']}"
 
     def require(self, t: int) -> None:
-        """Check that there is a decision t.
-
-        Raises:
-            UsageError: there is none.
-        """
+        """Raise a UsageError where there is no decision t."""
         if not 0 <= t < self.decisions:
             raise UsageError(f"there is no decision {t}", f"episode {self.row['episode']} has the decisions 0 to {self.decisions - 1}")
 
     @property
     def thresholds(self) -> Thresholds:
-        """Return the thresholds; None where the method has none."""
         return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
 
     @property
@@ -157,7 +127,6 @@ class Episode:
 
     @property
     def gated(self) -> bool:
-        """Tell whether the method has WASP's gates."""
         fired = np.isin(self.gate, (GATE_SAFETY, GATE_TASK)).any()
         return bool(fired or np.isfinite(self.numbers["g_cost"]).any() or self.thresholds.tau_r is not None)  # others may bound a cost too
 
@@ -191,12 +160,7 @@ def signal_of(method: str) -> Signal:
 
 
 def read_episode(cell: FoundCell, episode: int) -> Episode:
-    """Read one episode of a cell.
-
-    Raises:
-        UsageError: the cell has no such episode.
-        StoreError: the table cannot be read.
-    """
+    """Read one episode of a cell; a UsageError where it has none of this number, a StoreError where the table does not read."""
     with odd_tables_refused(cell.path):
         return _read(cell, episode)
 
@@ -242,8 +206,8 @@ def _read(cell: FoundCell, episode: int) -> Episode:
 
 def _floats(values: list[float | None]) -> Floats:
     """Real numbers; null and infinities are NaN."""
-    found = np.array([math.nan if value is None else value for value in values], np.float64)
-    return np.where(np.isfinite(found), found, np.nan)
+    numbers = np.array(values, np.float64)
+    return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
 def _lists(values: list[list[Any] | None]) -> tuple[tuple[Any, ...] | None, ...]:

@@ -18,14 +18,11 @@ from wasp_cli.report.explain.stored import Episode, Floats
 class Look(NamedTuple):
     """How a gate is shown."""
 
-    kind: str
-    """its name in rows and JSON, and its class on a page"""
+    kind: str  # its name in rows and JSON, and its class on a page
     letter: str
     words: str
-    colour: str
-    """of Okabe and Ito; `page/style.css` has it too, and a lighter one for dark pages"""
-    style: str
-    """the nearest colour of a terminal"""
+    colour: str  # of Okabe and Ito; `page/style.css` has it too, and a lighter one for dark pages
+    style: str  # the nearest colour of a terminal
 
 
 LOOKS = {
@@ -36,12 +33,9 @@ LOOKS = {
 }
 """By gate, the one that is shown first where several fall together."""
 
-CURVE, STRIP = 36, 8
-"""Heights in px of a curve and of a row of marks."""
-HEADROOM = 2.0
-"""Thresholds up to which a curve is drawn; what is higher is cut off there."""
-Span = tuple[str, int, int]
-"""Kind of a mark, its first decision, and how many it covers."""
+CURVE, STRIP = 36, 8  # heights in px of a curve and of a row of marks
+HEADROOM = 2.0  # thresholds up to which a curve is drawn; what is higher is cut off there
+Span = tuple[str, int, int]  # kind of a mark, its first decision, and how many it covers
 BASE = (("base", STRIP),)
 
 
@@ -50,10 +44,8 @@ class Lane(NamedTuple):
 
     name: str
     height: int
-    levels: Sequence[tuple[str, float | str]]
-    """Horizontal lines: their class and height from above in px."""
-    curves: Sequence[str] = ()
-    """Points of polylines, `x,y x,y ...`."""
+    levels: Sequence[tuple[str, float | str]]  # horizontal lines: their class and height from above in px
+    curves: Sequence[str] = ()  # points of polylines, `x,y x,y ...`
     marks: Sequence[Span] = ()
 
 
@@ -72,8 +64,7 @@ class Curve(NamedTuple):
     """What a method looks at over an episode."""
 
     name: str
-    values: Floats
-    """[T]"""
+    values: Floats  # [T]
     limit: float | None
     limit_name: str
 

@@ -19,25 +19,21 @@ from wasp_cli.report.stats.frame import Frame, Group, groups
 from wasp_cli.report.stats.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables.by_axis import REFERENCE, Condition, Line, Swept, condition_title, lines, operator_lines
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.report.tables.table import Column, is_row, task_title, who_title
+from wasp_cli.report.tables.table import Column, task_title, who_title
 from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Numbers = Callable[[Column], Sequence[Value]]
-"""[N] the value of a metric at every place of the axis."""
+Numbers = Callable[[Column], Sequence[Value]]  # [N] the value of a metric at every place of the axis
 
 SEVERITY_MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("int_rate", "cost", "return"))
 SWEEP_MEASURES = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost", "mag"))
-MOST = 6
-"""Operators with a curve each; of more, the mean is drawn."""
-DASHES = (0, (4, 3))
-"""Of Human-only, in the colour of the operator."""
+MOST = 6  # operators with a curve each; of more, the mean is drawn
+DASHES = (0, (4, 3))  # of Human-only, in the colour of the operator
 MARKERS = ("o", "s", "^", "v", "D", "P")
-COLOURS = PALETTE[1:]
-"""One for each operator; black is the mean."""
+COLOURS = PALETTE[1:]  # one for each operator; black is the mean
 CROWDED = {"markersize": 4, "linewidth": 0.9, "elinewidth": 0.8}
 """Look of curves that stand beside each other."""
 CLEAR = {"markersize": 5, "markeredgecolor": "white", "markeredgewidth": 0.6, "linewidth": 1.5, "elinewidth": 0.8, "capsize": 2}
@@ -50,19 +46,18 @@ class Curve:
     label: str
     colour: str
     marker: str
-    x: Sequence[float]
-    """[N]"""
+    x: Sequence[float]  # [N]
     numbers: Numbers
-    reference: Numbers | None = None
-    """Of Human-only, dashed; None where there are none."""
-    gaps: int = 0
-    """Places whose cells are missing."""
+    reference: Numbers | None = None  # of Human-only, dashed; None where there are none
+    gaps: int = 0  # places whose cells are missing
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
     """Write `severity.png` and `.svg`: intervention rate, cost and return under every operator and severity; by task. Returns the files."""
-    found = [group for group in groups(frame) if is_row(group) and METHODS[group.method].impaired and group.cells]
-    conditions = _conditions(frame)
+    found = [group for group in groups(frame) if group.variant == "full" and METHODS[group.method].impaired and group.cells]
+    under = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.operator != UNIMPAIRED)
+    variants = list(dict.fromkeys(variant for variant, _ in under))
+    conditions = sorted(under, key=lambda condition: variants.index(condition[0]))
     tasks = list(dict.fromkeys(group.task for group in found))
     if not tasks or len(conditions) < 2:
         return []
@@ -83,16 +78,7 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def sweep_figures(key: str, swept: Sequence[Swept], folder: Path) -> list[Path]:
-    """Write `sweep_<task>.png` and `.svg` for every task.
-
-    Args:
-        key: the setting.
-        swept: the cells under each of its values.
-        folder: where the files go.
-
-    Returns:
-        The written files; none of a task without any computed cell.
-    """
+    """Write `sweep_<task>.png` and `.svg` for every task with a computed cell; returns the files."""
     tasks = dict.fromkeys(line.group.task for line in lines(swept))
     figures = {task: figure for task in tasks if (figure := sweep_figure(key, swept, task)) is not None}
     return [path for task, figure in figures.items() for path in figure_files(figure, folder, f"sweep_{slug(task)}")]
@@ -116,7 +102,9 @@ def sweep_figure(key: str, swept: Sequence[Swept], task: str) -> Figure | None:
             if len(assistants) > 1:
                 row[0].set_ylabel(title, fontweight="bold")
         heading = task_title(task) if len(assistants) > 1 else f"{task_title(task)}, {next(iter(assistants))}"
-        figure.suptitle(heading + _missing(curves), x=0.01, ha="left", fontweight="bold")
+        if missing := sum(curve.gaps for curve in curves):
+            heading += f" (cells are missing: {missing} point{'s' if missing > 1 else ''} left out)"
+        figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
         dashed = {METHODS[REFERENCE].title: {"linestyle": DASHES, "color": "#555555"}} if any(curve.reference for curve in curves) else {}
         legend(figure, [panels[0][0]], loc="outside lower center", further=dashed, most=4)
         return figure
@@ -140,13 +128,6 @@ def draw_curve(panel: Axes, curve: Curve, column: Column, look: dict[str, Any]) 
     mean, spread = printed(curve.numbers)
     bars = spread if any(number > 0 for number in spread) else None
     panel.errorbar(x, mean, yerr=bars, fmt=curve.marker, linestyle="-", color=curve.colour, label=curve.label, **look)
-
-
-def _conditions(frame: Frame) -> list[Condition]:
-    """Every operator with each of its severities, as the spec lists them."""
-    found = dict.fromkeys((cell.identity.operator, cell.identity.value) for cell in frame.cells if cell.identity.operator != UNIMPAIRED)
-    variants = list(dict.fromkeys(variant for variant, _ in found))
-    return sorted(found, key=lambda condition: variants.index(condition[0]))
 
 
 def _over_conditions(group: Group, conditions: Sequence[Condition], shift: float) -> Curve:
@@ -181,7 +162,7 @@ def sweep_curves(swept: Sequence[Swept], task: str) -> dict[str, list[Curve]]:
     conditions = list(dict.fromkeys(line.condition for line in by_operator))
     shown: list[Condition | None] = list(conditions) if len(conditions) <= MOST else [None]
     every = by_operator if len(conditions) <= MOST else of_task
-    touched = dict.fromkeys(_assistant(line) for line in of_task if line.swept is not None)
+    touched = dict.fromkeys(line.group.assistant[1:] for line in of_task if line.swept is not None)
     x, _ = positions([each.value for each in swept])
     found: dict[str, list[Curve]] = {}
     for assistant in [each for each in touched if each[0] != REFERENCE] or list(touched):
@@ -208,14 +189,10 @@ def _over_values(
     every: Sequence[Line], swept: Sequence[Swept], assistant: tuple[str, str], condition: Condition | None
 ) -> list[Line | None]:
     """The line of an assistant under each value; an untouched one has the same under all."""
-    own = [line for line in every if _assistant(line) == assistant and line.condition == condition]
+    own = [line for line in every if line.group.assistant[1:] == assistant and line.condition == condition]
     # A mean that leaves cells out would pass for another one.
     whole = [line for line in own if line.group.complete and line.group.cells]
     return [next((line for line in whole if line.swept in (None, each)), None) for each in swept]
-
-
-def _assistant(line: Line) -> tuple[str, str]:
-    return line.group.method, line.group.variant
 
 
 def _numbers(found: Sequence[Line | None]) -> Numbers:
@@ -235,9 +212,3 @@ def _name_values(panel: Axes, column: Column, key: str, swept: Sequence[Swept]) 
     elif column.key in ("cost", "mag"):
         panel.set_ylim(bottom=-0.03 * panel.get_ylim()[1])  # Human-only deviates by 0, and must show above the frame
     ruled(panel)
-
-
-def _missing(curves: Sequence[Curve]) -> str:
-    """What a reader must know of points that are not there."""
-    missing = sum(curve.gaps for curve in curves)
-    return f" (cells are missing: {missing} point{'s' if missing > 1 else ''} left out)" if missing else ""

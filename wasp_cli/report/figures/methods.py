@@ -17,8 +17,8 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.figures.style import LINES, drawn, figure_files, legend, place_of_round, ruled, style_of
 from wasp_cli.report.stats.frame import CellNumbers, Floats, Frame, Group, groups
 from wasp_cli.report.stats.summary import summarise
-from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups, row_title
-from wasp_cli.report.tables.table import Column, assistant_title, is_row, task_title
+from wasp_cli.report.tables.necessity import MEANS, estimated, judged_groups
+from wasp_cli.report.tables.table import Column, assistant_title, task_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
     """Return the rows of the tables that have cells, by task."""
     rows: dict[str, list[Group]] = {}
     for group in groups(frame):
-        if is_row(group) and group.cells:
+        if group.variant == "full" and group.cells:
             rows.setdefault(group.task, []).append(group)
     return rows
 
@@ -163,21 +163,17 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
             risk.set_title(task_title(task), loc="left", fontweight="bold")
             for panel, key in zip(others, PANELS, strict=True):
                 _points(panel, own, columns[key], columns["uir_swapped"] if key == "uir" else None)
-        for panel, text in zip(
-            panels[-1], ("Share of the interventions by the risk ρ\nof the command alone", *PANELS.values()), strict=True
-        ):
-            panel.set_xlabel(text)
-        legend(figure, [panels[0, 0]], most=len(CLASSES), loc="outside lower left", title=_what_rho_is(frame))
+        labels = ("Share of the interventions by the risk ρ\nof the command alone", *PANELS.values())
+        for panel, label in zip(panels[-1], labels, strict=True):
+            panel.set_xlabel(label)
+        windows = " or ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
+        rho = f"ρ: share of the next {windows} decisions that cost without the intervention"
+        legend(figure, [panels[0, 0]], most=len(CLASSES), loc="outside lower left", title=rho)
         return figure_files(figure, folder, "figure3")
 
 
 def _risks(frame: Frame, group: Group) -> Floats:
     return np.concatenate([frame.judged[cell.identity].worth.rho for cell in group.cells]) if group.cells else np.empty(0)
-
-
-def _what_rho_is(frame: Frame) -> str:
-    windows = " or ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
-    return f"ρ: share of the next {windows} decisions that cost without the intervention"
 
 
 def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
@@ -194,7 +190,7 @@ def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
         panel.annotate(f"n = {len(risks)}", (100.0, y), (4, 0), textcoords="offset points", va="center", fontsize=7, color="#555555")
     panel.set_xlim(0.0, 116.0)
     panel.set_xticks(range(0, 101, 25), [f"{tick} %" for tick in range(0, 101, 25)])
-    panel.set_yticks(range(len(own)), [row_title(group) for group in own])
+    panel.set_yticks(range(len(own)), [assistant_title(group) for group in own])
     panel.set_ylim(len(own) - 0.5, -0.5)
     panel.tick_params(axis="y", length=0)
 

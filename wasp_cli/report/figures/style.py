@@ -30,8 +30,7 @@ STYLES = {
     name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)]) for i, name in enumerate(METHODS)
 }
 """Colour and marker of a method, the same in every figure; the marker also tells them apart in print."""
-LINES = ("-", "--", ":")
-"""Of methods with one colour, in their rounds."""
+LINES = ("-", "--", ":")  # of methods with one colour, in their rounds
 LOOK: dict[Any, Any] = {
     "font.size": 9,
     "svg.hashsalt": "wasp",
@@ -131,43 +130,28 @@ def legend(
 
 
 GREY = "#999999"
-MARGIN = 0.97
-"""Of a figure's width that a legend may take."""
+MARGIN = 0.97  # of a figure's width that a legend may take
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
     """One line of a panel."""
 
-    x: Floats
-    """[n]"""
-    y: Floats
-    """[n]; NaN is left out"""
+    x: Floats  # [n]
+    y: Floats  # [n]; NaN is left out
     label: str = ""
     colour: str = PALETTE[6]
-    style: str = "-"
-    """`none`: marks alone"""
+    style: str = "-"  # `none`: marks alone
     marker: str = ""
     width: float = 1.2
-    alpha: float = 1.0
-    """of the line"""
-    size: float = 3.0
-    """of the marks"""
-    areas: Floats | None = None
-    """[n] of marks that differ in size"""
-    gaps: bool = False
-    """Whether NaN interrupts the line instead."""
+    alpha: float = 1.0  # of the line
+    size: float = 3.0  # of the marks
+    areas: Floats | None = None  # [n] of marks that differ in size
+    gaps: bool = False  # whether NaN interrupts the line instead
 
 
 def draw_lines(panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, float] | None = None, **axes: Any) -> None:
-    """Draw lines over a grid; a label that several share is named once.
-
-    Args:
-        panel: matplotlib's.
-        lines: what is drawn.
-        diagonal: where a grey line of equal x and y begins and ends; None: nowhere.
-        axes: what matplotlib's `Axes.set` takes (title, labels, limits).
-    """
+    """Draw lines over a grid, and a grey line of equal x and y from one to the other end of `diagonal`; a shared label is named once."""
     if diagonal is not None:
         panel.plot(diagonal, diagonal, color=GREY, linewidth=0.8, zorder=0.9)
     named: set[str] = set()

@@ -33,8 +33,7 @@ from wasp_cli.tasks.registry import TASKS
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-FRAMES, SIZE = 90, 176
-"""Frames of a film at most (about), and their side in px."""
+FRAMES, SIZE = 90, 176  # frames of a film at most (about), and their side in px
 
 
 class Sprite(NamedTuple):
@@ -43,12 +42,9 @@ class Sprite(NamedTuple):
     data: bytes
     mime: str
     columns: int
-    size: int
-    """side of a frame in px"""
-    decisions: list[int]
-    """how many decisions had been made at each frame: 0, every, 2 every, ..., T"""
-    things: tuple[tuple[str, str], ...] = ()
-    """what its map shows, each with its colour `#rrggbb`"""
+    size: int  # side of a frame in px
+    decisions: list[int]  # how many decisions had been made at each frame: 0, every, 2 every, ..., T
+    things: tuple[tuple[str, str], ...] = ()  # what its map shows, each with its colour `#rrggbb`
 
 
 Draw = Callable[..., Sprite]
@@ -62,10 +58,8 @@ class MethodFilm:
     method: str
     episode: Episode
     sprite: Sprite | None
-    every: int
-    """Decisions between two frames."""
-    problem: str = ""
-    """Why there are no frames."""
+    every: int  # decisions between two frames
+    problem: str = ""  # why there are no frames
 
 
 @dataclass(frozen=True)
@@ -77,33 +71,21 @@ class TaskFilms:
     value: float | None
     severity: str | None
     seed: int
-    number: int
-    """of the episode"""
-    how: str
-    """it was chosen, for people"""
+    number: int  # of the episode
+    how: str  # it was chosen, for people
     films: tuple[MethodFilm, ...]
 
     @property
     def decisions(self) -> int:
-        """Of the longest one."""
         return max(film.episode.decisions for film in self.films)
 
     @property
     def decision_seconds(self) -> float | None:
-        """Simulated time of a decision."""
         return next((film.episode.constants.decision_seconds for film in self.films), None)
 
 
 def films_of(layout: Layout, frame: Frame, keys: dict[CellIdentity, str], draw: Draw, tell: Callable[[str], None]) -> Iterator[TaskFilms]:
-    """Yield the films of every task of which a map can be drawn.
-
-    Args:
-        layout: the results folder.
-        frame: the cells of the report.
-        keys: of their evaluations.
-        draw: draws an episode.
-        tell: told what is being drawn.
-    """
+    """Yield the films of every task of which a map can be drawn; `tell` is told what is being drawn."""
     for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
         # Nothing else is drawn: its environment would be imported, and the results may be untrusted.
         if task in TASKS and (films := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None:

@@ -41,7 +41,6 @@ def with_branches(frame: Frame, wanted: Iterable[Wanted]) -> Frame:
 
 
 def _judged(wanted: Wanted, cell: CellNumbers) -> Judged | Missing:
-    """What the branches of a cell say, or why they are not there."""
     key = wanted.path.parent.name
     if wanted.refused is not None:
         return Missing(wanted.identity, wanted.label, wanted.refused, kind=COUNTERFACTUAL)
@@ -58,7 +57,6 @@ def _judged(wanted: Wanted, cell: CellNumbers) -> Judged | Missing:
 
 
 def _require_cell(stored: Branches, cell: CellNumbers) -> None:
-    """The branches are those of the cell, and of episodes that it has."""
     if stored.cell.identity != cell.identity:
         raise ValueError(f"it holds the branches of another cell: {stored.cell.identity}")
     if stored.cell.episodes != cell.count or (stored.episode < 0).any() or (stored.episode >= cell.count).any():

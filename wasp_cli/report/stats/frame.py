@@ -27,16 +27,14 @@ Floats = NDArray[np.float64]
 POOLING = ("decisions", "env_steps", "intervened", "planned", "handovers")
 """Columns that weigh others (metrics.episode.WEIGHTS)."""
 
-TIMES = ("decision_p50_ms", "decision_p95_ms")
-"""Columns of which a cell has the median over its episodes."""
+TIMES = ("decision_p50_ms", "decision_p95_ms")  # columns of which a cell has the median over its episodes
 
-COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")
-"""What is read of a cell."""
+COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")  # what is read of a cell
 
 THREADS = 4
 """That read cells side by side: a disk answers several, and unpacking a column holds up no other thread."""
-TOGETHER = 50
-"""Cells that a thread reads in one go: handing them over one by one would cost half as much as reading them."""
+
+TOGETHER = 50  # cells that a thread reads in one go: handing them over one by one would cost half as much as reading them
 
 JUDGED = ("uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, in the cells that have one (`report.stats.branches`)."""
@@ -55,18 +53,13 @@ class Wanted:
     identity: CellIdentity
     label: str
     path: Path
-    severity: str | None = None
-    """The spec's name of the severity value."""
-    failure: str | None = None
-    """Why its last computation failed, where that is known."""
-    blocked: str | None = None
-    """Which failed node stands in its way, where that is known."""
-    refused: str | None = None
-    """Why its file is not read though it may be there."""
+    severity: str | None = None  # the spec's name of the severity value
+    failure: str | None = None  # why its last computation failed, where that is known
+    blocked: str | None = None  # which failed node stands in its way, where that is known
+    refused: str | None = None  # why its file is not read though it may be there
     branches: Wanted | None = None
     """Its counterfactual branches, where somebody asked for them: the same of their table."""
-    chain_seed: int | None = None
-    """The seed of the training whose models it uses; None: the cell's own seed."""
+    chain_seed: int | None = None  # the seed of the training whose models it uses; None: the cell's own seed
 
 
 @dataclass(frozen=True)
@@ -77,10 +70,8 @@ class Missing:
     label: str
     reason: str
     key: str = ""
-    damaged: bool = False
-    """Whether its rows are there and do not read."""
-    kind: str = "evaluate"
-    """Of the node that makes them."""
+    damaged: bool = False  # whether its rows are there and do not read
+    kind: str = "evaluate"  # of the node that makes them
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +95,6 @@ class CellNumbers:
 
     @property
     def count(self) -> int:
-        """E, its episodes"""
         return len(self.episodes["world"])
 
     def weighted(self, key: str) -> tuple[Floats, Floats]:
@@ -122,10 +112,8 @@ class Judged:
     """What the N branched interventions of a cell were worth."""
 
     worth: Necessity
-    episode: NDArray[np.int64]
-    """[N]"""
-    window: int
-    """W"""
+    episode: NDArray[np.int64]  # [N]
+    window: int  # W
     tau_R: float
 
 
@@ -135,8 +123,7 @@ class Frame:
 
     cells: tuple[CellNumbers, ...]
     missing: tuple[Missing, ...] = ()
-    order: tuple[CellIdentity, ...] = ()
-    """All wanted cells, as they were asked for."""
+    order: tuple[CellIdentity, ...] = ()  # all wanted cells, as they were asked for
     judged: Mapping[CellIdentity, Judged] = field(default_factory=dict)
     """The cells whose interventions were branched."""
     unbranched: tuple[Missing, ...] = ()
@@ -153,8 +140,11 @@ class Group:
     method: str
     variant: str
     cells: tuple[CellNumbers, ...]
-    absent: int
-    """Cells that are missing."""
+    absent: int  # cells that are missing
+
+    @property
+    def assistant(self) -> tuple[str, str, str]:
+        return self.task, self.method, self.variant
 
     @property
     def complete(self) -> bool:
@@ -188,14 +178,13 @@ def read_frame(wanted: Iterable[Wanted]) -> Frame:
     wanted = tuple(wanted)
     parts = [wanted[i : i + TOGETHER] for i in range(0, len(wanted), TOGETHER)]
     with ThreadPoolExecutor(THREADS) as threads:
-        found = [each for part in threads.map(lambda part: list(map(_read, part)), parts) for each in part]
-    read = [(cell, each) for cell, each in zip(wanted, found, strict=True) if not isinstance(each, Missing)]
-    missing = tuple(each for each in found if isinstance(each, Missing))
+        found = [numbers for part in threads.map(lambda part: list(map(_read, part)), parts) for numbers in part]
+    read = [(cell, numbers) for cell, numbers in zip(wanted, found, strict=True) if not isinstance(numbers, Missing)]
+    missing = tuple(gap for gap in found if isinstance(gap, Missing))
     return Frame(tuple(pool_cells(read)), missing, tuple(cell.identity for cell in wanted))
 
 
 def _read(cell: Wanted) -> Numbers | Missing:
-    """The rows of a cell, or why there are none."""
     if cell.refused is not None:
         return Missing(cell.identity, cell.label, cell.refused)
     if not cell.path.exists():
@@ -234,9 +223,7 @@ def _read_closely(path: Path) -> Numbers:
 def odd_tables_refused(path: Path, *, sizes: bool = True) -> Iterator[None]:
     """Raise StoreError inside the block also for what `store.tables` never writes, but a Parquet file may hold.
 
-    Args:
-        path: the table that is read.
-        sizes: whether the block may read all of it, so that it must not be too large.
+    `sizes`: the block may read all of the table, so that it must not be too large.
     """
     try:
         if not path.is_file():  # a pipe would hold the reader for ever
@@ -271,17 +258,16 @@ def pool_cells(found: Sequence[tuple[Wanted, Numbers]]) -> list[CellNumbers]:
         part = slice(int(starts[i]), int(starts[i + 1]))
         episodes = {name: values[part] for name, values in columns.items()}
         of_cell = {name: float(values[i]) for name, values in pooled.items()}
-        of_cell |= {name: _median(episodes[name]) for name in TIMES}
+        of_cell |= {name: median_of(episodes[name]) for name in TIMES}
         cells.append(CellNumbers(cell.identity, cell.severity, of_cell, episodes, numbers.thresholds, cell.chain_seed))
     return cells
 
 
 def _floats(table: pa.Table, name: str) -> Floats:
-    """A column as float64; null is NaN."""
     return np.asarray(table[name].combine_chunks().cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64)
 
 
-def _median(values: Floats) -> float:
-    defined = np.sort(values[~np.isnan(values)])
-    # That of NumPy takes several times as long for so few numbers.
-    return float(defined[(len(defined) - 1) // 2] + defined[len(defined) // 2]) / 2 if len(defined) else float("nan")
+def median_of(values: Floats) -> float:
+    """Return the median of the defined values; NaN without any."""
+    defined = values[~np.isnan(values)]
+    return float(np.median(defined)) if len(defined) else float("nan")

@@ -27,8 +27,7 @@ class Interval:
     low: float
     high: float
     unit: Literal["training", "world", "participant"]
-    clusters: int
-    """K, how many of them were resampled"""
+    clusters: int  # K, how many of them were resampled
 
     @property
     def words(self) -> str:
@@ -38,8 +37,7 @@ class Interval:
         return f"95 % interval over {self.clusters} {self.unit}s"
 
 
-FEW = 3
-"""Clusters up to which 95 % of the resamples reach from the least to the largest."""
+FEW = 3  # clusters up to which 95 % of the resamples reach from the least to the largest
 
 
 @dataclass(frozen=True)
@@ -47,16 +45,11 @@ class Value:
     """A number of a table. None is undefined."""
 
     mean: float | None
-    sd: float | None = None
-    """Spread over seed-level means; None with fewer than two seeds."""
-    n: int = 0
-    """Seeds behind the mean."""
-    delta: float | None = None
-    """Difference to a reference row, where a table has one."""
-    ranked: bool = True
-    """Whether it may be the best of its column."""
-    interval: Interval | None = None
-    """Where the mean may lie, and what says so."""
+    sd: float | None = None  # spread over seed-level means; None with fewer than two seeds
+    n: int = 0  # seeds behind the mean
+    delta: float | None = None  # difference to a reference row, where a table has one
+    ranked: bool = True  # whether it may be the best of its column
+    interval: Interval | None = None  # where the mean may lie, and what says so
 
 
 UNDEFINED = Value(None, ranked=False)

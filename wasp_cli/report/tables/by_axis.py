@@ -29,14 +29,12 @@ SEVERITY_MEASURES = tuple(column for key in ("int_rate", "cost", "return") for c
 REFERENCE = "human"
 SWEEP_COLUMNS = (*PAPER_COLUMNS, *(column for column in MORE_COLUMNS if column.key == "mag_int"))
 SWEEP_OPERATOR_COLUMNS = tuple(column for column in PAPER_COLUMNS if column.key in ("return", "success", "cost"))
-UNTOUCHED = "-"
-"""The value of a method whose cells are the same for every value."""
+UNTOUCHED = "-"  # the value of a method whose cells are the same for every value
 UNTOUCHED_NOTE = f"{UNTOUCHED} in place of a value: the setting does not touch this method, whose cells are the same for every value."
 DIFFERENCE = "In brackets: mean difference to Human-only over the operators, severities and seeds that both have."
 CHOICE = "The best of several values looks better than it is: choose on seeds that no table uses, and report on others."
 
-Condition = tuple[str, float | None]
-"""Operator variant and severity value."""
+Condition = tuple[str, float | None]  # operator variant and severity value
 
 
 def operator_table(frame: Frame) -> Table:
@@ -91,10 +89,8 @@ def level(cell: CellNumbers) -> str:
 class Swept:
     """The cells under one value of the setting."""
 
-    text: str
-    """The value as it was written."""
-    value: Any
-    """The same as a file would have it."""
+    text: str  # the value as it was written
+    value: Any  # the same as a file would have it
     frame: Frame
     keys: Mapping[CellIdentity, str]
     """The key of each wanted cell; two values share a cell when its key is the same."""
@@ -105,16 +101,13 @@ class Line:
     """What a row stands for: the cells of an assistant, or those under one operator, under one value."""
 
     group: Group
-    swept: Swept | None
-    """None where the setting does not touch the assistant."""
+    swept: Swept | None  # None where the setting does not touch the assistant
     reference: tuple[CellNumbers, ...]
     """The cells of Human-only under the same value; empty for itself, and where it does not run."""
-    condition: Condition | None = None
-    """None for all operators."""
+    condition: Condition | None = None  # None for all operators
 
     @property
     def text(self) -> str:
-        """The value in tables."""
         return UNTOUCHED if self.swept is None else self.swept.text
 
     def values(self, columns: Sequence[Column]) -> tuple[Value, ...]:
@@ -140,7 +133,7 @@ class Line:
 
 def lines(swept: Sequence[Swept]) -> list[Line]:
     """List a line for each assistant and value, in the order of the spec; one for an assistant that the setting does not touch."""
-    found = [{_assistant(group): group for group in groups(each.frame)} for each in swept]
+    found = [{group.assistant: group for group in groups(each.frame)} for each in swept]
     result = []
     for assistant in dict.fromkeys(assistant for by_assistant in found for assistant in by_assistant):
         same = not _touched(swept, assistant)
@@ -166,14 +159,9 @@ def operator_lines(swept: Sequence[Swept], of: Iterable[Line]) -> list[Line]:
 
 
 def sweep_table(key: str, swept: Sequence[Swept]) -> Table:
-    """Tabulate per task, method and value the mean over all operator variants and severities.
-
-    Args:
-        key: the setting.
-        swept: the cells under each of its values.
-    """
+    """Tabulate per task, method and value the mean over all operator variants and severities."""
     found = lines(swept)
-    rows = [Row((task_title(line.group.task), _title(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in found]
+    rows = [Row((*labels_of(line.group), line.text), line.values(SWEEP_COLUMNS)) for line in found]
     frame = combined(key, swept)
     notes = (spread_note(frame.cells), *missing_notes(frame), CHOICE)
     meanings = (
@@ -189,7 +177,7 @@ def sweep_operator_table(key: str, swept: Sequence[Swept]) -> Table:
     rows = []
     for line in operator_lines(swept, lines(swept)):
         assert line.condition is not None
-        labels = (task_title(line.group.task), condition_title(line.condition), _title(line.group), line.text)
+        labels = (task_title(line.group.task), condition_title(line.condition), assistant_title(line.group), line.text)
         rows.append(Row(labels, line.values(SWEEP_OPERATOR_COLUMNS)))
     labels = ("Task", "Operator", "Method", key)
     return Table("sweep_operators", f"Values of {key}, per operator", labels, SWEEP_OPERATOR_COLUMNS, tuple(rows), grouping=2)
@@ -215,14 +203,6 @@ def condition_title(condition: Condition) -> str:
     return operator_title(variant) if value is None else f"{operator_title(variant)} {value:g}"
 
 
-def _title(group: Group) -> str:
-    return assistant_title(group, ablation=group.variant != "full")
-
-
-def _assistant(group: Group) -> tuple[str, str, str]:
-    return group.task, group.method, group.variant
-
-
 def _condition(identity: CellIdentity) -> Condition:
     return identity.operator, identity.value
 
@@ -237,9 +217,8 @@ def _touched(swept: Sequence[Swept], assistant: tuple[str, str, str]) -> bool:
 
 
 def _under(line: Line, swept: Sequence[Swept], condition: Condition) -> Line:
-    """A line with the cells of one operator variant and severity."""
     frame = (line.swept or swept[0]).frame
     absent = [gap.identity for gap in frame.missing if _condition(gap.identity) == condition]
-    own = sum((gap.task, gap.method, gap.variant) == _assistant(line.group) for gap in absent)
+    own = sum((gap.task, gap.method, gap.variant) == line.group.assistant for gap in absent)
     cells = tuple(cell for cell in line.group.cells if _condition(cell.identity) == condition)
     return replace(line, group=replace(line.group, cells=cells, absent=own), condition=condition)

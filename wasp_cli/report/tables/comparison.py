@@ -34,19 +34,12 @@ class _Line(NamedTuple):
 
     group: Group
     measure: Column
-    marked: Value
-    """as in the main table"""
-    numbers: tuple[Value, Value]
-    """mean and interquartile mean"""
+    marked: Value  # as in the main table
+    numbers: tuple[Value, Value]  # mean and interquartile mean
 
 
 def comparison_tables(frame: Frame, references: Sequence[str] = (HUMAN, BEST)) -> list[Table]:
-    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it, with intervals.
-
-    Args:
-        frame: the cells; ablations are left out.
-        references: methods, or BEST; a table for each, and none without any readable cell.
-    """
+    """Tabulate mean, interquartile mean, paired difference to a reference and probability of improvement over it, with intervals."""
     if not frame.cells:
         return []
     lines = [
@@ -64,7 +57,6 @@ def _line(group: Group, measure: Column) -> _Line:
 
 
 def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Table:
-    """The table for one reference, from the lines of every task and measure."""
     rows, chosen = [], []
     for found in lines:
         other = _reference(found, reference)
@@ -82,7 +74,6 @@ def _table(frame: Frame, lines: Sequence[Sequence[_Line]], reference: str) -> Ta
 
 
 def _reference(found: Sequence[_Line], reference: str) -> _Line | None:
-    """What the methods of a task are compared with in a measure."""
     if reference != BEST:
         return next((line for line in found if line.group.method == reference and line.group.cells), None)
     rivals = [line for line in found if line.group.method != OURS and METHODS[line.group.method].impaired and line.group.complete]
@@ -120,7 +111,6 @@ def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
-    """What the limits are, and that they are many."""
     found = [value.interval for row in rows for value in row.values if value.interval is not None]
     if not found:
         yield "No intervals: there is a single world to resample."
@@ -130,7 +120,6 @@ def _interval_notes(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _reference_notes(chosen: Sequence[_Line], reference: str) -> Iterator[str]:
-    """Who is the reference, and what choosing it does."""
     if not chosen:
         yield "The reference has no cells here, so that nothing is compared with it."
     elif reference == BEST:

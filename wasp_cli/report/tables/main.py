@@ -24,7 +24,7 @@ from wasp_cli.report.stats.summary import (
     spread_note,
     summarise,
 )
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, is_row, task_title
+from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
 
 PAPER_COLUMNS = (
     Column("return", "Return", "up"),
@@ -101,7 +101,7 @@ def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value
 
 def full_groups(frame: Frame) -> list[Group]:
     """List the rows of assistants as a whole."""
-    return [group for group in groups(frame) if is_row(group)]
+    return [group for group in groups(frame) if group.variant == "full"]
 
 
 def labels_of(group: Group) -> tuple[str, str]:
@@ -113,38 +113,34 @@ def ablation_table(frame: Frame) -> Table | None:
     """Make Table 2: per task and variant the values and, in brackets, the paired difference to the full method; None without ablations."""
     every = groups(frame)
     ablated = {group.method for group in every if group.variant != "full"}
-    ablations = sorted((group for group in every if group.method in ablated), key=_order(every))
+    tasks = list(dict.fromkeys(group.task for group in every))
+
+    def place(group: Group) -> tuple[int, str, int, str]:
+        """Tasks as they come, variants as the registry lists them."""
+        variants = list(METHODS[group.method].variants)
+        known = variants.index(group.variant) if group.variant in variants else len(variants)
+        return tasks.index(group.task), group.method, known, group.variant
+
+    ablations = sorted((group for group in every if group.method in ablated), key=place)
     if not ablations:
         return None
     full = {(group.task, group.method): group.cells for group in ablations if group.variant == "full"}
     rows, notes = [], []
     for group in ablations:
-        numbers = values(group, PAPER_COLUMNS)
+        title, numbers = assistant_title(group, name_full=True), values(group, PAPER_COLUMNS)
         reference = full.get((group.task, group.method), ())
         if group.variant != "full":
             pairs = zip(numbers, PAPER_COLUMNS, strict=True)
             numbers = tuple(replace(value, delta=paired_difference(group.cells, reference, column.key)) for value, column in pairs)
             same, total = same_episodes(group.cells, reference)
             if same:
-                title = f"{task_title(group.task)}, {assistant_title(group, ablation=True)}"
-                notes.append(f"{title}: {same} of {total} episodes are the same as with the full method, in every number.")
-        rows.append(Row((task_title(group.task), assistant_title(group, ablation=True)), numbers))
+                where = f"{task_title(group.task)}, {title}"
+                notes.append(f"{where}: {same} of {total} episodes are the same as with the full method, in every number.")
+        rows.append(Row((task_title(group.task), title), numbers))
     cells = [cell for group in ablations for cell in group.cells]
     meanings = ("In brackets: mean difference to the full method over the operators, severities and seeds that both have.",)
     notes = [spread_note(cells), *missing_notes(frame), *notes]
     return Table("table2", "Ablations", ("Task", "Variant"), PAPER_COLUMNS, tuple(rows), tuple(notes), meanings)
-
-
-def _order(every: list[Group]) -> Callable[[Group], tuple[int, str, int, str]]:
-    """Sort key: tasks as they come, variants as the registry lists them."""
-    tasks = list(dict.fromkeys(group.task for group in every))
-
-    def key(group: Group) -> tuple[int, str, int, str]:
-        known = list(METHODS[group.method].variants)
-        place = known.index(group.variant) if group.variant in known else len(known)
-        return tasks.index(group.task), group.method, place, group.variant
-
-    return key
 
 
 DETAIL_COLUMNS = (
@@ -228,7 +224,7 @@ def threshold_table(frame: Frame) -> Table:
     for group in groups(frame):
         numbers = tuple(_threshold(group.cells, column.key) for column in THRESHOLD_COLUMNS)
         if any(value.mean is not None for value in numbers):
-            rows.append(Row((task_title(group.task), assistant_title(group, ablation=group.variant != "full")), numbers))
+            rows.append(Row(labels_of(group), numbers))
     meanings = (
         "tau_c: expected costly decision steps, within the horizon (WASP, MPMI) or from here on (safety filter); tau_r: return; "
         "tau_Q: IDA's advantage. The other methods have no threshold; what each was calibrated on stands under What was trained.",

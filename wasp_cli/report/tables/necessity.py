@@ -12,8 +12,8 @@ from wasp_cli.report.stats.bootstrap import mean_of
 from wasp_cli.report.stats.frame import Frame, Group, groups, row_of
 from wasp_cli.report.stats.summary import UNDEFINED, Value
 from wasp_cli.report.tables.comparison import limit_notes
-from wasp_cli.report.tables.main import part_of
-from wasp_cli.report.tables.table import Column, Row, Table, assistant_title, task_title
+from wasp_cli.report.tables.main import labels_of, part_of
+from wasp_cli.report.tables.table import Column, Row, Table, task_title
 
 INTERVENTIONS = Column("interventions", "Int. steps", digits=0, spread=False)
 BRANCHED = Column("branched", "Branched", digits=0, spread=False)
@@ -26,8 +26,7 @@ MEANS = (
     Column("uir_swapped", "UIR swapped", optional=True),
     Column("uir_eff", "UIR eff.", "down", optional=True),
 )
-FEW = 30
-"""Branched interventions below which a note warns."""
+FEW = 30  # branched interventions below which a note warns
 MEANINGS = (
     "At an intervention the real episode goes on twice for W decisions from the same state, with the same mistakes of the operator: with "
     "the method's action first, and with the operator's command first; then the operator drives alone in both.",
@@ -40,21 +39,11 @@ MEANINGS = (
 
 
 def necessity_table(frame: Frame) -> Table | None:
-    """Make table `figure3`; None where no interventions were to be branched.
-
-    Args:
-        frame: with branches (`report.stats.branches.with_branches`).
-    """
+    """Make table `figure3`; None where no interventions were to be branched."""
     found = list(judged_groups(frame))
     if not found:
         return None
-    rows = [
-        Row(
-            (task_title(group.task), row_title(group)),
-            (*_counts(frame, group), *(estimated(group, column) for column in MEANS)),
-        )
-        for group in found
-    ]
+    rows = [Row(labels_of(group), (*_counts(frame, group), *(estimated(group, column) for column in MEANS))) for group in found]
     columns, notes = (INTERVENTIONS, BRANCHED, *MEANS), tuple(_notes(frame, rows))
     return Table("figure3", "Were the interventions necessary?", ("Task", "Method"), columns, tuple(rows), notes, MEANINGS)
 
@@ -66,11 +55,6 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
         cells = tuple(cell for cell in group.cells if cell.identity in frame.judged)
         if cells or gaps[group.task, group.method, group.variant]:
             yield replace(group, cells=cells, absent=group.absent + len(group.cells) - len(cells))
-
-
-def row_title(group: Group) -> str:
-    """Return the method of a row, with its ablation where it is one."""
-    return assistant_title(group, ablation=group.variant != "full")
 
 
 def estimated(group: Group, column: Column) -> Value:
@@ -111,7 +95,6 @@ def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _thresholds(frame: Frame) -> str:
-    """W and tau_R in force."""
     windows = " and ".join(map(str, sorted({judged.window for judged in frame.judged.values()})))
     gains: dict[str, list[float]] = {}
     for identity, judged in frame.judged.items():

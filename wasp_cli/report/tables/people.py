@@ -27,12 +27,10 @@ from wasp_cli.store.artifact import read_record
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 
 TLX = "tlx"
-WORKLOAD = "raw_tlx"
-"""Mean of the six scales of NASA's task load index, without weights."""
+WORKLOAD = "raw_tlx"  # mean of the six scales of NASA's task load index, without weights
 
 
-Condition = tuple[str, str, str]
-"""Task, method and ablation."""
+Condition = tuple[str, str, str]  # task, method and ablation
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,37 +38,25 @@ class Sitting:
     """One cell that a participant drove."""
 
     cell: CellNumbers
-    place: int | None
-    """of its block in the participant's order, from 0"""
-    answers: Mapping[str, float]
-    """by scale; with RAW TLX, where all six were answered"""
-    beats: pa.Table
-    """a row per decision (`store.people.BEAT`)"""
-    simulated: bool
-    """a script drove"""
-    cut: int
-    """episodes that were given up"""
+    place: int | None  # of its block in the participant's order, from 0
+    answers: Mapping[str, float]  # by scale; with RAW TLX, where all six were answered
+    beats: pa.Table  # a row per decision (`store.people.BEAT`)
+    simulated: bool  # a script drove
+    cut: int  # episodes that were given up
     pauses: int
-    lost: int
-    """lost connections"""
+    lost: int  # lost connections
 
     @property
     def participant(self) -> int:
-        """Return the number."""
         return int(self.cell.identity.value or 0)
 
     @property
     def condition(self) -> Condition:
-        """Return task, method and ablation."""
         return row_of(self.cell.identity)
 
 
 def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], list[str]]:
-    """Read what lies beside the rows of the cells that people drove.
-
-    Returns:
-        one for each cell, in the order of the frame, and what of it cannot be read.
-    """
+    """Read what lies beside the rows of the cells that people drove."""
     folders = {cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON}
     found, damaged = [], []
     for cell in frame.cells:
@@ -107,9 +93,6 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
     """Return the mean over participants of their means, its standard deviation over them, and an interval.
 
     The interval is one of percentiles: of bootstrap means over participants (`stats.bootstrap`).
-
-    Args:
-        numbers: (participant, number); NaN does not count.
     """
     own: dict[int, list[float]] = {}
     for participant, number in numbers:
@@ -253,9 +236,8 @@ def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sittin
         "Scales from 0 to 100. Raw TLX is the mean of NASA's six: mental, physical and temporal demand, performance (0 is perfect), "
         "effort, frustration; more is more load. Agency, trust and satisfaction: more is more.",
     )
-    return Table(
-        "questionnaires", "People: answers by condition", ("Task", "Scale"), columns, tuple(rows), _notes(sittings), meanings, ranked=False
-    )
+    title, labels = "People: answers by condition", ("Task", "Scale")
+    return Table("questionnaires", title, labels, columns, tuple(rows), _notes(sittings), meanings, ranked=False)
 
 
 def _order(sittings: Sequence[Sitting]) -> Table:
@@ -281,7 +263,6 @@ def _order(sittings: Sequence[Sitting]) -> Table:
 
 
 def _balance(sittings: Sequence[Sitting]) -> tuple[str, ...]:
-    """Say whether every condition stood in every place equally often."""
     placed = Counter((each.condition, each.place) for each in sittings if each.place is not None)
     cells = {condition for condition, _ in placed}, {place for _, place in placed}
     balanced = len(set(placed.values())) == 1 and len(placed) == len(cells[0]) * len(cells[1])
@@ -302,16 +283,8 @@ def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting])
         "arrival of a new key to the execution of the action that knows of it. Round trip: from a frame to its acknowledgement. "
         "cut: episodes that were given up; lost: connections that broke.",
     )
-    return Table(
-        "timing",
-        "People: were decisions in time?",
-        ("Task", "Condition"),
-        TIMES,
-        tuple(rows),
-        (people_fact(sittings),),
-        meanings,
-        ranked=False,
-    )
+    title, notes = "People: were decisions in time?", (people_fact(sittings),)
+    return Table("timing", title, LABELS, TIMES, tuple(rows), notes, meanings, ranked=False)
 
 
 def _own_beats(sitting: Sitting, number: int) -> pa.Table:

@@ -30,30 +30,23 @@ from wasp_cli.report.tables.table import Column, Row, Table, operator_title, tas
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.tables import CellIdentity
 
-MODERATE = "moderate"
-"""Name of the severity that is held against the expert."""
-KEPT = 0.75
-"""Share of the expert's return that it may keep."""
-SURE = 2.0
-"""Standard errors from which on a difference is not taken for chance."""
+MODERATE = "moderate"  # name of the severity that is held against the expert
+KEPT = 0.75  # share of the expert's return that it may keep
+SURE = 2.0  # standard errors from which on a difference is not taken for chance
 
 Outcome = Literal["not accepted", "undecided", "accepted", "incomplete"]
-Returns = Mapping[tuple[int, int], float]
-"""Return of each episode by its seed and its index."""
+Returns = Mapping[tuple[int, int], float]  # return of each episode by its seed and its index
 
 
 @dataclass(frozen=True, eq=False)
 class SeverityLevel:
     """Human-only at one severity, or the Expert."""
 
-    severity: str | None
-    """Its name in the spec; None of the Expert."""
+    severity: str | None  # its name in the spec; None of the Expert
     value: float | None
     returns: Returns
-    cells: tuple[CellNumbers, ...] = ()
-    """One for each seed."""
-    absent: int = 0
-    """Cells that are missing."""
+    cells: tuple[CellNumbers, ...] = ()  # one for each seed
+    absent: int = 0  # cells that are missing
 
     @property
     def title(self) -> str:
@@ -71,8 +64,7 @@ class Difference:
     """Mean of a paired difference."""
 
     mean: float
-    se: float | None
-    """Standard error of the mean over the pairs; None for a single pair."""
+    se: float | None  # standard error of the mean over the pairs; None for a single pair
     pairs: int
 
     @property
@@ -94,12 +86,10 @@ class SeverityCheck:
     task: str
     operator: str
     expert: SeverityLevel
-    levels: tuple[SeverityLevel, ...]
-    """One for each severity, in the order of the spec."""
+    levels: tuple[SeverityLevel, ...]  # one for each severity, in the order of the spec
 
     @property
     def absent(self) -> int:
-        """Cells that are missing, those of the Expert too."""
         return self.expert.absent + sum(level.absent for level in self.levels)
 
     @property
@@ -183,7 +173,6 @@ def _steps(check: SeverityCheck) -> Iterator[Verdict]:
 
 
 def _loss(check: SeverityCheck) -> Verdict:
-    """Whether the moderate severity loses enough of the expert's return."""
     level = check.moderate
     if level is None:
         return Verdict("accepted", f"how much it loses is not judged: {without_moderate(check)}")
@@ -226,12 +215,7 @@ def number(value: float) -> str:
 
 
 def read_checks(spec: Spec, wanted: Sequence[Wanted]) -> tuple[list[SeverityCheck], Frame]:
-    """Return the checks of a spec, by task and then by operator, and the frame that they are made from.
-
-    Args:
-        spec: for tasks, operators and seeds, in its own order.
-        wanted: its cells of Human-only and of the Expert; of other methods nothing is taken.
-    """
+    """Return the checks of a spec, by task and then by operator, and the frame of its cells of Human-only and of the Expert."""
     frame = read_frame(wanted)
     return checks_of(spec, frame), frame
 
@@ -288,17 +272,7 @@ def judged(table: Table, checks: Sequence[SeverityCheck]) -> Table:
 
 
 def as_json(name: str, checks: Sequence[SeverityCheck], frame: Frame) -> dict[str, Any]:
-    """Return every number and verdict; null is undefined.
-
-    Args:
-        name: of the spec.
-        checks: all of it, by task.
-        frame: what they were made from.
-
-    Returns:
-        `share` is of the expert's return, `change` the paired difference to the next milder severity, and `above` that of the
-        moderate one to the share of the expert's return that it may keep.
-    """
+    """Return every number and verdict, null where undefined; `above` is what the moderate severity keeps beyond its share."""
     tasks = []
     for task, own in groupby(checks, lambda check: check.task):
         of_task = list(own)
@@ -345,7 +319,6 @@ def _partial(level: SeverityLevel) -> str:
 
 
 def _left_out(checks: Sequence[SeverityCheck]) -> Iterator[str]:
-    """Where a part of the rule is not applied."""
     for check in {check.operator: check for check in checks}.values():
         if check.moderate is None:
             yield f"{operator_title(check.operator)}: how much it loses is not judged, since {without_moderate(check)}."

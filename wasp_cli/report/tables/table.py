@@ -13,33 +13,26 @@ from wasp_cli.report.stats.frame import Group
 from wasp_cli.report.stats.summary import Value
 from wasp_cli.tasks.registry import TASKS
 
-MISSING = "n/a"
-"""Printed where a number is undefined or its cells are missing."""
+MISSING = "n/a"  # printed where a number is undefined or its cells are missing
 
 
 @dataclass(frozen=True)
 class Column:
     """A numeric column."""
 
-    key: str
-    """Name in data files."""
+    key: str  # name in data files
     title: str
     better: Literal["up", "down"] | None = None
     digits: int = 2
-    scale: float = 1.0
-    """Printed number per stored number: 100 for percent."""
-    spread: bool = True
-    """Whether ± and the interval are printed; data files have them anyway."""
-    optional: bool = False
-    """Left out where there is no room."""
-    signed: bool = False
-    """Whether a positive number has a sign: a difference."""
+    scale: float = 1.0  # printed number per stored number: 100 for percent
+    spread: bool = True  # whether ± and the interval are printed; data files have them anyway
+    optional: bool = False  # left out where there is no room
+    signed: bool = False  # whether a positive number has a sign: a difference
     least: bool = False
     """Whether a positive number that would be printed as zero is printed as less than the smallest one that is not: a time."""
 
     @property
     def heading(self) -> str:
-        """The title with the direction in which numbers get better."""
         return self.title + {"up": " ↑", "down": " ↓", None: ""}[self.better]
 
     def number(self, value: float | None, sign: bool = False) -> str:
@@ -73,32 +66,24 @@ class Row:
     values: tuple[Value, ...]
     columns: tuple[Column, ...] = ()
     """How its numbers are printed and ranked, where rows have different units; otherwise as the table's columns say."""
-    names: tuple[str, ...] = ()
-    """Its labels in data files, where they are others: numbers have no unit there."""
+    names: tuple[str, ...] = ()  # its labels in data files, where they are others: numbers have no unit there
 
 
 @dataclass(frozen=True)
 class Table:
     """Rows of values. Rows with the same first labels form a group, in which the best value of each column is marked."""
 
-    name: str
-    """Name of the files."""
+    name: str  # name of the files
     title: str
-    labels: tuple[str, ...]
-    """Headings of the label columns."""
+    labels: tuple[str, ...]  # headings of the label columns
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
-    notes: tuple[str, ...] = ()
-    """What a reader must know before believing a number; printed everywhere."""
-    meanings: tuple[str, ...] = ()
-    """What the columns mean; printed where there is room."""
-    grouped: bool = True
-    """Whether labels form groups; otherwise all rows are one."""
-    grouping: int = 1
-    """How many labels form a group."""
+    notes: tuple[str, ...] = ()  # what a reader must know before believing a number; printed everywhere
+    meanings: tuple[str, ...] = ()  # what the columns mean; printed where there is room
+    grouped: bool = True  # whether labels form groups; otherwise all rows are one
+    grouping: int = 1  # how many labels form a group
     ranked: bool = True
-    marks: frozenset[tuple[int, int]] = field(init=False, compare=False)
-    """(row, column) of the best values."""
+    marks: frozenset[tuple[int, int]] = field(init=False, compare=False)  # (row, column) of the best values
     seconds: frozenset[tuple[int, int]] = field(init=False, compare=False)
     """(row, column) of the second best ones, where something is behind them."""
 
@@ -158,11 +143,10 @@ def operator_title(variant: str) -> str:
     return "Unimpaired" if variant == UNIMPAIRED else OPERATORS[variant].title
 
 
-def assistant_title(group: Group, ablation: bool = False) -> str:
-    """Return the label of a row; an incomplete one says of how many cells it is the mean."""
-    info = METHODS[group.method]
-    title = info.title
-    if ablation:
+def assistant_title(group: Group, *, name_full: bool = False) -> str:
+    """Return the label of a row, with its ablation where it is one; an incomplete row says of how many cells it is the mean."""
+    title = METHODS[group.method].title
+    if name_full or group.variant != "full":
         title += f", {variant_title(group.method, group.variant)}"
     if not group.complete:
         title += f" [{len(group.cells)} of {len(group.cells) + group.absent} cells]"
@@ -176,11 +160,6 @@ def who_title(method: str, variant: str) -> str:
     """
     title = METHODS[method].title if method in METHODS else method
     return title if variant == "full" else f"{title}, {variant_title(method, variant)}"
-
-
-def is_row(group: Group) -> bool:
-    """Return whether a row stands in every table: a method as a whole, and no ablation."""
-    return group.variant == "full"
 
 
 def variant_title(method: str, variant: str) -> str:

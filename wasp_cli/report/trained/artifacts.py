@@ -28,11 +28,9 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import LARGEST, open_plain, parse, read_plain
 from wasp_cli.tasks.registry import TASKS
 
-SHOWN = 24
-"""Numbers of a stage that fit on a line; the manifests have all."""
+SHOWN = 24  # numbers of a stage that fit on a line; the manifests have all
 
-NOT_TRAINED = ("evaluate", *stages_of("cell"))
-"""Kinds whose results are tables of their own."""
+NOT_TRAINED = ("evaluate", *stages_of("cell"))  # kinds whose results are tables of their own
 
 
 @dataclass(frozen=True)
@@ -45,8 +43,7 @@ class Trained:
     key: str
     seconds: float | None
     summary: Mapping[str, Any]
-    kind: str = ""
-    """Of its node; `stage` says more, for people."""
+    kind: str = ""  # of its node; `stage` says more, for people
 
 
 def trained_artifacts(
@@ -54,10 +51,7 @@ def trained_artifacts(
 ) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
     """Find artifacts and what is behind them, needed ones first, without evaluated cells; and what is damaged.
 
-    Args:
-        layout: the results folder.
-        roots: kind and key of evaluations and trained parts. One that is not there yet is passed over.
-        origins: takes every artifact into account, evaluated cells too.
+    `roots` are kinds and keys; one that is not there yet is passed over. `origins` takes every artifact into account, evaluated cells too.
     """
     origins = origins or Origins()
     artifacts: dict[str, Trained | None] = {}
@@ -84,7 +78,8 @@ def trained_artifacts(
             trained = Trained(stage, task, seed, key, None if seconds is None else float(seconds), summary, kind)
             origins.add(manifest)
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, RecursionError, WaspError) as error:
-            damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {_missing_part(error)}")
+            what = f"no '{error.args[0]}'" if isinstance(error, KeyError) else " ".join(str(error).split())
+            damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {what}")
             return
         del artifacts[key]  # so that it stands behind what it needs
         artifacts[key] = trained if kind not in NOT_TRAINED else None
@@ -92,10 +87,6 @@ def trained_artifacts(
     for kind, key in roots:
         visit(kind, key)
     return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(damaged)
-
-
-def _missing_part(error: Exception) -> str:
-    return f"no '{error.args[0]}'" if isinstance(error, KeyError) else " ".join(str(error).split())
 
 
 def trained_markdown(artifacts: Iterable[Trained]) -> str:
@@ -141,8 +132,7 @@ def short(value: int | float | bool | str) -> str:
 
 
 Floats = NDArray[np.float64]
-PIXELS = (6, 64, 64)
-"""Of a frame: front RGB, then rear RGB."""
+PIXELS = (6, 64, 64)  # of a frame: front RGB, then rear RGB
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError, RecursionError, pa.ArrowException, WaspError)
 """What reading, or showing, a file of another form may raise."""
 
@@ -154,37 +144,15 @@ def read_json(layout: Layout, artifact: Trained, name: str) -> Any:
     return None
 
 
-def config_of(layout: Layout, artifact: Trained) -> Mapping[str, Any]:
-    """Return the configuration of an artifact's stage; an empty one where the manifest has none."""
-    config = read_manifest(layout, artifact.kind, artifact.key).get("config")
-    return config if isinstance(config, dict) else {}
-
-
 @contextmanager
 def open_parquet(layout: Layout, path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a Parquet file of an artifact.
-
-    Raises:
-        OSError, StoreError, pyarrow.ArrowException: there is none, it is a link or no plain file, or it is damaged.
-    """
+    """Open a Parquet file of an artifact; one of UNREADABLE where it is no plain file or damaged."""
     with open_plain(layout.within(path)) as plain, pq.ParquetFile(plain) as file:
         yield file
 
 
 def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[str], most: int) -> pa.Table:
-    """Read a small Parquet file of an artifact.
-
-    Args:
-        layout: the results folder.
-        artifact: whose file it is.
-        name: of the file.
-        columns: that are read.
-        most: rows that it may have.
-
-    Raises:
-        ValueError: it is too large.
-        OSError, StoreError, pyarrow.ArrowException: as `open_parquet`.
-    """
+    """Read columns of a small Parquet file of an artifact; one of UNREADABLE where it is damaged, or has more than `most` rows."""
     with open_parquet(layout, layout.artifact(artifact.kind, artifact.key) / name) as file:
         size = sum(file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups))
         if file.metadata.num_rows > most or size > LARGEST:
@@ -192,20 +160,6 @@ def read_table(layout: Layout, artifact: Trained, name: str, columns: Sequence[s
         return file.read(columns=list(columns), use_threads=False)
 
 
-def rows_of(value: Any) -> list[Mapping[str, Any]]:
-    """Return the mappings of a list; none where the value is no list."""
-    return [row for row in value if isinstance(row, dict)] if isinstance(value, list) else []
-
-
 def column_of(rows: Sequence[Mapping[str, Any]], name: str) -> Floats:
-    """Return a number of every row: [n], NaN where it is none."""
-    return numbers_of([row.get(name) for row in rows])
-
-
-def numbers_of(values: Any) -> Floats:
-    """Return real numbers: [n], NaN where a value is none; empty where the value is no list."""
-    if not isinstance(values, list):
-        return np.empty(0)
-    plain = [float(value) if isinstance(value, int | float) else math.nan for value in values]
-    array = np.array(plain, np.float64)
-    return np.where(np.isfinite(array), array, np.nan)
+    """Return a number of every row: [n], NaN where there is none."""
+    return np.array([row.get(name) for row in rows], np.float64)

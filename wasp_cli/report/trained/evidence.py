@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 from wasp_cli.report.figures.style import save
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, read_json
 from wasp_cli.report.trained.figures import draw_horizon, draw_learning, draw_reliability, draw_value_reliability
-from wasp_cli.report.trained.pages import contents_markdown, open_loop_markdown, quality_markdown
 from wasp_cli.report.trained.pictures import draw_contact_sheet, draw_open_loop, draw_open_loop_film, draw_reconstructions
+from wasp_cli.report.trained.tables import contents_markdown, open_loop_markdown, quality_markdown
 from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FOLDER = "trained"
-"""Below the folder of a report."""
+FOLDER = "trained"  # below the folder of a report
 Draw = Callable[[Layout, Trained, Path], None]
 """Writes a file from an artifact, or nothing where that has nothing to show."""
 
@@ -58,19 +57,7 @@ KNOWN = frozenset(name for files in EVIDENCE.values() for name, _ in files)
 
 
 def write_evidence(layout: Layout, trained: Sequence[Trained], report: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
-    """Write what there is to see of trained parts; those of an earlier report go.
-
-    A file whose artifact is damaged is left out.
-
-    Args:
-        layout: the results folder.
-        trained: the parts.
-        report: folder of the report.
-        tell: told which part is being drawn.
-
-    Returns:
-        The written files.
-    """
+    """Write what there is to see of trained parts, and forget what an earlier report had; of a damaged artifact a file is left out."""
     # The folder of a part names task, seed, stage, and the beginning of its key.
     shown = {slug(f"{part.task} s{part.seed} {part.kind} {part.key[:8]}"): part for part in trained if part.kind in EVIDENCE}
     root = report / FOLDER

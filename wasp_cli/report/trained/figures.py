@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from wasp_cli.errors import WaspError
-from wasp_cli.report.figures.style import GREY, PALETTE, Line, draw_lines, drawn, figure_files
+from wasp_cli.report.figures.style import GREY, PALETTE, Line, draw_lines, drawn
 from wasp_cli.report.tables.table import task_title
-from wasp_cli.report.trained.artifacts import Floats, Trained, column_of, config_of, numbers_of, read_json, read_table, rows_of
+from wasp_cli.report.trained.artifacts import UNREADABLE, Floats, Trained, column_of, read_json, read_table
+from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
-SMOOTHED = 7
-"""Points of a loss that are averaged: a batch is small."""
+SMOOTHED = 7  # points of a loss that are averaged: a batch is small
 EPISODES = {"held_out": ("held-out episodes", PALETTE[6]), "unseen": ("operators not in the data", PALETTE[4])}
 """Sets of episodes that a world model is judged by: name and colour."""
 QUANTITIES = {
@@ -41,10 +40,8 @@ DRIVING = {
 """Stages that learn in the task: file of the curve, name in figures."""
 LOSSES = {"beta_o": "images", "beta_r": "reward", "beta_c": "cost", "ahead_c": "cost, imagined"}
 """Terms of the world model's loss (Eq. 6 and the imagined one) that a figure shows."""
-UPDATES_PER_POINT = 20
-"""Of the world model's curves."""
-STEPS = (1, 5, 10, 15)
-"""Imagined steps whose reliability a figure shows."""
+UPDATES_PER_POINT = 20  # of the world model's curves
+STEPS = (1, 5, 10, 15)  # imagined steps whose reliability a figure shows
 RANKED = (("auprc", "-", "o", "model"), ("persistence", "--", "", "persistence"), ("base", ":", "", "base rate"))
 """Lines of the AUPRC over the imagined step: key, style, marker and name."""
 FURTHER = (
@@ -53,12 +50,9 @@ FURTHER = (
 """What the other panels over the imagined step show: key and title."""
 GROUPS, POINTS = 10, 1500
 """Groups of equally many decisions in a reliability diagram, and decisions that are drawn as points at most."""
-PAIRS = 5_000_000
-"""Decisions that a file of pairs may have."""
-NAME = 60
-"""Characters of a name that are drawn at most."""
-HORIZON = 500
-"""Imagined steps that are drawn at most."""
+PAIRS = 5_000_000  # decisions that a file of pairs may have
+NAME = 60  # characters of a name that are drawn at most
+HORIZON = 500  # imagined steps that are drawn at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +63,8 @@ class Curve:
     seed: int
     name: str
     x: Floats
-    y: Mapping[str, Floats]
-    """By quantity; NaN is a gap."""
-    limit: float | None = None
-    """Of the cost per 1000 env steps; None: none."""
+    y: Mapping[str, Floats]  # by quantity; NaN is a gap
+    limit: float | None = None  # of the cost per 1000 env steps; None: none
 
 
 class Reliability(NamedTuple):
@@ -80,29 +72,12 @@ class Reliability(NamedTuple):
 
     task: str
     seed: int
-    episodes: str
-    """`held_out` or `unseen`"""
+    episodes: str  # `held_out` or `unseen`
     step: int
-    predicted: Floats
-    """[bins]"""
-    seen: Floats
-    """[bins]"""
-    size: Floats
-    """[bins] rows behind them"""
-    error: float
-    """Expected calibration error; NaN where it is not told."""
-
-
-def learning_figure(layout: Layout, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    """Write `learning.png` and `.svg`; returns the files, none when no artifact keeps a curve."""
-    figure = draw_learning(layout, trained)
-    return [] if figure is None else figure_files(figure, folder, "learning")
-
-
-def reliability_figure(layout: Layout, trained: Sequence[Trained], folder: Path) -> list[Path]:
-    """Write `reliability.png` and `.svg`; returns the files, none when no world model was judged."""
-    figure = draw_reliability(layout, trained)
-    return [] if figure is None else figure_files(figure, folder, "reliability")
+    predicted: Floats  # [bins]
+    seen: Floats  # [bins]
+    size: Floats  # [bins] rows behind them
+    error: float  # expected calibration error; NaN where it is not told
 
 
 def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
@@ -175,7 +150,6 @@ def _reliable(diagrams: Sequence[Reliability]) -> Iterator[Line]:
 
 
 def _smoothed(curve: Curve) -> Curve:
-    """Means over neighbouring points."""
     width = min(SMOOTHED, len(curve.x))
     middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
     return replace(curve, x=middle, y={name: np.convolve(values, np.ones(width) / width, "valid") for name, values in curve.y.items()})
@@ -188,20 +162,17 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
         if artifact.kind not in DRIVING:
             continue
         file, name = DRIVING[artifact.kind]
-        rows = rows_of(read_json(layout, artifact, file))
-        x = column_of(rows, "interactions")
-        if len(x) > 1 and np.isfinite(x).all():
-            numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000", "multiplier")}
-            curves.append(Curve(artifact.task, artifact.seed, name, x, numbers, _limit(layout, artifact)))
+        with suppress(*UNREADABLE):
+            rows = read_json(layout, artifact, file)
+            x = column_of(rows, "interactions")
+            if len(x) > 1 and np.isfinite(x).all():
+                config: Any = {}
+                with suppress(WaspError):  # without a manifest there is no limit
+                    config = read_manifest(layout, artifact.kind, artifact.key).get("config") or {}
+                limit = config.get("cost_limit") if config.get("mode", "lagrangian") == "lagrangian" else None
+                numbers = {key: column_of(rows, key) for key in ("return", "cost_per_1000", "multiplier")}
+                curves.append(Curve(artifact.task, artifact.seed, name, x, numbers, None if limit is None else float(limit)))
     return curves
-
-
-def _limit(layout: Layout, artifact: Trained) -> float | None:
-    with suppress(WaspError):
-        config = config_of(layout, artifact)
-        limit = config.get("cost_limit") if config.get("mode", "lagrangian") == "lagrangian" else None
-        return float(limit) if isinstance(limit, int | float) else None
-    return None
 
 
 def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
@@ -210,35 +181,33 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
     for artifact in trained:
         if artifact.kind != "world_model":
             continue
-        curves = read_json(layout, artifact, "curves.json")
-        if not isinstance(curves, dict):
-            continue
-        terms = {title: numbers_of(curves.get(term)) for term, title in LOSSES.items()}
-        terms = {title: values / values[0] for title, values in terms.items() if len(values) > 1 and values[0] > 0}
-        for title, values in terms.items():
-            x = UPDATES_PER_POINT * np.arange(len(values), dtype=np.float64)
-            losses.append(Curve(artifact.task, artifact.seed, title, x, {"loss": values}))
+        with suppress(*UNREADABLE):
+            curves = read_json(layout, artifact, "curves.json")
+            for term, title in LOSSES.items():
+                values = np.array(curves.get(term, ()), np.float64)
+                if len(values) > 1 and values[0] > 0:
+                    x = UPDATES_PER_POINT * np.arange(len(values), dtype=np.float64)
+                    losses.append(Curve(artifact.task, artifact.seed, title, x, {"loss": values / values[0]}))
     return losses
 
 
 def diagnosed(layout: Layout, artifact: Trained) -> dict[str, list[Mapping[str, Any]]]:
     """Read what `diagnostics` says of every imagined step, by set of episodes."""
-    document = read_json(layout, artifact, "diagnostics.json")
-    sets = document if isinstance(document, dict) else {}
-    parts = {name: sets[name] for name in EPISODES if isinstance(sets.get(name), dict)}
-    return {name: rows for name, part in parts.items() if (rows := rows_of(part.get("steps"))[:HORIZON])}
+    sets = read_json(layout, artifact, "diagnostics.json")
+    return {name: sets[name]["steps"][:HORIZON] for name in EPISODES if name in sets and sets[name]["steps"]}
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
     """Read how reliable the cost head is along imagined rollouts, at STEPS, where `diagnostics` has judged it."""
     for artifact in [artifact for artifact in trained if artifact.kind == "diagnostics"]:
-        for episodes, rows in diagnosed(layout, artifact).items():
-            for row in rows:
-                bins = rows_of(row.get("reliability"))
-                if (step := row.get("k")) in STEPS and bins:
-                    predicted, seen, size = (column_of(bins, name) for name in ("predicted", "seen", "size"))
-                    error = float(column_of([row], "calibration_error")[0])
-                    yield Reliability(artifact.task, artifact.seed, episodes, int(step), predicted, seen, size, error)
+        with suppress(*UNREADABLE):
+            for episodes, rows in diagnosed(layout, artifact).items():
+                for row in rows:
+                    bins = row.get("reliability")
+                    if row["k"] in STEPS and bins:
+                        predicted, seen, size = (column_of(bins, name) for name in ("predicted", "seen", "size"))
+                        (error,) = column_of([row], "calibration_error").tolist()
+                        yield Reliability(artifact.task, artifact.seed, episodes, row["k"], predicted, seen, size, error)
 
 
 def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:

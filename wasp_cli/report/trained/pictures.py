@@ -15,22 +15,17 @@ from wasp_cli.store.layout import Layout
 
 INK, PAPER, RED, BLUE = (20, 20, 20), (255, 255, 255), (214, 39, 40), (31, 119, 180)
 """Red is what cost, blue what was predicted to."""
-GAP, EDGE, TEXT = 6, 3, 18
-"""Between frames, of a coloured edge, and of a line of text, in px."""
+GAP, EDGE, TEXT = 6, 3, 18  # between frames, of a coloured edge, and of a line of text, in px
 SIDE, LABEL, BAR = 96, 92, 26
 """Of a frame of a world model, the names of its rows, and the bars of costs, in px."""
 PITCH = SIDE + GAP
 COLUMNS = ("window", "step", "behaviour", "episode", "decision", "cost", "predicted", "true", "model")
-MOST, WINDOWS = 1000, 16
-"""Frames that a file may have, and imagined windows that are drawn at most."""
+MOST, WINDOWS = 1000, 16  # frames that a file may have, and imagined windows that are drawn at most
 FRAMES, BEHAVIOURS = 4, 40
 """Frames of a behaviour that are spread over all its steps, and as many costly ones; behaviours that are drawn at most."""
-FRAME = 128
-"""Of a frame of a dataset in px: a camera image at twice its size."""
-NAME = 200
-"""Characters of a name that are drawn at most."""
-_BATCH = 256
-"""Rows whose images are in memory together."""
+FRAME = 128  # of a frame of a dataset in px: a camera image at twice its size
+NAME = 200  # characters of a name that are drawn at most
+_BATCH = 256  # rows whose images are in memory together
 _SOURCES = b"wasp.cost_sources"
 """Key of a shard's schema metadata: the names of the columns of `sources`, as JSON."""
 
@@ -48,22 +43,14 @@ class Window(NamedTuple):
     """K frames beside each other. Of an imagined window the first one is the start, seen and not imagined."""
 
     title: str
-    true: Images
-    """[K, 6, 64, 64]"""
-    model: Images
-    """[K, 6, 64, 64] decoded or imagined"""
-    cost: Floats
-    """[K] real cost"""
-    predicted: Floats
-    """[K] probability of a cost"""
+    true: Images  # [K, 6, 64, 64]
+    model: Images  # [K, 6, 64, 64] decoded or imagined
+    cost: Floats  # [K] real cost
+    predicted: Floats  # [K] probability of a cost
 
 
 def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
-    """Read the decoded frames and the imagined windows of a `diagnostics` artifact.
-
-    Raises:
-        ValueError, KeyError, OSError, StoreError, pyarrow.ArrowException: there are none, or they do not read.
-    """
+    """Read the decoded frames and the imagined windows of a `diagnostics` artifact."""
     table = read_table(layout, artifact, "images.parquet", COLUMNS, MOST)
     of = np.asarray(table["window"], np.int64)
     rows: dict[str, list[Any]] = {name: table[name].to_pylist() for name in ("behaviour", "episode", "decision", "true", "model")}
@@ -156,27 +143,18 @@ def draw_open_loop_film(layout: Layout, artifact: Trained, path: Path) -> None:
 class Steps(NamedTuple):
     """The rows of a dataset without their images, N in all; see `learning.shards`."""
 
-    first: NDArray[np.bool_]
-    """[N] begins an episode"""
-    cost: NDArray[np.bool_]
-    """[N]"""
-    sources: NDArray[np.bool_]
-    """[N, S] which cost source cost"""
-    episode: Ints
-    """[N]"""
-    behaviour: NDArray[Any]
-    """[N] str"""
-    names: tuple[str, ...]
-    """of the S cost sources"""
+    first: NDArray[np.bool_]  # [N] begins an episode
+    cost: NDArray[np.bool_]  # [N]
+    sources: NDArray[np.bool_]  # [N, S] which cost source cost
+    episode: Ints  # [N]
+    behaviour: NDArray[Any]  # [N] str
+    names: tuple[str, ...]  # of the S cost sources
 
 
 def draw_contact_sheet(layout: Layout, artifact: Trained, path: Path) -> None:
     """Draw a row per behaviour of a dataset, front over rear; frames whose step cost have a red edge and name the source.
 
     Images are read batch after batch and only the chosen ones are kept, so that memory does not grow with the dataset.
-
-    Raises:
-        ValueError, KeyError, OSError, StoreError, pyarrow.ArrowException: a shard does not read.
     """
     shards = sorted(layout.artifact(artifact.kind, artifact.key).glob("shard-*.parquet"))
     if not shards:
@@ -255,7 +233,6 @@ def _images(layout: Layout, shards: list[Path], rows: Ints) -> dict[int, NDArray
 
 
 def _fitting(text: str, font: Any) -> str:
-    """As much of a text as a frame is wide."""
     if font.getlength(text) <= FRAME:
         return text
     return next(short for end in range(len(text) - 1, -1, -1) if font.getlength(short := text[:end] + "...") <= FRAME)

@@ -1,0 +1,556 @@
+"""An episode and a decision as tables, in plain words with the paper's symbols.
+
+An episode: outcome, gates, a strip of characters over time, and its runs of decisions under one gate. A decision: the action, the gates,
+the plan, and what then happened.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from wasp_cli.methods.registry import METHODS
+from wasp_cli.metrics.episode import CUT_OFF, GATE_LATE, GATE_METHOD, GATE_NONE, GATE_SAFETY, GATE_TASK
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+from wasp_cli.report.explain.facts import Decision, Gate, Planned, Range, Run, decision_of, exceeds, merged_runs, places_of, runs_of
+from wasp_cli.report.explain.stored import Constants, Episode, number
+from wasp_cli.report.explain.timeline import LOOKS
+from wasp_cli.report.tables.table import who_title
+from wasp_cli.tasks.registry import TASKS
+
+INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
+NUMBER = re.compile(r"[-+.…%\d]*")
+MOST_RUNS = 24  # rows of the table of runs at most, so that an episode stays below 60 lines
+
+BLOCKS = "▁▂▃▄▅▆▇█"
+LABEL = 12  # columns before the strip
+STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
+
+
+def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
+    """Set out an episode, in lines of at most `width` columns; the last line says how `command` explains one decision."""
+    telling = (episode.missed, episode.intervened, episode.costly) if episode.selective else (episode.costly, episode.intervened)
+    place = next((int(marks.argmax()) for marks in telling if marks.any()), 0)
+    hint = f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} --step {place}"
+    return [*set_out(_episode_parts(episode, width), width), Text(hint, "dim")]
+
+
+def _episode_parts(episode: Episode, width: int) -> Iterator[RenderableType]:
+    yield heading(f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}")
+    yield _episode_headline(episode)
+    yield ""
+    yield fields([*cell_fields(episode), *_outcome(episode)])
+    if episode.selective:
+        yield from section("Gates" if episode.gated else "Decisions", *_gate_counts(episode))
+    if strip := strip_lines(episode, width):
+        yield from section("Over the episode", *strip)
+    runs = merged_runs(episode, MOST_RUNS)
+    yield from section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs)))
+
+
+def _episode_headline(episode: Episode) -> str:
+    intervened, costly, missed, late = _counts(episode)
+    changed = f"{intervened} of {count(episode.decisions, 'command')} changed" if intervened else "No command changed"
+    blame = f", {missed} of them missed (no gate fired)" if costly and episode.selective else ""
+    blame += f", {late} while the assistant was late" if late else ""
+    return f"{changed}; {count(costly, 'decision') if costly else 'no decision'} with cost{blame}."
+
+
+def _counts(episode: Episode) -> tuple[int, int, int, int]:
+    """How many decisions were changed, had cost, had cost without a gate, had cost while the assistant was late."""
+    return int(episode.intervened.sum()), int(episode.costly.sum()), int(episode.missed.sum()), int(episode.late.sum())
+
+
+def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
+    row, constants, many = episode.row, episode.constants, episode.episodes
+    intervened, costly, missed, late = _counts(episode)
+    outcome = f"return {plain(row['return'])}, {count(row['goals'], 'goal')} ({'success' if row['success'] else 'no success'})"
+    outcome += f", {count(episode.decisions, 'decision')}"
+    if constants.action_repeat is not None:
+        outcome += f" of {count(constants.action_repeat, 'env step')}"
+    if constants.decision_seconds is not None:
+        outcome += f" ({constants.decision_seconds:g} s)"
+    yield "outcome", outcome
+    cost = count(row["cost"], "env step")
+    if costly:
+        cost += f", in {count(costly, 'decision')}"
+        cost += f": {missed} missed, {costly - missed - late} although a gate fired" if episode.selective else ""
+        cost += f", {late} while the assistant was late" if late else ""
+    yield "cost", cost
+    mean, case2, p50, p95 = (number(row[name]) for name in ("mag_int", "case2", "decision_p50_ms", "decision_p95_ms"))
+    size = "" if mean is None else f", by {mean:.2f} on average (|a - a^H|)"
+    yield "changed", f"{count(intervened, 'decision')} ({row['int_rate']:.1%}, Int.){size}" if intervened else "none"
+    if case2 is not None:
+        yield "Case II", f"{case2:.0%} of the planner's iterations: too few safe candidates"
+    if p50 is None or p95 is None:
+        yield "time", "not recorded"
+    else:
+        shared = "" if many == 1 else f"; the time of all {many} episodes, decided side by side, divided by {many}"
+        yield "time", f"{ms(p50)} per decision (p50), {ms(p95)} (p95){shared}"
+
+
+def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
+    """How often each gate fired, and above which value it does."""
+    thresholds, signal, off = episode.thresholds, episode.signal, "off in this variant"
+    late = bool((episode.gate == GATE_LATE).any())
+    above = "-" if episode.gated or episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
+    gates = [(GATE_METHOD, decider(episode.method), above)]
+    if episode.gated:
+        safety = off if episode.variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
+        task = off if episode.variant == "safety-only" else f"ΔG > τ_r {short(thresholds.tau_r)}"
+        own = gates if (episode.gate == GATE_METHOD).any() else []
+        gates = [(GATE_SAFETY, "safety", safety), (GATE_TASK, "task", task), *own]
+    rows = []
+    for gate, name, where in [*gates, (GATE_NONE, "none", "-"), *([(GATE_LATE, "late", "no answer in time")] if late else [])]:
+        fired = episode.gate == gate
+        stood = int((fired & ~episode.intervened).sum()) if gate not in (GATE_NONE, GATE_LATE) else 0
+        rows.append([name, where, str(int(fired.sum())), f"{fired.mean():.1%}", str(stood) if stood else "-"])
+    yield table(["gate", "fires where", "decisions", "share", "command kept"], rows)
+    if episode.gated:
+        yield from notes(cost_meaning(episode.constants), gain_meaning(episode.constants))
+    else:
+        yield from notes(f"{signal.name}: {signal.meaning}")
+    if any(row[-1] != "-" for row in rows):
+        yield from notes("command kept: a gate fired, and the command was executed as it was")
+    if late:
+        yield from notes("late: the assistant had not answered in time, no gate was asked, and the command was executed as it was")
+
+
+def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
+    tau_c, tau_r = episode.thresholds.tau_c, episode.thresholds.tau_r
+    columns = [
+        ("decisions", [span(run.first, run.last) for run in runs]),
+        ("gate", [_gate(run, episode.method) if episode.selective else "-" for run in runs]),
+        ("changed", [_changed(run) for run in runs]),
+        ("command → executed (means)", [_change(run) for run in runs]),
+        (f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
+        (f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs]),
+        (episode.signal.name, [between(run.signal, None) for run in runs]),
+        ("cost", [str(run.cost) if run.cost else "-" for run in runs]),
+        ("missed at", [places(run.missed) for run in runs]),
+    ]
+    # Where there is no room, what says least goes.
+    for place in (5, 6, 3, 2):
+        sizes = [max(map(len, (title, *cells))) for title, cells in columns if set(cells) != {"-"}]
+        if INDENT + sum(sizes) + BETWEEN * (len(sizes) - 1) > width:
+            columns[place] = (columns[place][0], ["-"] * len(runs))
+    rows: list[list[str | Text]] = [list(row) for row in zip(*(cells for _, cells in columns), strict=True)]
+    for row, run in zip(rows, runs, strict=True):
+        row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
+    return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
+
+
+def _gate(run: Run, method: str) -> str:
+    """`safety`, or of merged runs `safety 12/15`."""
+    name = {"none": "-", "method": decider(method)}.get(run.gate, run.gate)
+    return name if len(run.gates) == 1 else f"{name} {run.gates[run.gate]}/{run.decisions}"
+
+
+def _changed(run: Run) -> str:
+    if not run.intervened:
+        return "-"
+    return f"{run.intervened} of {run.decisions}, by {plain(run.deviation * run.decisions / run.intervened)}"
+
+
+def _change(run: Run) -> str:
+    return f"{action(run.command)} → {action(run.executed)}" if run.intervened else f"{action(run.command)} as commanded"
+
+
+def _legend(episode: Episode, runs: Sequence[Run]) -> str:
+    parts = []
+    if episode.intervened.any():
+        parts.append("changed: decisions with another action than the command, and by how much (|a - a^H|)")
+    if episode.costly.any():
+        parts.append("cost: env steps with cost")
+    if episode.missed.any():
+        parts.append("missed: cost, and no gate fired")
+    all_runs = len(runs_of(episode))
+    if len(runs) < all_runs:
+        parts.append(f"{all_runs} runs in {len(runs)} rows, short ones merged: 'safety 12/15' is 12 of 15 decisions")
+    if len(set(episode.gate.tolist())) == 1 and all_runs > 1:
+        why = "the gate never changed, so " if episode.selective else ""
+        parts.append(f"{why}the rows are stretches with and without cost")
+    return "; ".join(parts)
+
+
+def strip_lines(episode: Episode, width: int) -> list[RenderableType]:
+    """Draw the safety gate's value over time, the gates below it and the costs below them.
+
+    Returns none where there is nothing to draw (no gate's value, no intervention).
+    """
+    values, name = episode.numbers["deviation"], "|a - a^H|"
+    limit: float | None = None
+    if episode.gated and np.isfinite(episode.numbers["g_cost"]).any():
+        values, name, limit = episode.numbers["g_cost"], "G^c", episode.thresholds.tau_c
+    # Half of the height is the threshold: what stands above the middle has fired, without any colour.
+    full = 2 * float(np.float32(limit)) if limit is not None and limit > 0 else float(np.nanmax(values))
+    if not full:
+        return []
+    per = max(1, math.ceil(len(values) / max(20, width - LABEL - 2)))
+    missed = set(places_of(episode.missed))
+    curve, gates, costs = (_line(title) for title in (name, "gate", "cost"))
+    for first in range(0, len(values), per):
+        part = slice(first, first + per)
+        height = float(np.fmax.reduce(values[part]))
+        curve.append(_block(height, full), "" if limit is None else "red" if exceeds(height, limit) else "green")
+        look = next((look for gate, look in LOOKS.items() if (episode.gate[part] == gate).any()), None)
+        gates.append(look.letter if look else "·", look.style if look else "dim")
+        paid = [first + t for t in places_of(episode.costly[part])]
+        costs.append(("!" if missed.intersection(paid) else "x") if paid else "·", "bold red" if paid else "dim")
+    fired = [look for gate, look in LOOKS.items() if (episode.gate == gate).any() and episode.selective]
+    columns, last = len(curve) - LABEL, str(len(values) - 1)
+    axis = _line("decision").append("0" + last.rjust(max(columns - 1, len(last) + 1)))
+    scale = [f"█ is {full:.3g}" if limit is None else f"▁▂▃▄ up to τ_c = {limit:.3g}, ▅▆▇█ above it"]
+    scale += [f"{look.letter} {look.words}" for look in fired]
+    if episode.costly.any():
+        scale.append("x cost, ! cost that every gate missed" if missed else "x cost")
+    if per > 1:
+        scale.append(f"a column is the maximum of {per} decisions")
+    return [curve, *([gates] if fired else []), *([costs] if episode.costly.any() else []), axis, *notes("; ".join(scale))]
+
+
+def _line(name: str) -> Text:
+    return Text(" " * INDENT + name.ljust(LABEL - INDENT), no_wrap=True, overflow="ignore")
+
+
+def _block(height: float, full: float) -> str:
+    """A value up to half of `full` is in the lower four blocks, the half itself too."""
+    if math.isnan(height):
+        return " "
+    return BLOCKS[min(max(math.ceil(8 * height / full) - 1, 0), 7)] if full > 0 else BLOCKS[0]
+
+
+FIRES = {
+    "fired": "yes",
+    "silent": "no",
+    "not asked": "not asked: the safety gate fired",
+    "no candidate": "no: no correction is predicted safe (Eq. 11)",
+    "withheld": "no: the correction is not predicted safe, or changes no force",
+    "late": "not asked: the assistant was late",
+    "off": "off in this variant",
+    "unknown": "not recorded",
+}
+
+
+def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
+    """Set out one decision, in lines of at most `width` columns; a UsageError where the episode has no such decision."""
+    return set_out(_decision_parts(episode, decision_of(episode, t)), width)
+
+
+def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
+    yield heading(f"{episode.label} · episode {episode.row['episode']} · decision {facts.t}", f"of 0 to {episode.decisions - 1}")
+    yield _decision_headline(episode, facts)
+    yield ""
+    yield fields(cell_fields(episode))
+    yield from section("Action", _action(facts))
+    if facts.safety is not None and facts.task is not None:
+        yield from section("Gates", *_gates(episode, facts.safety, facts.task))
+        yield from section("Plan", *_plan(episode, facts))
+    elif facts.signal is not None:
+        yield from section("Decision", *_signal(episode, facts))
+    shared, time = episode.episodes, "not recorded" if facts.ms is None else ms(facts.ms)
+    if facts.ms is not None and shared > 1:
+        time += f": the time of {shared} episodes decided side by side, {ms(facts.ms * shared)}, divided by {shared}"
+    yield from section("What then happened", *_happened(episode, facts), fields([("decision time", time)]))
+
+
+def _decision_headline(episode: Episode, facts: Decision) -> str:
+    did = f"the command was changed by {facts.deviation:.3g}" if facts.intervened else "the command was executed"
+    for name, gate, symbols in (("safety", facts.safety, ("G^c", "τ_c")), ("task", facts.task, ("ΔG", "τ_r"))):
+        if gate is not None and gate.state == "fired":
+            value, limit = beside(gate.value, gate.threshold)
+            if facts.plan is not None and not facts.intervened:
+                did = "the best correction was none, the command was executed"
+            return f"The {name} gate fired ({symbols[0]} {value} > {symbols[1]} {limit}): {did}."
+    if facts.gate == "late":
+        return f"The assistant had not answered in time: {did}."
+    if facts.gate == "method":
+        return f"{decider(episode.method)} intervened: {did}."
+    return f"No gate fired: {did}." if facts.safety is not None else f"{did.capitalize()}."
+
+
+def _action(facts: Decision) -> RenderableType:
+    how = "the command"
+    if facts.intervened and facts.plan is None:
+        how = "the method's own action"
+    elif facts.intervened and facts.plan is not None:
+        wished = [command + residual for command, residual in zip(facts.command, facts.plan.residuals[0], strict=True)]
+        cut = ", cut off at the bounds" if any(abs(wish) > 1 + 1e-4 for wish in wished) else ""
+        least = any(abs(min(max(wish, -1.0), 1.0) - done) > 1e-4 for wish, done in zip(wished, facts.executed, strict=True))
+        how = f"command and first correction{cut}{', as the least action of that force' if least else ''} (Eq. 18)"
+    rows = [
+        ["command", action(facts.command), "a^H, from the operator"],
+        ["executed", action(facts.executed), f"a, {how}"],
+        ["deviation", f"{facts.deviation:.3g}", f"|a - a^H|, {'an' if facts.intervened else 'no'} intervention"],
+    ]
+    return table(["action", "value", "meaning"], rows)
+
+
+def _gates(episode: Episode, safety: Gate, task: Gate) -> list[RenderableType]:
+    rows: list[list[str]] = []
+    styles: list[str] = []
+    for look, gate, symbol, limit in ((LOOKS[GATE_SAFETY], safety, "G^c", "τ_c"), (LOOKS[GATE_TASK], task, "ΔG", "τ_r")):
+        value, threshold = beside(gate.value, gate.threshold)
+        rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])
+        styles.append(look.style if gate.state == "fired" else "")
+    constants = episode.constants
+    return [table(["gate", "value", "threshold", "fires"], rows, styles), *notes(cost_meaning(constants), gain_meaning(constants))]
+
+
+def _signal(episode: Episode, facts: Decision) -> list[RenderableType]:
+    signal, fired = episode.signal, facts.gate == "method"
+    row = [signal.name, *beside(facts.signal, episode.signal_limit), short(episode.thresholds.tau_q), "yes" if fired else "no"]
+    drawn = table(["signal", "value", "threshold", "τ_Q", "intervenes"], [row], [LOOKS[GATE_METHOD].style if fired else ""])
+    return [drawn, *notes(f"{signal.name}: {signal.meaning}")]
+
+
+def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
+    plan = facts.plan
+    if plan is None:
+        why = "the assistant was late" if facts.gate == "late" else "no gate fired"
+        yield fields([("search", "not recorded" if facts.gate in ("safety", "task") else f"none: {why}")])
+        return
+    if plan.searched:
+        known = episode.constants.batches
+        cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made; how many candidates these had is not recorded
+        made = len(plan.safe) - cut
+        sizes = [None] * made if known is None or cut else known[:made]
+        rows = [
+            [str(i + 1), "-" if size is None else str(size), str(safe), "II" if case2 else "I"]
+            for i, (size, safe, case2) in enumerate(zip(sizes, plan.safe[cut:], plan.case2[cut:], strict=True))
+        ]
+        yield table(["iteration", "candidates", "safe (|F_s|)", "case"], rows)
+        yield from notes(*(_case(episode, case2) for case2 in sorted(set(plan.case2[cut:]))))
+        yield from notes(f"the search was cut off before its last {count(cut, 'iteration')}: its time was up" if cut else "")
+    else:
+        said = "none: the correction that the gate compared with the command is predicted safe, and is carried out"
+        yield fields([("search", said)])
+    yield from _corrections(episode, facts, plan)
+    yield from _predicted(episode, facts, plan)
+
+
+def _corrections(episode: Episode, facts: Decision, plan: Planned) -> list[RenderableType]:
+    if plan.empty:
+        return [fields([("correction", f"none: {_no_correction(episode, facts, plan)}")])]
+    many = len(plan.residuals) if plan.searched else max(k for k, residual in enumerate(plan.residuals) if any(residual)) + 1
+    rows = [[f"+{k}", action(residual), "not executed: planned again then"] for k, residual in enumerate(plan.residuals[:many])]
+    rows[0][::2] = "now", "executed"
+    return ["", table(["step", "correction δa (Eq. 13)", "use"], rows)]
+
+
+def _case(episode: Episode, case2: bool) -> str:
+    feasible = episode.constants.feasible
+    needed = "N_f" if feasible is None else f"N_f = {feasible}"
+    if not case2:
+        return f"Case I: at least {needed} candidates are safe (Eq. 14); the search maximizes predicted return (Eq. 16)"
+    if episode.variant == "no-case2":
+        return f"Case II: fewer than {needed} are safe; this variant has no recovery and goes on with these"
+    return f"Case II: fewer than {needed} are safe (Eq. 14); the search minimizes predicted cost (Eq. 17)"
+
+
+def _no_correction(episode: Episode, facts: Decision, plan: Planned) -> str:
+    if episode.variant == "no-case2" and not any(plan.safe):
+        return "no candidate was safe, and this variant has no recovery (Case II)"
+    if facts.gate == "safety" and plan.alone_cost is not None and not exceeds(plan.alone_cost, episode.thresholds.tau_c):
+        return "on a second look the command alone was predicted safe, and no correction was worth more"
+    return "no candidate was predicted to be worth its size (Eq. 16-17)"
+
+
+def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[RenderableType]:
+    limit = episode.thresholds.tau_c
+    sequences = [("command alone" if episode.constants.takeover else "commands alone", plan.alone_cost, plan.alone_return)]
+    if not plan.empty:
+        sequences.insert(0, ("with the correction", plan.cost, plan.return_))
+    rows = []
+    for name, cost, gain in sequences:
+        value, bound = beside(cost, limit)
+        within = "-" if cost is None or limit is None else f"no, above {bound}" if exceeds(cost, limit) else "yes"
+        rows.append([name, value, within, short(gain)])
+    # The printed WASP plans on the rollouts of its gates; a correction without a search is one of the futures that they compared.
+    again = facts.gate == "safety" and plan.searched and episode.method != "printed"
+    drawn = table(["predicted", "cost (G^c)", f"within τ_c {short(limit)}", "return (G^r)"], rows)
+    return ["", drawn, *notes("the gate used other rollouts, so its G^c may differ" if again else "")]
+
+
+def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
+    ahead, constants = facts.ahead, episode.constants
+    rows = [
+        [span(part.first, part.last), str(part.intervened), plain(part.reward, sign=True), *map(str, (part.cost, part.costly, part.goals))]
+        for part in (facts.now, ahead)
+    ]
+    yield table(["decisions", "changed", "reward", "cost", "costly decisions", "goals"], rows)
+    ended = ahead.last - ahead.first + 1 < facts.window
+    yield from notes("cost: env steps with cost" + (f"; the episode ended before {facts.window} decisions" if ended else ""))
+    # The gate's expectation beside what came, where both count the same.
+    comparable = constants.horizon == facts.window and constants.bootstrap_cost is False
+    if facts.safety is not None and facts.safety.value is not None and ahead.discounted is not None and comparable:
+        came = f"observed{', with the interventions' if ahead.intervened else ''}"
+        expected = "command, then the expert" if constants.takeover else "operator alone"
+        rows = [[f"expected of the {expected} (G^c)", short(facts.safety.value)], [came, short(ahead.discounted)]]
+        yield table(["costly decisions", f"discounted (γ_c {short(constants.gamma_c)})"], rows)
+
+
+def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
+    """Set parts below each other, in lines of at most `width` columns."""
+    console = Console(file=io.StringIO(), markup=False, emoji=False, highlight=False)
+    lines = []
+    for segments in console.render_lines(Group(*parts), console.options.update(width=width), pad=False):
+        line = Text.assemble(*((segment.text, segment.style or "") for segment in Segment.simplify(segments)))
+        line.rstrip()
+        lines.append(line)
+    return lines
+
+
+def heading(text: str, more: str = "") -> Text:
+    """Return a heading."""
+    return Text.assemble((text, "bold"), (f"  ({more})" if more else "", "dim"))
+
+
+def section(title: str, *parts: RenderableType) -> list[RenderableType]:
+    """Return parts below an empty line and a heading."""
+    return ["", heading(title), *parts]
+
+
+def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
+    """Set names at the left and their values beside them."""
+    grid = Table.grid(padding=(0, BETWEEN, 0, 0))
+    grid.add_column(style="dim", no_wrap=True)
+    for entry in entries:
+        grid.add_row(*entry)
+    return _indented(grid)
+
+
+def table(titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()) -> RenderableType:
+    """Set rows in columns: numbers at the right, words at the left. A column of `-` alone is left out.
+
+    Args:
+        titles: one for each column.
+        rows: the cells of each row; `-` where there is nothing to say.
+        styles: one for each row.
+    """
+    columns = [(title, cells) for title, *cells in zip(titles, *rows, strict=True) if {*map(str, cells)} != {"-"}]
+    drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
+    for i, (title, cells) in enumerate(columns):
+        drawn.add_column(title, justify="right" if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells) else "left")
+    for i, row in enumerate(zip(*(cells for _, cells in columns), strict=True)):
+        drawn.add_row(*row, style=styles[i] if styles else "")
+    return _indented(drawn)
+
+
+def notes(*texts: str) -> list[RenderableType]:
+    """Set notes below a table, each from a line of its own; empty ones are left out."""
+    return [_indented(Text(text, "dim")) for text in texts if text]
+
+
+def _indented(part: RenderableType) -> Padding:
+    return Padding(part, (0, 0, 0, INDENT), expand=False)
+
+
+def cell_fields(episode: Episode) -> list[tuple[str, str]]:
+    """Return the fields that say which cell it is, and how its method decides."""
+    row, method = episode.row, episode.method
+    task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
+    rule = METHODS[method].rule if method in METHODS else ""
+    operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
+    if operator in OPERATORS:
+        operator, severity = OPERATORS[operator].title.lower(), f"{severity} ({OPERATORS[operator].unit})"
+    return [
+        ("cell", f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world {row['episode_seed']}"),
+        ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
+        ("method", rule or f"not described: see the documentation of '{method}'"),
+        ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
+    ]
+
+
+def decider(method: str) -> str:
+    """Return who decides by a method's own rule: its title."""
+    return METHODS[method].title if method in METHODS else method
+
+
+def cost_meaning(constants: Constants) -> str:
+    """Return what a value of G^c means."""
+    if constants.bootstrap_cost:
+        return f"G^c: expected discounted cost if {goes_on(constants)}, with the critic beyond the horizon (Eq. 9)"
+    within = "the horizon H" if constants.horizon is None else f"the next {count(constants.horizon, 'decision')}"
+    return f"G^c: expected costly decisions within {within}, discounted, if {goes_on(constants)} (Eq. 9)"
+
+
+def goes_on(constants: Constants) -> str:
+    """Say who is imagined behind the command."""
+    return "the expert follows" if constants.takeover else "the operator goes on alone"
+
+
+def gain_meaning(constants: Constants) -> str:
+    """Return what a value of ΔG means."""
+    if constants.takeover:
+        return "ΔG: expected gain in return by the expert's action now, where the safety gate is silent (Eq. 12)"
+    tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
+    return f"ΔG: expected gain in return by the best safe correction{tried}, where the safety gate is silent (Eq. 12)"
+
+
+def action(values: Sequence[float]) -> str:
+    """Return an action [A] as text; of a long one the first four numbers."""
+    shown = [plain(value, sign=True) for value in values[:4]]
+    return f"({', '.join([*shown, '...'] if len(values) > 4 else shown)})"
+
+
+def plain(value: float, sign: bool = False) -> str:
+    """Return a number with two digits, and no negative zero."""
+    return f"{round(value, 2) + 0.0:{'+' if sign else ''}.2f}"
+
+
+def short(value: float | None, digits: int = 3) -> str:
+    """Return a number, or `-` for an undefined one."""
+    return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def beside(value: float | None, limit: float | None) -> tuple[str, str]:
+    """Return a value and its threshold with as many digits as it takes to tell them apart."""
+    digits = 3
+    while value is not None and limit is not None and value != limit and short(value, digits) == short(limit, digits) and digits < 8:
+        digits += 1
+    return short(value, digits), short(limit, digits)
+
+
+def between(bounds: Range | None, limit: float | None) -> str:
+    """Return a range; its upper end is told apart from the threshold."""
+    if bounds is None:
+        return "-"
+    low, high = short(bounds[0]), beside(bounds[1], limit)[0]
+    return low if low == high else f"{low}…{high}"
+
+
+def span(first: int, last: int) -> str:
+    """Return decisions from one to another."""
+    return f"{first}" if first == last else f"{first}-{last}"
+
+
+def places(decisions: Sequence[int]) -> str:
+    """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there are."""
+    spans: list[list[int]] = []
+    for t in decisions:
+        if spans and t == spans[-1][1] + 1:
+            spans[-1][1] = t
+        else:
+            spans.append([t, t])
+    more = sum(last - first + 1 for first, last in spans[4:])
+    return ", ".join([span(first, last) for first, last in spans[:4]] + ([f"{more} more"] if more else [])) or "-"
+
+
+def count(number: int, thing: str) -> str:
+    """Return a count: 1 goal, 2 goals."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def ms(value: float) -> str:
+    """Return a time in milliseconds, with three digits."""
+    return f"{value:.3g} ms" if value < 1000 else f"{value / 1000:.3g} s"
