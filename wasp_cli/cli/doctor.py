@@ -143,11 +143,7 @@ def _writable(results: Path) -> Finding:
 
 
 def require(findings: list[Finding]) -> None:
-    """Check that nothing is missing which every run needs.
-
-    Raises:
-        WaspError: something is; it is named.
-    """
+    """Check that nothing is missing which every run needs."""
     if missing := [finding.what for finding in findings if finding.state in ("missing", "broken")]:
         raise WaspError(f"wasp cannot run here: {', '.join(missing)}", "the last column of the table says what to do")
 

@@ -106,16 +106,7 @@ def show_report(
 ) -> Report:
     """Write the report of one run, then print it. Where the files cannot be written, what is printed is there all the same.
 
-    Args:
-        layout: the results folder.
-        recorded: what the run was asked for.
-        paper: numbers and claims to compare with; None: with none.
-        films: whether the HTML report has films of episodes.
-        trained: whether each trained part is drawn.
-        to: the folder of the files; None: that of the spec in the results folder.
-
-    Raises:
-        NotWritten: the files cannot be written.
+    `to` is the folder of the files; None: that of the spec in the results folder.
     """
     from wasp_cli.report.summarize import report_run
 

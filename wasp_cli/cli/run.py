@@ -202,11 +202,7 @@ def run_detached() -> None:
 def run_and_report(
     loaded: Loaded, results: Path, options: RunOptions, select: Sequence[str] = (), reuse: str | None = None, *, failed: bool = False
 ) -> None:
-    """Run a spec, then write and print its report.
-
-    Raises:
-        CellsFailed: a selected cell failed, or has no readable rows.
-    """
+    """Run a spec, then write and print its report."""
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded, reported
     from wasp_cli.run.session import run_spec
@@ -224,12 +220,7 @@ def run_and_report(
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
-    """Raise CellsFailed when a cell has no readable rows, though its node ended well.
-
-    Args:
-        missing: the cells without rows.
-        layout: the results folder of the run; damaged cells are invalidated there, so that the next run computes them.
-    """
+    """Raise CellsFailed when cells have no readable rows; damaged ones are invalidated, so that the next run computes them."""
     from wasp_cli.store.artifact import invalidate
 
     if missing:

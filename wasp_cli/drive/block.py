@@ -153,15 +153,7 @@ class Block:
     def episode(
         self, number: int, layout: int, method_seed: int, facts: Mapping[str, Any] | None = None, most: int | None = None
     ) -> Driven | Cut:
-        """Let the driver drive one episode, after a `go`.
-
-        Args:
-            number: of the episode, for people.
-            layout: seed of the world.
-            method_seed: of the assistant's own sampling.
-            facts: further ones for the page.
-            most: decisions after which it ends; None: when the task does.
-        """
+        """Let the driver drive one episode, after a `go`, for `most` decisions at most; `facts` are for the page."""
         running = _Running(self, layout)
         with torch.inference_mode():
             running.reset(method_seed)

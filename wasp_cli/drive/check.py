@@ -150,12 +150,7 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
 def recommended(seconds: list[float], fired: list[float], driven: Driven, period: float, speed: float) -> float:
     """Return the largest of SPEEDS at which all but a tolerated share of these answers would have been in time.
 
-    Args:
-        seconds: how long answers took.
-        fired: how long those took with which a gate fired.
-        driven: the episode; what a decision takes besides is the rest of the period that was kept free.
-        period: of a decision in seconds, at `speed`.
-        speed: at which it was measured.
+    `fired` are the seconds of the answers with which a gate fired. The rest of the period is kept free, as it was in the episode.
     """
     besides = float(np.median([beat.rest_ms for beat in driven.beats])) / 1000
     answers = [np.quantile(times, 1 - share) for times, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED)) if times]

@@ -67,13 +67,8 @@ class Decider(Generic[T]):
     def ask(self, question: Callable[[], T], patience: float, wanted: float = -math.inf, least: float = 0.0) -> tuple[T | None, float]:
         """Return the answer, None where it is late, and the seconds waited for it.
 
-        A late answer is thrown away; while it is still being thought about, nothing new is asked.
-
-        Args:
-            question: asked in the thread.
-            patience: seconds after which it is late, from when it can be thought about.
-            wanted: until when a search is to end, on the monotonic clock (`time_is_up`).
-            least: seconds that it has nevertheless, from when it can be thought about.
+        A late answer is thrown away; while it is still being thought about, nothing new is asked. `patience` and
+        `least` count from when it can be thought about; until `wanted`, on the monotonic clock, a search is to end (`time_is_up`).
         """
         begun = time.monotonic()
         if self._asked is not None:

@@ -193,12 +193,7 @@ def together(episodes: Sequence[Issued]) -> Issued:
 
 @torch.no_grad()
 def judged(clone: Clone, expert: Policy, learnt: Issued, held: Issued) -> dict[str, dict[str, float]]:
-    """Judge the clone and what needs no learning on held-out decisions, from the second of each episode on.
-
-    Returns:
-        by model, `log_density` of a command (mean; larger is better) and `squared_error` of its mean; a baseline's density is a normal
-        around what it foretells and a uniform one, with the shares that fit the learnt episodes best.
-    """
+    """Judge the clone and what needs no learning on held-out decisions, from the second of each episode on."""
 
     def later(seen: Issued) -> Issued:
         keep = ~seen.last.isnan().any(-1)

@@ -66,12 +66,7 @@ class Wanted:
         return self.what in TASKS and not Path(self.what).exists()
 
     def prepared(self, *, recorded: bool = True) -> Session:
-        """Find the cells and what they need; `recorded` is said by `session.prepared`.
-
-        Raises:
-            UsageError: an option does not fit to the spec.
-            InvalidSpec: the spec is not valid.
-        """
+        """Find the cells and what they need; `recorded` is said by `session.prepared`."""
         for name in self.hide:
             if name not in SHOWN:
                 raise UnknownName("thing to hide", name, SHOWN)
@@ -101,12 +96,7 @@ class Wanted:
         return table
 
     def loaded(self) -> Loaded:
-        """Return the spec: the shipped one for a task, or the one that was named.
-
-        Raises:
-            UsageError: there is no such task or spec, an environment of others' is meant, or an option does not fit.
-            InvalidSpec: the spec is not valid.
-        """
+        """Return the spec: the shipped one for a task, or the one that was named."""
         if not self._is_task:
             self._require_spec()
             for name, value in (("--method", self.method), ("--session", self.session)):

@@ -47,14 +47,7 @@ class Futures:
     ) -> dict[str, Any] | None:
         """Imagine a decision, and return lines of [x, y] in m by name: `alone`, and `corrected` where there was a correction.
 
-        Args:
-            t: of the decision.
-            latent: [1, .] in which it was made.
-            a_h: [1, A] the command.
-            operator: who has just issued it.
-            decision: what the assistant made of it.
-            robot: where it was made, [x, y, direction]; None of a task without a map.
-            seconds: how much time there is; None is returned where that was not enough before.
+        `a_h` is [1, A]; `robot` is [x, y, direction]; None is returned where `seconds` was not enough before.
         """
         if self._readout is None or robot is None or seconds < self._seconds:
             # What takes long once, while other work disturbs it, is tried again later.

@@ -38,16 +38,7 @@ class CellRecord:
     def __init__(
         self, layout: Layout, node: Node, identity: CellIdentity, goals: int, facts: Mapping[str, Any], begun: Path | None = None
     ) -> None:
-        """Go on where the session broke off.
-
-        Args:
-            layout: the results folder.
-            node: of the cell.
-            identity: of its rows.
-            goals: within an episode that count as success.
-            facts: written into the session's file.
-            begun: the folder of the same cell with fewer episodes, where there is one and nothing newer was left unfinished.
-        """
+        """Go on where the session broke off, or from `begun`, the same cell with fewer episodes."""
         self._layout, self._node, self._identity, self._goals = layout, node, identity, goals
         self._folder = layout.work(node.key)
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -97,11 +88,7 @@ class CellRecord:
         return known.filter(pc.less(known["episode"], self.finished))
 
     def publish(self, run_id: str, node: Node) -> dict[str, Any]:
-        """Make the rows the artifact of `node`: that of the whole cell, or of the same cell with as many episodes as there are.
-
-        Returns:
-            how well decisions were in time, over all finished episodes.
-        """
+        """Make the rows the artifact of `node`: that of the whole cell, or of the same cell with as many episodes as there are."""
         summary = timing_summary(self._timing())
         numbers = read_episodes([self._folder / EPISODES_FILE])
         shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}

@@ -94,11 +94,7 @@ class Server(LocalServer):
     """Serves the page of a desk, from a thread of its own or until it is stopped."""
 
     def __init__(self, desk: Desk, port: int = 0) -> None:
-        """Take a port, 0 for any free one.
-
-        Raises:
-            UsageError: the port is taken, or not allowed.
-        """
+        """Take a port, 0 for any free one."""
         self.desk = desk
         routes = [
             Route("/", self._index),

@@ -70,10 +70,7 @@ class Grid:
 def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     """Return every cell of a spec, every stage that it names, and every node behind them, each node once.
 
-    Args:
-        spec: what is asked for.
-        reuse: by recipe, the key of a published result that stands in the place of a node. What is computed from it has a key that says
-            so.
+    `reuse` has, by recipe, the key of a published result that stands in the place of a node; keys of what is computed from it say so.
     """
     builder = _Builder(spec, reuse or {})
     cells = [(cell, builder.evaluation(cell)) for cell in cells_of(spec)]

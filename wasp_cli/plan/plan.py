@@ -141,17 +141,7 @@ def make_plan(
     changed: Callable[[Node], str | None] = lambda node: None,
     wanted: frozenset[str] | None = None,
 ) -> Plan:
-    """Give each node its state.
-
-    Args:
-        grid: what the spec asks for.
-        stored: keys in the store, by kind.
-        failures: cause of the last failure, by key.
-        seconds: measured times by sort of node.
-        damages: what is wrong with a stored artifact, by key.
-        changed: why an earlier version of a node does not serve; None where there is none.
-        wanted: keys of the nodes to compute, with what they need; all targets of the grid by default.
-    """
+    """Give each node its state; `wanted` are keys of what to compute, with what it needs: all targets of the grid by default."""
     targets = grid.targets if wanted is None else wanted
     damages = damages or {}
     scope, required = set(targets), set(targets)

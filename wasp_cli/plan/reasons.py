@@ -68,11 +68,7 @@ class Stored:
 
 
 def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
-    """Look at every artifact of some kinds.
-
-    Raises:
-        StoreError: the folder cannot be read.
-    """
+    """Look at every artifact of some kinds."""
     whole: dict[str, dict[str, Facts]] = {}
     damaged: dict[str, str] = {}
     for kind in kinds:

@@ -42,12 +42,7 @@ HELDOUT = "heldout"
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
-    """Return the published layer that `--reuse`, or a spec, means; None without reuse.
-
-    Raises:
-        UsageError: a folder is meant that holds no published results.
-        StoreError: that of the results folder is a link.
-    """
+    """Return the published layer that `--reuse`, or a spec, means; None without reuse."""
     if choice == NONE:
         return None
     if choice == PUBLISHED:
@@ -155,10 +150,6 @@ def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
     """Return, by recipe, the published results that are reused.
 
     Of several, first that of this very code, then one that was computed from what else is reused, then the newest.
-
-    Args:
-        own: the grid with its recipes and without reuse.
-        offered: what may be reused; each key once.
     """
     by_recipe: dict[str, list[Offer]] = {}
     for offer in offered:

@@ -11,12 +11,7 @@ from wasp_cli.stages.registry import STAGES
 
 
 def durations(nodes: Iterable[Node], seconds: Mapping[str, float]) -> dict[str, float]:
-    """Return how long each node will take, by key: as measured where its sort was, else by the weight of its stage.
-
-    Args:
-        nodes: any.
-        seconds: measured times by sort of node.
-    """
+    """Return how long each node will take, by key: as measured where its sort was, else by the weight of its stage."""
     nodes = list(nodes)
     per_weight = [seconds[node.sort] / weight for node in nodes if node.sort in seconds and (weight := STAGES[node.kind].weight)]
     unit = median(per_weight) if per_weight else 1.0
@@ -27,12 +22,7 @@ class Schedule:
     """The nodes that are still to run, and which of them can begin. Only needs among them count: the rest is computed."""
 
     def __init__(self, nodes: Iterable[Node], lasting: Mapping[str, float]) -> None:
-        """Schedule nodes.
-
-        Args:
-            nodes: needed ones first; among equals this order counts.
-            lasting: seconds by key (`durations`).
-        """
+        """`nodes` come needed ones first, which counts among equals; `lasting` has their seconds by key (`durations`)."""
         members = {node.key: node for node in nodes}
         self._needs = {key: {needed.key for needed in node.needs.values()} & members.keys() for key, node in members.items()}
         self._dependents: dict[str, list[Node]] = {key: [] for key in members}

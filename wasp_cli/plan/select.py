@@ -26,12 +26,7 @@ class Condition:
 
 
 def read_selectors(texts: Iterable[str]) -> list[tuple[Condition, ...]]:
-    """Read selectors; a node has to meet every condition of one of them.
-
-    Raises:
-        UsageError: a text has another form.
-        UnknownName: there is no such field.
-    """
+    """Read selectors; a node has to meet every condition of one of them."""
     return [tuple(_condition(part, text) for part in text.split(",")) for text in texts]
 
 

@@ -71,10 +71,7 @@ def shipped(path: Path = FIGURES) -> Mapping[str, Any]:
 def estimated(nodes: Iterable[Node], preset: str, near: Iterable[tuple[Node, float]] = ()) -> dict[str, float]:
     """Return the seconds by sort that nodes will take here, where there is a figure for them or for something like them.
 
-    Args:
-        nodes: any.
-        preset: of their spec. Other sizes that a spec changes are not known.
-        near: nodes of the same spec that were computed, each with the seconds that it took.
+    `near` are nodes of the same spec that were computed, each with its seconds.
     """
     figures = shipped()
     known: Mapping[str, float] = figures["seconds"].get(preset, {})

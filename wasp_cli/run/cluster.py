@@ -34,11 +34,7 @@ COUNT_SECONDS = 2.0
 
 
 def require_cluster(backend: str, scheduler: str | None) -> None:
-    """See that a cluster can be used, before anything is planned for it.
-
-    Raises:
-        UsageError: its package is not installed, it has no address, or nothing answers there.
-    """
+    """See that a cluster can be used, before anything is planned for it."""
     package = PACKAGES[backend]
     if find_spec(package) is None:
         raise UsageError(f"the backend {backend} needs the package '{package}'", f"pip install 'wasp-cli[{backend}]'")
@@ -49,11 +45,7 @@ def require_cluster(backend: str, scheduler: str | None) -> None:
 
 
 def cluster_pool(backend: str, scheduler: str | None) -> Pool:
-    """Return the workers of a dask scheduler or of a ray cluster, of which `require_cluster` has said that it is there.
-
-    Raises:
-        UsageError: it does not answer after all, or its workers do not fit.
-    """
+    """Return the workers of a dask scheduler or of a ray cluster, of which `require_cluster` has said that it is there."""
     pool: Pool = DaskPool(scheduler) if backend == "dask" else RayPool(scheduler)
     return pool
 

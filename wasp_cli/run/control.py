@@ -52,12 +52,7 @@ def control(layout: Layout, action: Literal["pause", "resume", "cancel"], node: 
 
 
 def live_runs(layout: Layout, runs: Sequence[PlannedRun], name: str | None) -> list[PlannedRun]:
-    """Return the runs that go on now, newest first; the named one alone where there is a name.
-
-    Raises:
-        UsageError: none goes on, or the named one does not.
-        UnknownName: there is no run of this name.
-    """
+    """Return the runs that go on now, newest first; the named one alone where there is a name."""
     meant = list(runs) if name is None else [named_run(runs, name)]
     live = [run for run in meant if state_of(layout, run).state == "running"]
     if not live:

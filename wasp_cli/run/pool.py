@@ -106,12 +106,7 @@ BACKENDS = ("loky", "dask", "ray")
 
 
 def require_backend(backend: str, scheduler: str | None) -> None:
-    """See that a backend can be used, before anything is planned for it.
-
-    Raises:
-        UnknownName: there is none of this name.
-        UsageError: its package is not installed, or its scheduler does not answer.
-    """
+    """See that a backend can be used, before anything is planned for it."""
     if backend not in BACKENDS:
         raise UnknownName("backend", backend, BACKENDS)
     if backend != "loky":
@@ -123,13 +118,7 @@ def require_backend(backend: str, scheduler: str | None) -> None:
 
 
 def pool_of(backend: str, jobs: int, scheduler: str | None = None) -> Pool:
-    """Return the workers of a backend.
-
-    Args:
-        backend: one of `BACKENDS`.
-        jobs: worker processes on this machine at most; 0 computes in this process. Others bring their own number.
-        scheduler: address of the others' scheduler.
-    """
+    """Return the workers of a backend."""
     if backend != "loky":
         from wasp_cli.run.cluster import cluster_pool
 

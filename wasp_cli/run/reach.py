@@ -58,15 +58,7 @@ def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
 
 
 def reach_of_runs(layout: Layout, own: Set[str]) -> Reach:
-    """Return what the newest run of each spec name reaches, what the runs reach that are not over, and what people did.
-
-    Args:
-        layout: the results folder.
-        own: keys of what people did.
-
-    Raises:
-        StoreError: a run does not say what it reaches, so that nothing can be called unreached.
-    """
+    """Return what the newest run of each spec name reaches, what the runs reach that are not over, and what people did (`own`)."""
     wanted: dict[str, PlannedRun] = {}
     of_people: set[str] = set()
     keys: set[str] = set()

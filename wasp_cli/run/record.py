@@ -78,15 +78,7 @@ def reported(layout: Layout, run_id: str) -> None:
 
 
 def new_sweep(layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *, reports: bool = False) -> str:
-    """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells.
-
-    Args:
-        layout: the results folder.
-        sweep: the setting and its values.
-        plan: of all values together.
-        grids: what each value asks for.
-        reports: as for `new_run`.
-    """
+    """Make the folder of a sweep, which has its logs, and one more run for each value, so that reports find its cells."""
     runs = [new_run(layout, point.loaded, plan.of(grid)) for point, grid in zip(sweep.points, grids, strict=True)]
     with _new_folder(layout, sweep.name, reports) as folder:
         values = [{"value": point.value, "run": run} for point, run in zip(sweep.points, runs, strict=True)]
@@ -142,11 +134,7 @@ def _is_known(cell: Cell) -> bool:
 
 
 def _known_part(document: Any) -> tuple[Spec, list[str]]:
-    """The spec without what is not known here (another version wrote it, or a plugin that is absent now), and what that was.
-
-    Raises:
-        ValidationError: what is left is no spec.
-    """
+    """The spec without what is not known here (another version wrote it, or a plugin that is absent now), and what that was."""
     unknown: list[str] = []
     while True:
         try:

@@ -92,16 +92,7 @@ class Runner:
     """One run over one store."""
 
     def __init__(self, layout: Layout, run_id: str, pool: Pool, *, cores: int = 1, limit: float | None = None, retries: int = 0) -> None:
-        """Prepare a run.
-
-        Args:
-            layout: the results folder.
-            run_id: the run, whose folder is there.
-            pool: who computes.
-            cores: of this machine; what nodes side by side leave free goes to physics and cameras.
-            limit: seconds that a node may take; None for no limit.
-            retries: further attempts at a node that fails by chance.
-        """
+        """`cores` of this machine that nodes side by side leave free go to physics and cameras; `limit` is in seconds for each node."""
         self._layout, self._run_id, self._pool = layout, run_id, pool
         self._cores, self._limit, self._retries = cores, limit, retries
         self._journal = Journal(layout.journal(run_id))
@@ -129,11 +120,7 @@ class Runner:
         self.summary = Summary()
 
     def run(self, plan: Plan) -> Summary:
-        """Compute what the plan says, and nothing else.
-
-        Raises:
-            KeyboardInterrupt: it was asked to stop; what was finished is kept.
-        """
+        """Compute what the plan says, and nothing else."""
         started = time.monotonic()
         nodes = plan.to_run()
         self._nodes = {node.key: node for node in nodes}

@@ -163,15 +163,7 @@ def prepared(results: Path, options: RunOptions) -> Layout:
 
 
 def carry_out(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str] = NAMES) -> Session:
-    """Compute what a plan says, and say how it ended.
-
-    Args:
-        plan: what to compute.
-        layout: the results folder.
-        run_id: the run whose folder has the logs.
-        options: how it is carried out.
-        names: what people call a node, by its key, where that is not its label.
-    """
+    """Compute what a plan says, and say how it ended."""
     _import_published(plan, layout)
     summary = _compute(plan, layout, run_id, options, names) if plan.to_run() else Summary()
     plain(_summary_line(plan, summary))

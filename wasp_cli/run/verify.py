@@ -141,11 +141,7 @@ def show_answer(answer: Answer, console: Console) -> None:
 
 
 def differences(stored: Path, computed: Path) -> list[str]:
-    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are not the same to the bit.
-
-    Raises:
-        StoreError: a file cannot be read.
-    """
+    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are not the same to the bit."""
     import pyarrow.compute as pc
 
     from wasp_cli.store.tables import TIMING, cell_file, lacking, read_episodes, read_steps, read_version

@@ -55,12 +55,7 @@ KILLED = "its process was killed twice (out of memory, or by a signal)"
 
 
 def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
-    """Compute one node, or find that another run has.
-
-    Args:
-        job: the node.
-        own_process: whether this process does nothing else, so that its file descriptors may go to the log.
-    """
+    """Compute one node, or find that another run has; the log gets all output of a process that does nothing else."""
     started = time.monotonic()
     layout = Layout(Path(job.root))
     if layout.stop(job.run_id).exists():

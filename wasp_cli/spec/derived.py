@@ -181,11 +181,7 @@ def read_sweep(
 
 
 def values_of(vary: str) -> list[Override]:
-    """Read `a.b=v1,v2`: for each value what a `--set` option would do.
-
-    Raises:
-        UsageError: another form, values that are not YAML, fewer than two, one twice, or a setting that says which cells there are.
-    """
+    """Read `a.b=v1,v2`: for each value what a `--set` option would do."""
     key, equals, rest = vary.partition("=")
     path = path_of(key)
     if not equals or not all(path):
@@ -211,11 +207,7 @@ def written(option: Override) -> str:
 
 
 def split(values: str) -> list[tuple[str, Any]]:
-    """Return each value of a comma-separated list in YAML: as it is written, and what it means.
-
-    Raises:
-        UsageError: it is not YAML, or a value is empty.
-    """
+    """Return each value of a comma-separated list in YAML: as it is written, and what it means."""
     meant = value_of(f"[{values}]", values, OPTION)
     if not meant or values.rstrip().endswith(","):
         raise UsageError(f"{OPTION}: '{values}' has an empty value", "write null where no value is meant")

@@ -88,12 +88,7 @@ def _elsewhere(name: str, section: str) -> str | None:
 
 
 def value_hint(value: Any, types: Sequence[str]) -> str | None:
-    """Return how a value is written so that it has the right type, where one can tell.
-
-    Args:
-        value: the wrong one.
-        types: pydantic's names of what is wrong with it.
-    """
+    """Return how a value is written so that it has the right type, where one can tell."""
     if "tuple_type" in types and isinstance(value, str | int | float):
         return f"write [{_written(value)}]"
     if "dict_type" in types and isinstance(value, int | float) and not isinstance(value, bool):
@@ -149,14 +144,7 @@ Hint = Callable[[Loc], str | None]
 def findings(
     error: ValidationError, document: Mapping[str, Any], key_hint: Hint = key_hint, description: Hint = description
 ) -> list[Finding]:
-    """Return one finding for each place: what pydantic says of the members of a union belongs together.
-
-    Args:
-        error: what pydantic found.
-        document: the plain values.
-        key_hint: what is said of an unknown key.
-        description: what is said of a missing or an empty one.
-    """
+    """Return one finding for each place: what pydantic says of the members of a union belongs together."""
     found: dict[Loc, list[dict[str, Any]]] = {}
     for entry in error.errors(include_url=False):
         loc = _without_tags(entry["loc"], document)

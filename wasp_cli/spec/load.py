@@ -112,11 +112,7 @@ class Chain:
         return "".join(f"---\n# {source.name}\n{source.text.rstrip()}\n" for source in self.sources)
 
     def document(self, *, named: bool = False) -> tuple[dict[str, Any], list[Problem]]:
-        """Return the values of all files, nearer ones over farther ones, and what in them is none.
-
-        Args:
-            named: the spec has a name from elsewhere, so that its file need not say one.
-        """
+        """Return the values of all files, nearer ones over farther ones, and what in them is none; `named`: an option brings the name."""
         values: dict[str, Any] = {}
         problems: list[Problem] = []
         for source in reversed(self.sources):
@@ -147,11 +143,7 @@ class Chain:
 
 
 def chain_of(source: Source) -> Chain:
-    """Return a source with all files that it extends.
-
-    Raises:
-        InvalidSpec: one of them cannot be read, is named wrongly, or the chain is too long or comes back to one of its files.
-    """
+    """Return a source with all files that it extends."""
     sources, seen = [source], [_identity(source.name)]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
@@ -223,11 +215,7 @@ class Override:
 
 
 def override(number: int, text: str) -> Override:
-    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types.
-
-    Raises:
-        UsageError: the text has another form, or its value is not YAML.
-    """
+    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types."""
     place = f"--set #{number}"
     key, equals, value = text.partition("=")
     path = path_of(key)
@@ -246,16 +234,7 @@ def path_of(key: str) -> tuple[str, ...]:
 
 
 def value_of(value: str, text: str, place: str) -> Any:
-    """Return the value that a text on the command line stands for.
-
-    Args:
-        value: YAML.
-        text: what to quote in a message.
-        place: which option it came from.
-
-    Raises:
-        UsageError: it is not YAML, or no value of a spec.
-    """
+    """Return the value that a text on the command line stands for."""
     try:
         source = parse(f"value: {value.strip()}", text)
     except InvalidSpec as error:

@@ -291,11 +291,7 @@ def preset_names() -> tuple[str, ...]:
 
 
 def validate(document: Mapping[str, Any]) -> Spec:
-    """Build the spec that a plain document describes, over the preset that it names.
-
-    Raises:
-        ValidationError: with every problem, each at its place in the document.
-    """
+    """Build the spec that a plain document describes, over the preset that it names."""
     preset = document.get("preset", "cpu")
     resolved = merged(preset_values(preset) if isinstance(preset, str) else {}, document)
     resolved = _with_episodes(resolved)

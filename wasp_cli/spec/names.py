@@ -108,13 +108,7 @@ OperatorName = Annotated[str, _known("operator variant", lambda: OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
-    """Return the name of a spec that is made from another one: `<head>-<tail>`, cut and cleaned to what a spec may be called.
-
-    Args:
-        head: the name of the other spec; it is cut first.
-        tail: what is new about this one, any text.
-        taken: names that this one must differ from.
-    """
+    """Return `<head>-<tail>`, cut and cleaned to what a spec may be called, and none of `taken`."""
     taken = set(taken)
     clean = re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
     for number in range(1, len(taken) + 2):

@@ -109,11 +109,7 @@ def read(path: Path) -> Source:
 
 
 def parse(text: str, name: str) -> Source:
-    """Parse a YAML mapping; `name` stands for the file in messages.
-
-    Raises:
-        InvalidSpec: it is not YAML, not a mapping, or has too many levels.
-    """
+    """Parse a YAML mapping; `name` stands for the file in messages."""
     source = Source(name, text)
     try:
         _refuse_sharing(source)
