@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from wasp_cli.plan import times as estimates
+from wasp_cli.plan import schedule as estimates
 from wasp_cli.plan.recorded import planned_runs
 from wasp_cli.run.record import read_run, results_of
 from wasp_cli.store.artifact import exists, read_manifest

@@ -9,8 +9,8 @@ import pytest
 
 from tests.commands import run_here
 from tests.drive.conftest import wanted
+from wasp_cli.drive.check import Habits
 from wasp_cli.drive.command import drive_session
-from wasp_cli.drive.script import Habits
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout

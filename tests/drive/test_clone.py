@@ -19,9 +19,9 @@ import torch
 from tests.commands import run_here
 from tests.drive.conftest import harmed, swept_before_commit, wanted
 from wasp_cli.drive import clone as module
+from wasp_cli.drive.check import Habits
 from wasp_cli.drive.clone import fitted_mixture, judged, mixture_density, together
 from wasp_cli.drive.command import drive_session
-from wasp_cli.drive.script import Habits
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.clone import Issued
 from wasp_cli.models.clone import Clone

@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection
 
 from tests.drive.test_server import driver, get, state
 from tests.view.conftest import viewed
-from wasp_cli.drive import script
+from wasp_cli.drive import check as script
 from wasp_cli.drive.desk import Desk
 from wasp_cli.drive.server import TOO_MUCH, Server
 from wasp_cli.errors import WaspError

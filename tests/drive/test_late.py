@@ -15,10 +15,9 @@ from typer.testing import CliRunner
 from tests.drive.conftest import wanted
 from wasp_cli.cli.app import app
 from wasp_cli.drive import block
-from wasp_cli.drive.check import Timing, checked_blocks, recommended, warning
+from wasp_cli.drive.check import Habits, Timing, checked_blocks, recommended, warning
 from wasp_cli.drive.command import drive_session
 from wasp_cli.drive.desk import GO, Desk, Frame
-from wasp_cli.drive.script import Habits
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.wasp.assistant import WASP
 from wasp_cli.metrics.episode import GATE_LATE

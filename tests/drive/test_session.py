@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 from tests.commands import run_here
 from tests.drive.conftest import harmed, served, swept_before_commit, wanted
 from wasp_cli.cli.app import app
+from wasp_cli.drive.check import Habits, drive, to_the_goal
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.script import Habits, drive, to_the_goal
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.learning.playback import play
 from wasp_cli.metrics.episode import GATE_LATE

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.benchmarks.times import figures_of
-from wasp_cli.plan import times
+from wasp_cli.plan import schedule as times
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over

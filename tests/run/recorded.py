@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 

@@ -12,9 +12,9 @@ import pytest
 
 from tests.run.harness import wait_until
 from wasp_cli.errors import WaspError
-from wasp_cli.run import cluster
-from wasp_cli.run.cluster import DaskPool
-from wasp_cli.run.job import NodeJob, NodeResult, WorkersDied
+from wasp_cli.run import pool as pools
+from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.pool import DaskPool, WorkersDied
 
 JOB: Any = SimpleNamespace(run_id="run", key="key")
 DONE = NodeResult("key", "done", 1.0)
@@ -60,8 +60,8 @@ class Client:
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(distributed, "Client", Client)
-    monkeypatch.setattr(cluster, "POLL_SECONDS", 0.01)
-    monkeypatch.setattr(cluster, "COUNT_SECONDS", 0.02, raising=False)
+    monkeypatch.setattr(pools, "POLL_SECONDS", 0.01)
+    monkeypatch.setattr(pools, "COUNT_SECONDS", 0.02, raising=False)
     pool = DaskPool("tcp://somewhere:1")
     yield pool
     pool.close()

@@ -13,7 +13,7 @@ import pytest
 from tests.run.recorded import START, at, dead_pid, key, planned, process, write_run
 from wasp_cli.errors import UnknownName
 from wasp_cli.plan.recorded import named_run, planned_runs, upstream_first
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.run.job import boot_id
 from wasp_cli.run.watch import RunState, is_gone, moment, shown_runs, state_of
 from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout

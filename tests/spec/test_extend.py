@@ -13,7 +13,7 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.run.record import new_run
 from wasp_cli.spec.derived import ablation, read_sweep
 from wasp_cli.spec.load import LONGEST_CHAIN, load
-from wasp_cli.spec.places import InvalidSpec
+from wasp_cli.spec.read import InvalidSpec
 from wasp_cli.store.layout import Layout
 
 BASE = """\

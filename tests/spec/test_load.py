@@ -8,8 +8,7 @@ import pytest
 from tests.spec.good import GOOD
 from wasp_cli.errors import UsageError
 from wasp_cli.spec.load import Loaded, chain_of, load, loaded
-from wasp_cli.spec.places import InvalidSpec, Problem
-from wasp_cli.spec.read import parse
+from wasp_cli.spec.read import InvalidSpec, Problem, parse
 
 SPECS = Path(__file__).parents[2] / "specs"
 

@@ -13,8 +13,7 @@ from tests.commands import run_here
 from tests.spec.mutations import anything, lay_out_bases
 from wasp_cli.plan.grid import cells_of
 from wasp_cli.spec.load import load
-from wasp_cli.spec.places import InvalidSpec, Problem
-from wasp_cli.spec.read import lines_of
+from wasp_cli.spec.read import InvalidSpec, Problem, lines_of
 
 IN_EACH_COMMAND = 25
 """One of so many mutated specs is given to the command itself, the others to what it calls."""

@@ -12,8 +12,7 @@ import pytest
 
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.load import Loaded, chain_of, load, loaded, override
-from wasp_cli.spec.places import InvalidSpec, Problem
-from wasp_cli.spec.read import parse
+from wasp_cli.spec.read import InvalidSpec, Problem, parse
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"

@@ -15,8 +15,7 @@ from tests.commands import run_here
 from tests.spec.mutations import FOLDER, SNIPPETS, VALUES, dumped, marked
 from tests.spec.test_mutated import is_place
 from wasp_cli.spec.paper import Comparison, Paper, Printed, Statement, Who, load_paper, paper_of
-from wasp_cli.spec.places import InvalidSpec
-from wasp_cli.spec.read import parse
+from wasp_cli.spec.read import InvalidSpec, parse
 
 ROOT = FOLDER.parent
 SHIPPED = (FOLDER / "paper.yaml").read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.spec.derived import CELLS, Sweep, read_sweep, split, values_of
 from wasp_cli.spec.load import Override
 from wasp_cli.spec.names import LONGEST, spec_name
-from wasp_cli.spec.places import InvalidSpec
+from wasp_cli.spec.read import InvalidSpec
 
 SPEC = """\
 name: little

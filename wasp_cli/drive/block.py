@@ -19,8 +19,7 @@ from torch import Tensor
 
 from wasp_cli.drive.clock import Clock, Decider
 from wasp_cli.drive.desk import END, GO, NEXT, PAUSE, RESTART, Desk, Frame, action_of
-from wasp_cli.drive.futures import Futures
-from wasp_cli.drive.view import WorldView, camera_bytes
+from wasp_cli.drive.view import Futures, WorldView, camera_bytes
 from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.closed_loop import Filter, Loop
 from wasp_cli.learning.evaluation import trajectories

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from wasp_cli.console import count_table, plain, say
 from wasp_cli.drive.block import SHOWN, How
-from wasp_cli.drive.check import TOLERATED, warning
+from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.script import Habits, drive
 from wasp_cli.drive.server import Server
 from wasp_cli.drive.session import Session, cells_of, free_session, ordered, participants, prepared, shipped
 from wasp_cli.errors import Interrupted, UnknownName, UsageError

@@ -11,10 +11,9 @@ from typing import Any, Literal, TypeVar
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid
-from wasp_cli.plan.node import Cell, Node, Part, levels
+from wasp_cli.plan.node import Cell, Node, Part
 from wasp_cli.plan.reasons import Reasons, Stored, look_at, measured
-from wasp_cli.plan.schedule import simulated
-from wasp_cli.plan.times import estimated
+from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import precision_of
@@ -67,11 +66,13 @@ class Plan:
 
     def counts(self) -> dict[str, Counter[State]]:
         """Return the number of nodes by kind and state; kinds in the order in which they first run."""
-        found: dict[str, Counter[State]] = {}
-        for step in self.steps:
-            found.setdefault(step.node.kind, Counter())[step.state] += 1
-        order = dict.fromkeys(node.kind for level in levels(step.node for step in self.steps) for node in level)
-        return {kind: found[kind] for kind in order}
+        counts: dict[str, Counter[State]] = {}
+        levels: dict[str, int] = {}
+        for step in self.steps:  # needed ones first
+            counts.setdefault(step.node.kind, Counter())[step.state] += 1
+            levels[step.node.key] = max((1 + levels[needed.key] for needed in step.node.needs.values() if needed.key in levels), default=0)
+        order = dict.fromkeys(step.node.kind for step in sorted(self.steps, key=lambda step: levels[step.node.key]))
+        return {kind: counts[kind] for kind in order}
 
     def estimate(self, workers: int) -> tuple[float, int]:
         """Return the seconds for the nodes that are to run, and how many of them have no measured time (they count as nothing)."""

@@ -18,11 +18,10 @@ from typing import Any
 import wasp_cli
 from wasp_cli.console import waiting_aloud
 from wasp_cli.errors import ArtifactError, first
-from wasp_cli.plan.grid import Grid
+from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Step, plan_against
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.plan.select import select
 from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import (
     commit,

@@ -22,7 +22,7 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan, Thing
 from wasp_cli.plan.recorded import order_of, run_ids
-from wasp_cli.run.heartbeat import this_process
+from wasp_cli.run.job import this_process
 from wasp_cli.spec.derived import Sweep
 from wasp_cli.spec.load import Loaded
 from wasp_cli.spec.model import Spec, spec_type

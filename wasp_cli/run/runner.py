@@ -14,9 +14,9 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.recorded import number
 from wasp_cli.plan.schedule import Schedule, durations
-from wasp_cli.run.heartbeat import forget, this_process
 from wasp_cli.run.interrupt import HINT, Stop, was_ended
-from wasp_cli.run.job import NodeJob, NodeResult, Pool, WorkersDied
+from wasp_cli.run.job import NodeJob, NodeResult, forget, this_process
+from wasp_cli.run.pool import Pool, WorkersDied
 from wasp_cli.run.progress import NAMES, numbers
 from wasp_cli.run.record import Journal
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unseen
@@ -125,7 +125,7 @@ class Runner:
         nodes = plan.to_run()
         self._nodes = {node.key: node for node in nodes}
         self._begun = plan.begun
-        self.summary.workers = max(self._pool.jobs, 1)
+        self.summary.workers = self._pool.jobs
         self._journal.write("run started", nodes=len(nodes), **this_process(), jobs=self._pool.jobs, backend=self._pool.name)
         try:
             self._carry_out(Schedule(nodes, durations(nodes, plan.seconds)))
@@ -173,7 +173,7 @@ class Runner:
 
     def _begin(self, schedule: Schedule) -> None:
         """Give ready nodes to idle workers."""
-        jobs = max(self._pool.jobs, 1)
+        jobs = self._pool.jobs
         while len(self._flying) < jobs and not self.stop.asked and not self._paused:
             if self._suspects:
                 flight = self._suspects.pop(0)
@@ -269,7 +269,7 @@ class Runner:
             return self._killed(job, KILLED + (f"; it last held {memory:.0f} MB" if memory else ""), None)
         self._unexplained += not was_running
         # Where workers die again and again before a node can say that it runs, the one that kills is found one by one.
-        if was_running or self._unexplained > UNEXPLAINED * max(self._pool.jobs, 1):
+        if was_running or self._unexplained > UNEXPLAINED * self._pool.jobs:
             self._suspects.append(replace(flight, memory=memory))
         else:
             self._jobs[job.key] = job

@@ -14,16 +14,14 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, together
+from wasp_cli.plan.grid import Grid, select, together
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
-from wasp_cli.plan.select import select
 from wasp_cli.plan.show import reason_lines
 from wasp_cli.run.control import announce
 from wasp_cli.run.interrupt import SIGNALS, listening
-from wasp_cli.run.job import Pool
-from wasp_cli.run.pool import pool_of, require_backend
+from wasp_cli.run.pool import Pool, pool_of, require_backend
 from wasp_cli.run.progress import NAMES, board
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, failures_text
@@ -185,7 +183,7 @@ def _import_published(plan: Plan, layout: Layout) -> None:
 def _compute(plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]) -> Summary:
     nodes = len(plan.to_run())
     pool = pool_of(options.backend, useful_jobs(plan, options.jobs), options.scheduler)
-    seconds, unknown = plan.estimate(max(pool.jobs, 1))
+    seconds, unknown = plan.estimate(pool.jobs)
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     plain(f"{nodes} to compute, {', '.join(_idle(plan))}{estimate}; logs in {layout.run(run_id) / 'logs'}")
     runner = Runner(layout, run_id, pool, cores=cores(), limit=options.limit, retries=options.retries)

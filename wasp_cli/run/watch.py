@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.recorded import PlannedNode, PlannedRun, number, upstream_first
-from wasp_cli.run.heartbeat import boot_id
+from wasp_cli.run.job import boot_id
 from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import read_json_lines

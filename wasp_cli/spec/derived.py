@@ -18,8 +18,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.spec.load import Chain, Loaded, Override, chain_of, load, loaded, override, path_of, value_of
 from wasp_cli.spec.model import Spec, method_sections, preset_names
 from wasp_cli.spec.names import LONGEST, assistant_variants, spec_name
-from wasp_cli.spec.places import InvalidSpec, Problem
-from wasp_cli.spec.read import read
+from wasp_cli.spec.read import InvalidSpec, Problem, read
 from wasp_cli.spec.shipped import spec_path
 from wasp_cli.tasks.registry import TASKS
 

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from wasp_cli.errors import did_you_mean
 from wasp_cli.spec.model import method_sections, spec_type
 from wasp_cli.spec.names import EXTENDS, TOP
-from wasp_cli.spec.places import KEY, Loc
+from wasp_cli.spec.read import KEY, Loc
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:

@@ -15,9 +15,8 @@ from wasp_cli.errors import UsageError
 from wasp_cli.spec.hints import Finding, findings, misplaced
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.names import EXTENDS, SHORT
-from wasp_cli.spec.places import KEY, InvalidSpec, Loc, Problem
 from wasp_cli.spec.presets import merged
-from wasp_cli.spec.read import Source, dotted, kind_of, meant, parse, read
+from wasp_cli.spec.read import KEY, InvalidSpec, Loc, Problem, Source, dotted, kind_of, meant, parse, read
 from wasp_cli.spec.shipped import spec_path
 
 USUAL = ("mild", "moderate", "severe")

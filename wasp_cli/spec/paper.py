@@ -26,8 +26,7 @@ from wasp_cli.metrics.episode import WEIGHTS
 from wasp_cli.spec.hints import findings
 from wasp_cli.spec.model import refuse
 from wasp_cli.spec.names import NO_REPEATS, TaskName, unknown
-from wasp_cli.spec.places import InvalidSpec, Loc
-from wasp_cli.spec.read import Source, read
+from wasp_cli.spec.read import InvalidSpec, Loc, Source, read
 from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
 
 COLUMNS = (*WEIGHTS, "uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
